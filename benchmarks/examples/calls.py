@@ -102,9 +102,9 @@ class Caller:
         return {"command": self._shown([*words, "--out", "better.toml"]), **kept}, better
 
     def fit(self, what: Judged, horizon: float | None = None) -> Path:
-        """Fit a vehicle, by output error over a horizon (s) or by the weak form, and return the file."""
+        """Fit a vehicle by output error over a horizon (s) or the weak form, whatever it does; the file."""
         how = [] if horizon is None else ["--method", "output-error", "--horizon", f"{horizon:g}"]
-        (out,) = self._once([*what.words("fit"), *how], {"--out": "toml"})
+        (out,) = self._once([*what.words("fit"), *how, "--force"], {"--out": "toml"})
         return out
 
     def _once(self, words: Sequence[str], outputs: Mapping[str, str]) -> list[Path]:

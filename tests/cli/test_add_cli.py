@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 
@@ -23,8 +24,12 @@ def add(effect: str, *words: str) -> int:
 
 def test_the_current_goes_into_a_new_file(case: Path, simulated: Case, capsys: Capture) -> None:
     before = (case / "usv.toml").read_bytes()
-    assert add("ocean_current", "--out", "new.toml", "--picture", "fall.png") == 0
+    assert add("ocean_current", "--out", "new.toml", "--picture", "fall.png", "--json", "new.json") == 0
     out = capsys.readouterr().out
+    written = json.loads((case / "new.json").read_text())
+    assert written["schema_id"] == "undertow/addition/1"
+    assert out.splitlines()[0] == written["sentence"]
+    assert written["steps"][2]["ahead"]["5 s"] < 0.3 * written["steps"][1]["ahead"]["5 s"]
     assert "model as given" in out
     assert "wrote new.toml" in out
     assert (case / "usv.toml").read_bytes() == before, "the file it came from stays as it is"
@@ -71,16 +76,16 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
     before = contents(case)
     assert add("dry_friction", "--out", "new.toml") == 1
     out, err = capsys.readouterr()
-    assert "dry_friction does not help" in out
+    assert "raises the 5-s error from 45 to 49 %" in out
     assert err.splitlines() == [
-        "dry_friction does not lower the error on validation data: nothing was written; --force writes it"
+        "dry_friction is not put into the vehicle file; --force writes it all the same"
     ]
     assert contents(case) == before
 
 
 def test_what_does_not_help_is_written_by_force_and_said_so(case: Path, capsys: Capture) -> None:
     assert add("dry_friction", "--out", "new.toml", "--force") == 0
-    assert "dry_friction does not help" in capsys.readouterr().out
+    assert "the error of the force, which decides," in capsys.readouterr().out
     table = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))
     assert "dry_friction" in table["effects"]
     assert table["history"][0]["helps"] is False

@@ -91,7 +91,7 @@ def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:
 
 @pytest.mark.parametrize("method", ["weak", "integral", "instrumental", "output-error", "prediction-error"])
 def test_fit_writes_what_it_found(case: Path, capsys: pytest.CaptureFixture[str], method: str) -> None:
-    words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", method, "--out", "new.toml"]
+    words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", method, "--out", "new.toml", "--force"]
     assert main(words) == 0
     out = "\n".join(_lines(capsys))
     assert "condition number" in out
@@ -120,7 +120,9 @@ def test_fit_prints_the_correlation_matrix_that_its_covariance_has(
     case: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    assert main(["fit", *LOG, "--holdout", "holdout.csv", "--correlation", "--out", "new.toml"]) == 0
+    assert (
+        main(["fit", *LOG, "--holdout", "holdout.csv", "--correlation", "--out", "new.toml", "--force"]) == 0
+    )
     lines = _lines(capsys)
     covariance = tomllib.loads(Path("new.toml").read_text())["history"][0]["covariance"]
     matrix, names = np.array(covariance["matrix"]), covariance["parameters"]
@@ -133,7 +135,7 @@ def test_fit_prints_the_correlation_matrix_that_its_covariance_has(
 
 def test_fit_in_place_changes_the_file(case: Path) -> None:
     old = load_vehicle("usv.toml")
-    assert main(["fit", *LOG, "--holdout", "holdout.csv", "--in-place"]) == 0
+    assert main(["fit", *LOG, "--holdout", "holdout.csv", "--in-place", "--force"]) == 0
     assert load_vehicle("usv.toml").value_of("Y_v").value != old.value_of("Y_v").value
 
 
@@ -178,7 +180,7 @@ def test_every_log_after_holdout_is_kept_aside(words: str, meant: str) -> None:
 def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
     rows = (case / "holdout.csv").read_text().splitlines(keepends=True)
     (case / "more.csv").write_text("".join(rows[:300]))
-    assert main(["fit", *LOG, "--out", "new.toml", "--holdout", "holdout.csv", "more.csv"]) == 0
+    assert main(["fit", *LOG, "--force", "--out", "new.toml", "--holdout", "holdout.csv", "more.csv"]) == 0
     logs = tomllib.loads(Path("new.toml").read_text())["history"][0]["logs"]
     assert [(log["name"], log["role"]) for log in logs] == [
         ("train", "train"),
@@ -189,7 +191,7 @@ def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
 
 def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["fit", *LOG, "--holdout", "holdout.csv", "--equal", "Y_vdot = 1.5 X_udot", "--dissipative"]
-    assert main([*words, "--out", "new.toml"]) == 0
+    assert main([*words, "--out", "new.toml", "--force"]) == 0
     out = "\n".join(_lines(capsys))
     assert "tied to X_udot" in out
     after = load_vehicle("new.toml")
@@ -204,11 +206,11 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
 def test_the_command_of_the_history_fits_the_same_again(case: Path) -> None:
     words = [*LOG, "--holdout", "holdout.csv"]
     chosen = ["--method", "output-error", "--horizon", "2.5"]
-    assert main(["fit", *words, *chosen, "--out", "new.toml"]) == 0
+    assert main(["fit", *words, *chosen, "--out", "new.toml", "--force"]) == 0
     told = tomllib.loads(Path("new.toml").read_text())["history"][0]
     assert told["command"] == "undertow fit --method output-error --horizon 2.5"
     again = told["command"].split()[2:]
-    assert main(["fit", *words, *again, "--out", "again.toml"]) == 0
+    assert main(["fit", *words, *again, "--out", "again.toml", "--force"]) == 0
     repeated = tomllib.loads(Path("again.toml").read_text())["history"][0]
     for number in ("error_before", "error_after"):
         assert repeated[number] == pytest.approx(told[number], rel=1e-9)
@@ -218,8 +220,28 @@ def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
     case: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["fit", *LOG, "--holdout", "holdout.csv", "--loss", "huber"]
-    assert main([*words, "--method", "output-error", "--out", "new.toml"]) == 0
+    assert main([*words, "--method", "output-error", "--out", "new.toml", "--force"]) == 0
     told = tomllib.loads(Path("new.toml").read_text())["history"][0]
     assert told["command"] == "undertow fit --method output-error --loss huber"
     assert main([*words, "--method", "prediction-error"]) == 2
     assert "'huber' is none of --method prediction-error" in capsys.readouterr().err
+
+
+def test_a_fit_that_predicts_worse_is_not_written_without_force(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(p.name for p in case.iterdir())
+    words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", "weak", "--json", "fit.json"]
+    assert main([*words, "--out", "new.toml"]) == 1
+    out, err = capsys.readouterr()
+    assert sorted(p.name for p in case.iterdir()) == sorted([*before, "fit.json"])
+    written = json.loads(Path("fit.json").read_text())
+    assert written["schema_id"] == "undertow/fit/1"
+    assert written["error_after"] > 1.2 * written["error_before"]
+    percent = [f"{100 * written[f'error_{when}']:.0f}" for when in ("before", "after")]
+    said = f"Refitting raises the 5-s error from {percent[0]} to {percent[1]} % on the validation data."
+    assert out.splitlines()[0] == said
+    assert err == f"{said} No vehicle file was written; --force writes it\n"
+    assert main([*words, "--out", "new.toml", "--force"]) == 0
+    value = load_vehicle("new.toml").value_of("X_udot").value
+    assert value == pytest.approx(written["parameters"][0]["value"], rel=1e-6)

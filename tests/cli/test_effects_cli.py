@@ -339,3 +339,19 @@ def test_an_unknown_vehicle_gets_the_nearest_one(run: Run) -> None:
     code, out, err = run("vehicles", "show", "bluerov")
     assert (code, out) == (2, "")
     assert "did you mean 'bluerov2'?" in err
+
+
+def test_what_an_effect_of_ones_own_raises_is_one_line_with_file_effect_and_line(
+    run: Run, keel: Path, tmp_path: Path
+) -> None:
+    text = keel.read_text().replace("s.nu_r[1]", "s.speed")
+    line = next(i for i, written in enumerate(text.splitlines(), start=1) if "s.speed" in written)
+    keel.write_text(text)
+    log = tmp_path / "log.csv"
+    log.write_text("t,u,tau_X\n" + "".join(f"{0.1 * i:.1f},{0.01 * i},1\n" for i in range(200)))
+    code, _, err = run("add", "keel_drag", "box-hull", str(log), "--effects", str(keel))
+    assert code == 2
+    assert err.count("\n") == 1
+    assert (
+        f"effect file '{keel}', line {line}: wrench() of effect 'keel_drag' fails with AttributeError" in err
+    )

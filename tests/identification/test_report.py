@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,8 +17,11 @@ from undertow.errors import UndertowError
 from undertow.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.diagnose import _with_doctor  # for findings that no log here has
 from undertow.identification.diagnosis.result import (
+    ChannelNoise,
     Diagnosis,
+    DisturbanceLevel,
     Estimate,
+    Floors,
     Indistinguishable,
     Ranked,
     Remaining,
@@ -115,6 +119,17 @@ def _diagnosis(
         parameters=[_estimate("X_u", 4.1234, 0.12).model_copy(update={"prior": 3.9, "about": name})],
         false_alarm_rate=0.01,
         noise={"u": 0.012, name: 0.1},
+        floors=Floors(
+            sensors=[
+                ChannelNoise(channel="u", unit="m/s", sigma=0.012, stated=True),
+                ChannelNoise(channel="r", unit="rad/s", sigma=1e-9, stated=False, cut_off=1.23),
+            ],
+            disturbances=[
+                DisturbanceLevel(
+                    degree_of_freedom="yaw", unit="N m", rms=0.37, correlation_time=2.6, stated=0.5
+                )
+            ],
+        ),
         seconds=12.34,
     )
 
@@ -260,6 +275,8 @@ def test_numbers_have_their_units() -> None:
         "u: 0.012 m/s",
         "at most 1 %",
         "98.7 %",
+        "filtered above 1.2 Hz before it was logged",
+        "0.37 N m correlated over 2.6 s; 0.5 N m stated",
     ):
         assert text in words, text
 
@@ -492,6 +509,28 @@ def test_what_a_written_vehicle_file_has_is_said() -> None:
 def test_an_error_that_rises_is_no_plain_yes() -> None:
     risen = _diagnosis().model_copy(update={"ranking": [_ranked("lift", 3.0, error_after=7.5)]})
     page = render_report(risen)
-    assert "<td>in part" in page
+    assert ">in part" in page
     assert "In part: more than chance where a disturbance is allowed for" in page
-    assert "<td>in part" not in render_report(_diagnosis())
+    assert ">in part" not in render_report(_diagnosis())
+
+
+def test_what_does_nothing_is_folded_away_and_what_to_run_stands_on_top() -> None:
+    idle = _ranked("wind", 0.0).model_copy(update={"parameters": [], "significant": False})
+    found = _diagnosis().model_copy(
+        update={"ranking": [_ranked("lift", 3.0), idle], "command": "undertow add lift rov.toml a.csv"}
+    )
+    page = render_report(found)
+    assert page.index("undertow add lift rov.toml") < page.index("What this does not show")
+    folded = page[page.index("<details>") : page.index("</details>")]
+    assert "1 effect that does not help" in folded
+    assert "<code>wind</code>" in folded
+    assert "<code>lift</code>" not in folded
+
+
+def test_the_overlay_has_the_model_as_given_beside_both_others() -> None:
+    trace = replace(_trace(), given=0.5 * np.sin(0.2 * _trace().t))
+    picture = measured_vs_simulated(RunTraces("run", (trace,)), ("refitted", "with lift"))
+    labels = [line.get_label() for line in picture.axes[0].lines]
+    assert labels == ["model as given", "measured", "refitted", "with lift"]
+    assert picture.axes[0].get_ylabel() == "u [m/s]"
+    assert picture.axes[0].get_xlabel() == "time [s]"

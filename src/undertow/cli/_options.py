@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from undertow.identification.logs.chunks import LongLog
     from undertow.identification.logs.mapping import LogMapping
     from undertow.identification.logs.run import Run
+    from undertow.identification.report.sentences import CommandLine
     from undertow.model.effect import Effect
     from undertow.model.vehicle import Vehicle
 
@@ -110,7 +111,9 @@ class ReadOptions:
         from undertow.identification.logs.reading import read_logs
         from undertow.model.loading import load_vehicle
 
-        model, mapping = load_vehicle(vehicle, effect_files=self.effects or ()), self.mapping
+        mapping = self.mapping
+        with progress("reading the vehicle", None):
+            model = load_vehicle(vehicle, effect_files=self.effects or ())
         if in_any_order:
             mapping = mapping.model_copy(
                 update={"time": mapping.time.model_copy(update={"disorder": "drop"})}
@@ -144,6 +147,19 @@ class LogOptions(ReadOptions):
     """The same, with the option that takes logs as they are."""
 
     trust_log: TrustOption = False
+
+    def line(
+        self, vehicle: str, logs: Sequence[Path], holdout: Sequence[Path] | None, written: Path | None = None
+    ) -> CommandLine:
+        """What a command named, for the command that it proposes; `written` is the JSON of a diagnosis."""
+        from undertow.identification.report.sentences import CommandLine
+
+        given = {"--map": self.map, "--from": self.since, "--to": self.until, "--fill": self.fill}
+        pairs = [*given.items(), *(("--effects", path) for path in self.effects or ())]
+        options = [str(word) for name, value in pairs if value is not None for word in (name, value)]
+        options += ["--trust-log"] if self.trust_log else []
+        kept, judges = (tuple(map(str, paths or ())) for paths in (logs, holdout))
+        return CommandLine(vehicle, kept, judges, tuple(options), str(written or ""))
 
 
 def bundled(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -210,7 +210,7 @@ def write_files(*files: tuple[Path | None, Callable[[Path], object]]) -> None:
     from undertow.files import together
 
     wanted = [(path, write) for path, write in files if path is not None]
-    with together():
+    with progress("writing", None), together():
         for path, write in wanted:
             write(path)
     for path, _ in wanted:
@@ -333,11 +333,12 @@ DELAY = 2.0
 
 
 @contextmanager
-def progress(description: str, total: float = 1.0) -> Iterator[Callable[[float, str], None]]:
+def progress(description: str, total: float | None = 1.0) -> Iterator[Callable[[float, str], None]]:
     """Show a bar on the terminal while the block runs, if that takes more than two seconds.
 
     Nothing is printed for shorter work or when stderr is not a terminal. The bar disappears at the end.
-    What is yielded is the `undertow.typing.Progress` of library code; `total` is reported when all is done.
+    What is yielded is the `undertow.typing.Progress` of library code; `total` is reported when all is done,
+    None for work that reports nothing on its way.
     """
     if not sys.stderr.isatty():
         yield _ignore
@@ -360,7 +361,7 @@ def _ignore(done: float, words: str) -> None:
 class _Bar:
     """The state of the work and, once another thread has called `show`, its picture."""
 
-    def __init__(self, description: str, total: float) -> None:
+    def __init__(self, description: str, total: float | None) -> None:
         self._words, self._total, self._done = description, total, 0.0
         self._picture: Any = None
         self._closed = False

@@ -12,6 +12,7 @@ effect does not lower the error on validation data; --force writes it all the sa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,7 @@ import typer
 from ._options import (
     HoldoutOption,
     InPlaceOption,
+    JsonFileOption,
     LogOptions,
     LogsArgument,
     OutOption,
@@ -27,13 +29,11 @@ from ._options import (
     bundled,
     target_of,
 )
-from ._terminal import progress
+from ._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
     from undertow.codegen.export import Report
     from undertow.identification.diagnosis.addition import Addition
-    from undertow.identification.diagnosis.result import Step
-
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
 _ALL = typer.Option("--all", help="Keep parameters that prove to be zero, too.")
@@ -57,16 +57,17 @@ def add(
     codegen: Annotated[bool, _CODEGEN] = True,
     build: Annotated[Path, _BUILD] = Path("build"),
     picture: Annotated[Path | None, _PICTURE] = None,
+    json: JsonFileOption = None,
 ) -> int:
-    from undertow.files import check_writable, together
-    from undertow.identification.api import save_addition, try_effect
+    from undertow.files import check_writable, together, write_whole
+    from undertow.identification.api import result_of, save_addition, try_effect
     from undertow.model.catalogue import lookup
 
     known = options.known
     lookup(effect, known)  # before any log is read
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
-    check_writable(target, picture, inputs=[*read, *([] if in_place else [vehicle])])
+    check_writable(target, picture, json, inputs=[*read, *([] if in_place else [vehicle])])
     model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
     with progress("fitting the model as it is") as report:
         ground, addition = try_effect(
@@ -74,18 +75,18 @@ def add(
         )
     show(addition)
     code, taken = None, target if addition.helps or force else None
-    with together() as files:
+    with progress("writing", None), together() as files:
         if picture is not None:
             _draw(addition, picture)
+        if json is not None:
+            write_whole(json, result_of(ground, addition).model_dump_json(indent=1) + "\n")
         if taken is not None:
             save_addition(ground, addition, vehicle, taken)
             code = _code_of(files.place_of(taken), options, build) if codegen else None
-    _show_written(picture, taken, code)
+    _show_written([picture, json, taken], code)
     if not addition.helps and not force:
-        written = (
-            "--force puts it in all the same" if target is None else "nothing was written; --force writes it"
-        )
-        typer.echo(f"{effect} does not lower the error on validation data: {written}", err=True)
+        written = "--force puts it in all the same" if target is None else "--force writes it all the same"
+        typer.echo(f"{effect} is not put into the vehicle file; {written}", err=True)
         return 1
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
@@ -94,31 +95,25 @@ def add(
 
 def show(addition: Addition) -> None:
     """Say what the effect does to the error, and with which values."""
-    from rich.console import Console
-    from rich.markup import escape
-
     from undertow.identification.estimation.step import NOTHING_SAID
+    from undertow.identification.report.results import addition_sentence
+    from undertow.identification.report.sentences import shown
 
-    console = Console(highlight=False)
+    say(addition_sentence(addition), "" if addition.helps else "yellow")
     names = ("model as given", f"refitted without {addition.effect}", f"refitted with {addition.effect}")
-    width = max(map(len, names))
-    console.print("Error on validation data (1 = noise of the sensors):")
-    for name, step in zip(names, addition.steps, strict=True):
-        console.print(f"  {name:{width}} {_errors(step)}")
-    if not addition.helps:
-        console.print(f"[yellow]{addition.effect} does not help[/yellow]: no fall, or none beyond chance.")
+    horizons = list(dict.fromkeys(h for step in addition.steps for h in step.ahead))
+    rows = [
+        (name, f"{step.error:.4g}", *(shown(step.ahead.get(h), 3) for h in horizons))
+        for name, step in zip(names, addition.steps, strict=True)
+    ]
+    heads = ("", "force, times noise", *(f"{h}, %" for h in horizons))
+    section("Error on validation data: of the force, and of velocities ahead", table(heads, rows))
     errors, units = addition.fit.standard_errors, addition.fit.vehicle.declared_parameters
     for name in addition.kept:
         spread = f"± {errors[name]:.1g} " if errors[name] < NOTHING_SAID else ""
-        text = f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}"
-        console.print(escape(text.rstrip()))
+        say(f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}".rstrip())
     if addition.dropped:
-        console.print(f"left out, zero within their error: {', '.join(addition.dropped)}")
-
-
-def _errors(step: Step) -> str:
-    ahead = "" if step.prediction is None else f", velocity error 5 s ahead {step.prediction:.1%}"
-    return f"{step.error:.3g}{ahead}"
+        say(f"left out, zero within their error: {', '.join(addition.dropped)}")
 
 
 def _draw(addition: Addition, out: Path) -> None:
@@ -135,15 +130,11 @@ def _code_of(vehicle: Path, options: LogOptions, build: Path) -> Report:
     return Export(load_vehicle(vehicle, effect_files=options.effects or ())).write(build)
 
 
-def _show_written(picture: Path | None, vehicle: Path | None, code: Report | None) -> None:
-    """Say where the picture, the vehicle file and its code are, and what has changed in the code."""
-    from rich.console import Console
-    from rich.markup import escape
-
-    console = Console(highlight=False)
-    for path in filter(None, (picture, vehicle)):
-        console.print(f"wrote {escape(str(path))}")
+def _show_written(files: Sequence[Path | None], code: Report | None) -> None:
+    """Say where the files and the code of the vehicle are, and what has changed in the code."""
+    for path in filter(None, files):
+        say(f"wrote {path}")
     if code is not None:
-        console.print(f"wrote the code in {escape(str(code.folder))}")
+        say(f"wrote the code in {code.folder}")
         for line in code.changes:
-            console.print(f"  {escape(line)}")
+            say(f"  {line}")

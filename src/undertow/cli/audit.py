@@ -22,7 +22,7 @@ from typing import Annotated
 import typer
 
 from ._options import EffectsOption, JsonOption
-from ._terminal import print_json, say, section
+from ._terminal import print_json, progress, say, section
 
 _VEHICLE = typer.Argument(
     metavar="VEHICLE",
@@ -40,7 +40,8 @@ def audit(
     from undertow.model.loading import load_vehicle
     from undertow.paper.equations import audit_paper, audit_vehicle
 
-    found = audit_vehicle(load_vehicle(vehicle, effect_files=effects or [])) if vehicle else audit_paper()
+    with progress("auditing the equations", None):
+        found = audit_vehicle(load_vehicle(vehicle, effect_files=effects or [])) if vehicle else audit_paper()
     wrong = sum(finding.kind == "wrong" for finding in found)
     if json:
         print_json([asdict(finding) for finding in found])

@@ -11,7 +11,7 @@ The exit code is 1 where something is found, as that of audit is, so that a pipe
 from __future__ import annotations
 
 from ._options import JsonOption
-from ._terminal import console, print_json, say, section, text
+from ._terminal import console, print_json, progress, say, section, text
 
 
 def audit_tables(json: JsonOption = False) -> int:
@@ -19,7 +19,8 @@ def audit_tables(json: JsonOption = False) -> int:
 
     from undertow.paper.tables import KINDS, appendix, audit
 
-    found = audit(appendix())
+    with progress("auditing the tables", None):
+        found = audit(appendix())
     if json:
         print_json([asdict(remark) for remark in found])
         return int(bool(found))

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._options import EffectsOption, VehicleArgument
+from ._terminal import progress
 
 if TYPE_CHECKING:
     from undertow.codegen.export import Export, Report
@@ -45,18 +46,15 @@ def codegen(
     from undertow.files import together
     from undertow.model.loading import load_vehicle
 
-    model = load_vehicle(vehicle, effect_files=effects or [])
-    exports: list[Export | ControllerExport] = [Export(model)]
-    if controller is not None:
-        exports.append(_controller_export(controller, model))
-    if check:
-        again = vehicle if controller is None else f"{vehicle} --controller {controller}"
-        return max([_checked(export.check(out), again) for export in exports])
-    with together():
-        written = [export.write(out) for export in exports]
-    for report in written:
-        _written(report)
-    return 0
+    with progress("writing C", None):
+        model = load_vehicle(vehicle, effect_files=effects or [])
+        exports: list[Export | ControllerExport] = [Export(model)]
+        if controller is not None:
+            exports.append(_controller_export(controller, model))
+        with together():
+            found = [export.check(out) if check else export.write(out) for export in exports]
+    again = vehicle if controller is None else f"{vehicle} --controller {controller}"
+    return max([_checked(report, again) if check else _written(report) for report in found])
 
 
 def _controller_export(gains: str, vehicle: Vehicle) -> ControllerExport:
@@ -68,9 +66,10 @@ def _controller_export(gains: str, vehicle: Vehicle) -> ControllerExport:
     return export
 
 
-def _written(report: Report) -> None:
+def _written(report: Report) -> int:
     typer.echo(f"{report.folder}: written")
     _say(["first time"] if report.first else report.changes or ["nothing has changed since the last time"])
+    return 0
 
 
 def _checked(report: Report, vehicle: str) -> int:

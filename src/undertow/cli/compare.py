@@ -45,7 +45,7 @@ def compare(
         comparison = compared(model, runs, horizon=horizon, progress=report, trust_log=options.trust_log)
     _show(comparison.result)
     drawn = 0
-    with together():
+    with progress("writing", None), together():
         if json is not None:
             write_whole(json, comparison.to_json())
         if plots is not None:

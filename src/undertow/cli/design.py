@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ._options import EffectsOption, VehicleArgument, in_si, names_and_values
-from ._terminal import console, say, section, table, text
+from ._terminal import console, progress, say, section, table, text
 from .linearize import DIRECTION, directions, show_modes
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def design(
     from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, POSE_UNITS
 
     check_writable(out, inputs=[vehicle, *(effects or [])])
-    with as_input_error():
+    with progress("designing", None), as_input_error():
         model = load_vehicle(vehicle, effect_files=effects or [])
         done = lqr(
             model,

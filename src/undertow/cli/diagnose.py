@@ -21,6 +21,7 @@ one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -73,6 +74,7 @@ def diagnose(
     from undertow.identification.api import save_diagnosis
     from undertow.identification.diagnose import diagnose as run
     from undertow.identification.diagnosis.settings import Settings
+    from undertow.identification.report.sentences import next_command
 
     settings = Settings(false_alarm_rate=false_alarms, worth=worth)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
@@ -87,8 +89,11 @@ def diagnose(
             settings=settings,
             trust_log=options.trust_log,
         )
+    line = options.line(vehicle, logs, holdout, json)
+    command = next_command(outcome.diagnosis, line)
+    outcome = replace(outcome, diagnosis=outcome.diagnosis.model_copy(update={"command": command}))
     show(outcome)
-    with together():
+    with progress("writing", None), together():
         if json is not None:
             write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
         if report is not None:
@@ -113,6 +118,8 @@ def show(outcome: DiagnosisResult) -> None:
         if finding.severity == "mistake":
             show_finding(finding, None)
     console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
+    if diagnosis.command:
+        console.print(f"run: [bold]{escape(diagnosis.command)}[/bold]", highlight=False, soft_wrap=True)
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
     for values in diagnosis.by_run:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._options import EffectsOption, JsonOption, NewForceOption, known_effects, new_file
-from ._terminal import console, print_json, say, section, table, text
+from ._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
     from undertow.model.contract import ContractCheck
@@ -72,7 +72,11 @@ def check(file: Annotated[Path, _FILE]) -> int:
 
     found = load_effects(file)
     known = {**{getattr(cls, "id", ""): cls for cls in found}, **catalogue()}
-    results = [(cls, check_effect(cls, known)) for cls in found]
+    with progress("checking", float(len(found))) as report:
+        results = []
+        for done, cls in enumerate(found):
+            report(float(done), f"checking {cls.__name__}")
+            results.append((cls, check_effect(cls, known)))
     for cls, findings in results:
         _print_findings(cls, findings)
     failed = sum(not f.ok for _, findings in results for f in findings)
@@ -176,6 +180,7 @@ def _remarks(d: Description) -> str:
 def _print_parameters(d: Description) -> None:
     rows = [(p.name, p.unit, _number(p.low), _number(p.high), _role(p), p.about) for p in d.parameters]
     rows += [(n, unit, "", "", "in files", "another way to write it") for n, unit in d.also_in_files.items()]
+    rows += [(n, "", "", "", "from a log", about) for n, about in d.from_logs.items()]
     content = (
         table(("name", "unit", "from", "to", "", "meaning"), rows) if rows else text("  none of its own")
     )

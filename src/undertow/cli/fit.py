@@ -23,7 +23,8 @@ can have does.
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 
 Without --holdout, stretches of the logs are used for validation. Without --out and --in-place nothing is
-written.
+written. The exit code is 1, and no vehicle file is written either, where the refitted model predicts
+validation data worse than the model as given; --force writes it all the same.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ import typer
 from ._options import (
     HoldoutOption,
     InPlaceOption,
+    JsonFileOption,
     LogOptions,
     LogsArgument,
     OutOption,
@@ -43,11 +45,12 @@ from ._options import (
     bundled,
     target_of,
 )
-from ._terminal import console, progress, say, section, table, text
+from ._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.api import Refit
     from undertow.identification.estimation.fitted import Fitted
+    from undertow.identification.report.sentences import CommandLine
 
 _METHOD = typer.Option("--method", help="Weak form, or simulation without or with a disturbance.")
 _LOSS = typer.Option("--loss", help="How much an error counts: squares, or less for outliers.")
@@ -58,6 +61,7 @@ _DISSIPATIVE = typer.Option(
     "--dissipative", help="Let linear damping take energy from every motion, coupling included."
 )
 _CORRELATION = typer.Option("--correlation", help="Print how the errors of the parameters hang together.")
+_FORCE = typer.Option("--force", help="Write the vehicle file even where it predicts worse.")
 _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
 
 
@@ -77,13 +81,15 @@ def fit(
     correlation: Annotated[bool, _CORRELATION] = False,
     out: OutOption = None,
     in_place: InPlaceOption = False,
-) -> None:
-    from undertow.files import check_writable
+    force: Annotated[bool, _FORCE] = False,
+    json: JsonFileOption = None,
+) -> int:
+    from undertow.files import check_writable, write_whole
     from undertow.identification.api import fit as refit
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
-    check_writable(target, inputs=[*read, *([] if in_place else [vehicle])])
+    check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
     model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
     with progress("fitting") as report:
         done = refit(
@@ -98,25 +104,33 @@ def fit(
             report=report,
             trust_log=options.trust_log,
         )
-    show(done)
+    show(done, options.line(vehicle, logs, holdout))
     if correlation:
         show_correlation(done.fit)
+    result = done.result()
+    refused = result.worse and target is not None and not force
+    write_files(
+        (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),
+        (None if refused else target, lambda path: done.save(vehicle, path)),
+    )
+    if refused:
+        typer.echo(f"{result.sentence()} No vehicle file was written; --force writes it", err=True)
+        return 1
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
-    else:
-        done.save(vehicle, target)
-        console().print(text(f"wrote {target}"))
+    return 0
 
 
-def show(done: Refit) -> None:
-    """Print parameters, how far they can be trusted, and the error before and after."""
+def show(done: Refit, given: CommandLine) -> None:
+    """Print the error before and after, the parameters, and how far they can be trusted."""
     from undertow.identification.estimation.fitted import notes, remarks
 
+    say(done.result().sentence())
     section(f"Parameters by {_METHODS[done.estimator.method]}", _parameters(done))
     console().print(text(f"  condition number {done.fit.condition:.3g}; {_BOUND}"))
     for line in [*_tied(done), *done.fit.active, *_process_noise(done.fit)]:
         say(f"  {line}")
-    for line in [*notes(done.fit), *_combined(done.fit)]:
+    for line in [*notes(done.fit), *_combined(done.fit, given)]:
         say(f"  {line}", "yellow")
     for values in done.by_run:
         say(f"  {values}")
@@ -125,10 +139,6 @@ def show(done: Refit) -> None:
             say(f"  {name}: {'; '.join(said)}", "yellow")
     horizon = done.before.windows.horizon
     section(f"Velocity error {horizon:.3g} s ahead on validation data, % of the motion", _errors(done))
-    if not done.errors[1] <= done.errors[0]:
-        console().print(
-            text("the refitted model predicts validation data worse than the model as given", "yellow")
-        )
 
 
 def show_correlation(fit: Fitted) -> None:
@@ -202,7 +212,7 @@ def _process_noise(fit: Fitted) -> list[str]:
     ]
 
 
-def _combined(fit: Fitted) -> list[str]:
+def _combined(fit: Fitted, given: CommandLine) -> list[str]:
     """What is known only in sums, and which run would tell more."""
     from undertow.identification.estimation.fitted import base_parameters, verdicts
 
@@ -210,9 +220,8 @@ def _combined(fit: Fitted) -> list[str]:
     lines = [f"only these sums can be identified: {', '.join(map(str, sums))}"] if sums else []
     lacking = [name for name, verdict in verdicts(fit).items() if verdict != "identified"]
     if lacking:
-        lines.append(
-            f"undertow plan VEHICLE LOG --only {','.join(lacking)} --out plan.csv designs a better run"
-        )
+        plan = given.looking(["plan"], "--only", ",".join(lacking), "--out", "plan.csv")
+        lines.append(f"a better run is designed by: {plan}")
     return lines
 
 

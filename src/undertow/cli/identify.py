@@ -102,7 +102,8 @@ def _identified(
             if stream:
                 raise
     model, runs, _ = options.load(vehicle, logs, one_motion=True)
-    return identify(model, runs, cases, edges, trust_log=options.trust_log)
+    with progress("estimating", None):
+        return identify(model, runs, cases, edges, trust_log=options.trust_log)
 
 
 def show(done: Identified) -> None:

@@ -16,11 +16,12 @@ from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
+from .compare.comparison import finite
 from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.result import RunInfo, ValuesByRun
+from .diagnosis.result import Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
@@ -42,6 +43,7 @@ from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
 from .planning.separation import plan_separation
+from .report.results import AdditionResult, FitResult, FittedParameter, addition_result, channel_errors
 
 if TYPE_CHECKING:
     import polars as pl
@@ -214,6 +216,23 @@ class Refit:
         """Parameters with a value in every run: these values, their mean and spread, in the file's signs."""
         return values_by_run(self.fit, self.stated)
 
+    def result(self) -> FitResult:
+        """The fit as it is written to JSON, with what it does to the error in a sentence."""
+        before, after = (finite(error) for error in self.errors)
+        return FitResult(
+            vehicle=self.stated.name,
+            command=self._command,
+            method=self.estimator.method,
+            runs=[run_info(run, role) for role, run in _roles(self.train, self.test)],
+            horizon=self.before.windows.horizon or 0.0,
+            error_before=before,
+            error_after=after,
+            channels=channel_errors(self.before.relative, self.after.relative),
+            parameters=[FittedParameter(**row) for row in self.parameters.iter_rows(named=True)],
+            by_run=self.by_run,
+            condition=finite(self.fit.condition),
+        )
+
     def summary(self) -> str:
         """Parameters with standard errors, and the error on validation data before and after, as text."""
         rows = self.parameters.iter_rows(named=True)
@@ -290,8 +309,9 @@ def _history_of(table: ValuesByRun) -> dict[str, object]:
     return {"parameter": table.parameter, "runs": runs, "spread": table.spread, "q": table.q}
 
 
-def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[str, Run]]:
-    return [*(("train", run) for run in train), *(("holdout", run) for run in test)]
+def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
+    roles: tuple[Role, Role] = ("train", "holdout")
+    return [(role, run) for role, runs in zip(roles, (train, test), strict=True) for run in runs]
 
 
 def refit(
@@ -521,6 +541,12 @@ def try_effect(
     ground = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
     report(0.3, f"fitting it with {wanted.id}")
     return ground, added(wanted, ground, keep_all=keep_all)
+
+
+def result_of(ground: AdditionSetup, addition: Addition) -> AdditionResult:
+    """An addition as it is written to JSON."""
+    runs = [run_info(run, role) for role, run in _roles(ground.train, ground.test)]
+    return addition_result(addition, ground.vehicle, runs)
 
 
 def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -33,7 +32,8 @@ from undertow.version import __version__
 from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
-from .diagnosis.reference import predictable
+from .diagnosis.floors import noise_floors
+from .diagnosis.reference import is_disturbance, predictable
 from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
@@ -43,8 +43,10 @@ from .diagnosis.result import (
     Predictability,
     Ranked,
     Remaining,
+    Role,
     RunInfo,
     Step,
+    run_info,
 )
 from .diagnosis.search import Search, last_fit, search
 from .diagnosis.selection import Selection, Worth, select, selected
@@ -70,6 +72,7 @@ from .diagnosis.verdict import (
     with_values,
 )
 from .report.data import ReportData
+from .report.sentences import summarised
 
 
 class ResultBuilder:
@@ -155,7 +158,7 @@ class ResultBuilder:
     @cached_property
     def _verdict(self) -> Judgement:
         """The judgement, or that nothing is missing which these logs could show."""
-        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable):
             return self.judgement
         found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
         return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
@@ -188,6 +191,7 @@ class ResultBuilder:
             by_run=values_by_run(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            floors=noise_floors(self.after, self.bench.train),
             seconds=seconds,
         )
 
@@ -323,7 +327,10 @@ class ResultBuilder:
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
-        return absorbing(self.vehicle, self.base, helpers, alike, self.settings)
+        return [
+            *absorbing(self.vehicle, self.base, helpers, alike, self.settings),
+            *(f"{line[:1].upper()}{line[1:]}." for line in notes(self.after)),
+        ]
 
 
 def _confirmed(
@@ -402,9 +409,6 @@ def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
 
 
-Role = Literal["train", "holdout", "blocks"]
-
-
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult:
     """A diagnosis with the models it is about.
@@ -419,6 +423,8 @@ class DiagnosisResult:
         What was fitted to, and what was judged by.
     fit : Fitted
         The fit of `after`.
+    given, helped : Vehicle, optional
+        The model before any fit, and with all that helps to predict: what a report shows beside the others.
     """
 
     diagnosis: Diagnosis
@@ -427,6 +433,8 @@ class DiagnosisResult:
     train: list[Run]
     test: list[Run]
     fit: Fitted
+    given: Vehicle | None = None
+    helped: Vehicle | None = None
 
     @property
     def verdict(self) -> str:
@@ -449,18 +457,19 @@ class DiagnosisResult:
         from .report.tables import report_data
 
         before = compare(self.before, self.test, compiled=compiled)
-        added = self.diagnosis.last_step.changes
-        after = compare(self.after, self.test, compiled=compiled) if added else None
+        d, helped = self.diagnosis, bool(self.diagnosis.helps and self.helped)
+        added = (d.steps[-1] if helped else d.last_step).changes
+        better = self.helped if self.helped is not None and helped else self.after
+        after = compare(better, self.test, compiled=compiled) if added else None
         names = ("model refitted", " ".join(["with", " and ".join(added) or "nothing added"]))
-        return report_data(before, after, names=names)
+        return report_data(before, after, names=names, given=self.given)
 
     def __repr__(self) -> str:
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
         head = ("model", "error on validation data (1: noise of the sensors)")
-        steps = enumerate(self.diagnosis.steps)
-        rows = ((" and ".join(s.changes) or ("refitted" if i else "as given"), s.error) for i, s in steps)
+        rows = ((" and ".join(s.changes) or "refitted", s.error) for s in self.diagnosis.steps)
         return html(repr(self), head, rows)
 
 
@@ -541,10 +550,17 @@ def diagnose(
             selection = select(found, validator, effects)
             builder = _confirmed(vehicle, found, validator, effects, selection)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
-        infos = [_info(r, roles[0]) for r in logs] + [_info(r, roles[1]) for r in judges]
-        diagnosis = _with_doctor(builder.build(infos, time.perf_counter() - began), examined())
+        infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
+        diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())
     return DiagnosisResult(
-        diagnosis, builder.given.vehicle, builder.after.vehicle, train, test, builder.after
+        diagnosis,
+        builder.given.vehicle,
+        builder.after.vehicle,
+        train,
+        test,
+        builder.after,
+        vehicle,
+        builder.fits[-1].vehicle,
     )
 
 
@@ -559,17 +575,4 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
             "warnings": [*mistakes, *diagnosis.warnings],
             "headline": " ".join([*first, diagnosis.headline]),
         }
-    )
-
-
-def _info(run: Run, role: Role) -> RunInfo:
-    duration = float(run.t[-1] - run.t[0])
-    return RunInfo(
-        name=run.name,
-        source=run.source,
-        sha256=run.sha256,
-        role=role,
-        samples=len(run.t),
-        duration=duration,
-        notes=list(run.notes),
     )

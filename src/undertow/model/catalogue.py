@@ -7,17 +7,20 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
-from collections.abc import Iterable, Mapping
-from functools import cache
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, wraps
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from traceback import extract_tb
 from types import MappingProxyType, ModuleType
+from typing import Any
 from zlib import crc32
 
 from undertow.errors import UndertowError, nearest
 
 from . import effects
 from .effect import Effect
+from .parameter import LoggedOnly, logged
 
 Catalogue = Mapping[str, type[Effect]]
 
@@ -108,13 +111,57 @@ def load_effects(path: Path) -> list[type[Effect]]:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's file raises is the user's to mend
         del sys.modules[name]
-        raise UndertowError(f"effect file '{path}' cannot be run: {type(error).__name__}: {error}") from error
+        raise UndertowError(f"{_place(path, error)} cannot be run: {_what(error)}") from error
+    for _, cls in inspect.getmembers(module, inspect.isclass):
+        if issubclass(cls, Effect) and cls.__module__ == name:
+            _guard(cls, path)
     found = effects_in(module)
     if not found:
         raise UndertowError(
             f"effect file '{path}' holds no effect: define a class derived from undertow.Wrench"
         )
     return found
+
+
+def _guard(cls: type[Effect], path: Path) -> None:
+    """Let what the methods of a user's effect raise end in one line that says where."""
+    for name, member in list(vars(cls).items()):
+        if inspect.isfunction(member):
+            setattr(cls, name, _guarded(member, cls, path))
+        elif isinstance(member, property) and member.fget is not None:
+            setattr(cls, name, property(_guarded(member.fget, cls, path)))
+        elif isinstance(member, classmethod):
+            setattr(cls, name, classmethod(_guarded(member.__func__, cls, path)))
+
+
+def _guarded(method: Callable[..., Any], cls: type[Effect], path: Path) -> Callable[..., Any]:
+    @wraps(method)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(*args, **kwargs)
+        except UndertowError:
+            raise
+        except Exception as error:
+            effect = getattr(cls, "id", cls.__name__)
+            raise UndertowError(
+                f"{_place(path, error)}: {method.__name__}() of effect '{effect}' fails with {_what(error)}: "
+                "correct that line"
+            ) from error
+
+    return called
+
+
+def _place(path: Path, error: BaseException) -> str:
+    """The file of a user and, where an error comes from a line of it, the line."""
+    frames = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
+    if isinstance(error, SyntaxError):
+        frames.append((error.filename or "", error.lineno))
+    lines = [line for file, line in frames if Path(file).resolve() == path.resolve()]
+    return f"effect file '{path}'" + (f", line {lines[-1]}" if lines else "")
+
+
+def _what(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
@@ -124,3 +171,14 @@ def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
             f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them"
         )
     return known[effect_id]
+
+
+def logged_quantities(known: Catalogue) -> dict[str, str]:
+    """Units of the quantities that effects can take from a log, by name."""
+    return {d.name: d.unit for cls in known.values() for d in logged(cls)}
+
+
+def companions(known: Catalogue) -> dict[str, str]:
+    """Quantities that a log has to hold where it holds another one: name to name of the other."""
+    found = (d for cls in known.values() for d in logged(cls) if isinstance(d, LoggedOnly))
+    return {d.name: d.with_log for d in found if d.with_log}

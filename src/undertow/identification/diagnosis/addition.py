@@ -19,15 +19,14 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
-from undertow.identification.estimation.adaptation import in_runs
 from undertow.identification.estimation.by_run import origins, plain
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
-from undertow.identification.estimation.predictor import predict, predict_each
+from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
-from undertow.identification.estimation.windows import Windows, cut, prediction_error
+from undertow.identification.estimation.windows import prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -46,7 +45,6 @@ class AdditionSetup:
     vehicle: the model as it was given.
     train, test: the logs.
     bench: data, noise and the fitted model without the effect.
-    windows: stretches of the validation logs over which motion is predicted.
     validator: who simulates them.
     """
 
@@ -54,20 +52,18 @@ class AdditionSetup:
     train: list[Run]
     test: list[Run]
     bench: Bench
-    windows: Windows
     validator: SimulationValidator
 
-    def ahead(self, vehicle: Vehicle) -> float:
-        """Velocity error of the prediction ahead on validation data, as a share of the motion."""
-        return float(prediction_error(predict(vehicle, self.windows, compiled=False)))
+    def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
+        """Velocity error of predictions on validation data by horizon, in shares of the motion."""
+        return self.validator.ahead(model)
 
-    def ahead_by(self, fit: Fitted) -> float:
-        """The same by a fit, with what has a value in every run as it is in each."""
-        if not fit.between_runs:
-            return self.ahead(fit.vehicle)
-        vehicles, runs = in_runs(fit, self.test)
-        windows = cut(runs, self.vehicle, self.windows.horizon)
-        return float(prediction_error(predict_each(vehicles, windows)))
+    def prediction(self, model: Fitted | Vehicle) -> float:
+        """The same over short windows."""
+        vehicles, windows = self.validator.in_each_run(model), self.validator.windows
+        return float(
+            prediction_error(predict_each(vehicles, windows, Predictor(vehicles[0], compiled=False)))
+        )
 
 
 @dataclass(frozen=True)
@@ -117,10 +113,8 @@ def set_up_addition(
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)
-    longest = min(float(r.t[-1] - r.t[0]) for r in test_runs)
-    windows = cut(test_runs, vehicle, min(bench.settings.short_windows, 0.9 * longest))
     validator = SimulationValidator(vehicle, train_runs, test_runs, train.sigma)
-    return AdditionSetup(vehicle, train_runs, test_runs, bench, windows, validator)
+    return AdditionSetup(vehicle, train_runs, test_runs, bench, validator)
 
 
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
@@ -197,7 +191,7 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
         fit,
         kept,
         tuple(n for n in own if n not in kept),
-        _step(setup, [], setup.ahead(setup.vehicle), WeakModel(given, ()).linearise(bench.test, p), noise),
+        _step(setup, [], setup.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
         _fitted(setup, [], base, noise),
         _fitted(setup, [candidate.id], fit, noise),
         compare_scores(bench.base_score, bench.judge(weak), bench.test),
@@ -207,16 +201,21 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
 
 def _fitted(setup: AdditionSetup, added: list[str], fit: Fitted, noise: list[Whitening]) -> Step:
     at = fit.model.linearise(setup.bench.test, np.asarray(fit.p))
-    return _step(setup, added, setup.ahead_by(fit), at, noise)
+    return _step(setup, added, fit, at, noise)
 
 
 def _step(
-    setup: AdditionSetup, added: list[str], ahead: float, at: list[Linearised], noise: list[Whitening]
+    setup: AdditionSetup,
+    added: list[str],
+    model: Fitted | Vehicle,
+    at: list[Linearised],
+    noise: list[Whitening],
 ) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
-    r = whitened(at, noise).r
+    r, ahead = whitened(at, noise).r, setup.ahead(model)
     return Step(
         added=added,
         error=error_of(mean_square(r, setup.bench.test)),
-        prediction=ahead,
+        prediction=setup.prediction(model),
+        ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from undertow.identification.doctor.findings import Finding, ResultTable
+from undertow.identification.logs.run import Run
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal[
@@ -19,16 +20,32 @@ Verdict = Literal[
 ]
 
 
+Role = Literal["train", "holdout", "blocks"]
+
+
 class RunInfo(ResultTable):
     """A log and what was done with it."""
 
     name: str
     source: str
     sha256: str
-    role: Literal["train", "holdout", "blocks"]
+    role: Role
     samples: int
     duration: float
     notes: list[str]
+
+
+def run_info(run: Run, role: Role) -> RunInfo:
+    """What is written of a run."""
+    return RunInfo(
+        name=run.name,
+        source=run.source,
+        sha256=run.sha256,
+        role=role,
+        samples=len(run.t),
+        duration=float(run.t[-1] - run.t[0]),
+        notes=list(run.notes),
+    )
 
 
 class Estimate(ResultTable):
@@ -224,6 +241,47 @@ class Predictability(ResultTable):
     of_motion: float
     variables: dict[str, float]
 
+    @property
+    def at_most(self) -> float:
+        """Share that may be predictable: the end of the interval, or all that anything predicted if more."""
+        reached = 1.0 - self.noise_share - (self.disturbance_rms / max(self.residual_rms, 1e-300)) ** 2
+        return max(self.interval[1], reached)
+
+
+class ChannelNoise(ResultTable):
+    """Noise of a measured channel: standard deviation, in its unit, as estimated or as `stated`.
+
+    `cut_off` is the frequency, Hz, above which the channel was filtered before it was logged; its noise is
+    then unknown.
+    """
+
+    channel: str
+    unit: str
+    sigma: float
+    stated: bool
+    cut_off: float | None = None
+
+
+class DisturbanceLevel(ResultTable):
+    """What a model leaves in one force beyond the noise of the sensors, N or N m rms.
+
+    `correlation_time` (s) is that of first-order noise with the same autocorrelation, None where the noise of
+    the sensors explains what is left; `stated` is what the mapping file says is to be expected.
+    """
+
+    degree_of_freedom: str
+    unit: str
+    rms: float
+    correlation_time: float | None
+    stated: float | None = None
+
+
+class Floors(ResultTable):
+    """Noise of the sensors and disturbance of the motion, apart."""
+
+    sensors: list[ChannelNoise]
+    disturbances: list[DisturbanceLevel]
+
 
 class Remaining(ResultTable):
     """What the final model leaves in one degree of freedom on validation data.
@@ -263,7 +321,8 @@ class Diagnosis(ResultTable):
     """Outcome of `undertow diagnose`.
 
     `effects` are those that are named, `helps` those that lower the error of predictions without being
-    established as the cause; `added` says of both what they are worth.
+    established as the cause; `added` says of both what they are worth. `command` is what to run next, with
+    the files that were given.
     """
 
     schema_id: str = SCHEMA
@@ -274,6 +333,7 @@ class Diagnosis(ResultTable):
     runs: list[RunInfo]
     verdict: Verdict
     headline: str
+    command: str = ""
     effects: list[str]
     helps: list[str] = Field(default_factory=list)
     added: list[AddedEffect] = Field(default_factory=list)
@@ -288,6 +348,7 @@ class Diagnosis(ResultTable):
     by_run: list[ValuesByRun] = Field(default_factory=list)
     false_alarm_rate: float
     noise: dict[str, float]
+    floors: Floors | None = None
     predictable: list[Predictability] = Field(default_factory=list)
     seconds: float
 

@@ -14,7 +14,12 @@ from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
-from undertow.identification.estimation.adaptation import factor_of_the_rest, in_runs, learned_from
+from undertow.identification.estimation.adaptation import (
+    adapted,
+    factor_of_the_rest,
+    in_runs,
+    learned_from,
+)
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
@@ -237,9 +242,16 @@ class SimulationValidator:
         lengths = (*self.horizons, None)
         return {h: cut(self.test, self._vehicle, h, sigma=self._sigma) for h in lengths}
 
-    def ahead(self, fit: Fitted) -> dict[str, float]:
+    def in_each_run(self, model: Fitted | Vehicle) -> list[Vehicle]:
+        """A model as it is in every validation run."""
+        if isinstance(model, Vehicle):
+            return [adapted(model, run)[0] for run in self.test]
+        return in_runs(model, self.test)[0]
+
+    def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
-        vehicles, predictor = in_runs(fit, self.test)[0], Predictor(fit.vehicle, compiled=False)
+        vehicles = self.in_each_run(model)
+        predictor = Predictor(vehicles[0], compiled=False)
         return {
             "free run" if h is None else f"{h:g} s": prediction_error(
                 predict_each(vehicles, windows, predictor)
@@ -508,7 +520,7 @@ def repeats(
 
     A model that has learned the manoeuvre by heart does as well on them as the right one.
     """
-    names = vehicle.command_names
+    names = tuple(n for n in vehicle.command_names if n not in vehicle.inputs)
     pairs = ((kept, fitted) for kept in test for fitted in train)
     return [
         (kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names, settings)

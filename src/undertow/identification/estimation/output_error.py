@@ -423,7 +423,8 @@ def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
     by what is left of them once they have taught what belongs to them (see `adaptation.in_run`).
     """
     functions = fits[0].model.functions
-    predictor, judged = Predictor(functions), [in_runs(fit, validation) for fit in fits]
+    predictor = Predictor(functions, compiled=False)
+    judged = [in_runs(fit, validation) for fit in fits]
     rest = judged[0][1]
     windows = [cut(rest, functions.vehicle, h) for h in horizons(functions.vehicle, rest)]
     errors = [

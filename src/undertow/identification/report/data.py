@@ -11,7 +11,7 @@ from undertow.typing import Array
 class Trace:
     """One channel of one run, measured and simulated by two models; arrays of shape (n,).
 
-    NaN breaks a line, None leaves it out.
+    `given` is simulated by the model before any fit. NaN breaks a line, None leaves it out.
     """
 
     channel: str
@@ -20,6 +20,7 @@ class Trace:
     measured: Array
     before: Array
     after: Array | None = None
+    given: Array | None = None
 
 
 @dataclass(frozen=True)

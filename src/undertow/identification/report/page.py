@@ -14,7 +14,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from undertow.figures import svg, unit_text
-from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Verdict
+from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked, Verdict
 from undertow.model.symbols import MOTION_UNITS
 
 from .data import ReportData
@@ -182,9 +182,17 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
         in_part_means=IN_PART_MEANS,
         runs=shown.runs[:_MOST_RUNS],
         units=MOTION_UNITS,
+        helping=[c for c in diagnosis.ranking if helps(c, diagnosis)],
+        idle=[c for c in diagnosis.ranking if not helps(c, diagnosis)],
         left_out=[run.run for run in shown.runs[_MOST_RUNS:]],
         pictures=_Pictures(diagnosis, shown),
     )
+
+
+def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
+    """Whether a candidate does anything, in the search or in the verdict; the others are folded away."""
+    told = {*diagnosis.effects, *(e for s in diagnosis.indistinguishable for e in s.effects)}
+    return bool(candidate.parameters) or candidate.significant or candidate.effect in told
 
 
 @cache
@@ -218,10 +226,11 @@ class _Pictures:
         self._count = 0
 
     def falling(self) -> Markup:
-        return self._inline(falling_error(self._diagnosis.steps))
+        return self._inline(falling_error(self._diagnosis.steps, "refitted"))
 
     def ranking(self) -> Markup:
-        return self._inline(ranking(self._diagnosis.ranking))
+        d = self._diagnosis
+        return self._inline(ranking([c for c in d.ranking if helps(c, d)]))
 
     def maps(self) -> Iterator[Markup]:
         return (self._inline(error_map(m, self._names)) for m in self._data.maps)

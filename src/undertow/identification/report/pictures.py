@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from undertow.errors import UndertowError
-from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain, with_unit
+from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, look, plain, with_unit
 from undertow.identification.diagnosis.result import Ranked, Step
 from undertow.identification.doctor.examine import Examined
 from undertow.identification.doctor.findings import percent
@@ -24,6 +24,8 @@ from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
 
 _MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"
+# Spans of the measurement by which a simulation may leave it before it is cut off.
+_SPANS = 1.0
 # Few enough colours that the colour bar is drawn as lines and not put into the page as an image.
 _HEAT = colormaps["YlOrRd"].resampled(40)
 _POINTS = 500
@@ -48,20 +50,27 @@ def before_and_after(before: Mapping[str, float], after: Mapping[str, float]) ->
     return picture
 
 
-def falling_error(steps: Sequence[Step]) -> Figure:
-    """The error on validation data against the effects added, down to the noise floor."""
+def falling_error(steps: Sequence[Step], first: str = "model as given") -> Figure:
+    """The error on validation data against the effects added, down to the noise floor, and of predictions.
+
+    `first` says what the first step is.
+    """
+    horizons = list(dict.fromkeys(h for step in steps for h in step.ahead))
+    names = [_step_name(step, "refitted" if i else first) for i, step in enumerate(steps)]
     with look():
-        picture, axes = figure(3.4)
+        picture, axes = figure(3.4, 1, 2 if horizons else 1)
+        if horizons:
+            _predictions(axes[0, 1], steps, horizons, names)
         axis = axes[0, 0]
         errors = [step.error for step in steps]
         axis.axhline(1.0, color=FLOOR, linestyle="--")
-        axis.text(0.995, 1.02, "noise floor", color=FLOOR, ha="right", va="bottom", transform=_x_share(axis))
+        axis.text(0.01, 1.02, "noise floor", color=FLOOR, ha="left", va="bottom", transform=_x_share(axis))
         axis.plot(range(len(errors)), errors, color=FAINT, zorder=1)
         colours = [BEFORE, *[AFTER] * (len(errors) - 1)]
         axis.scatter(range(len(errors)), errors, color=colours[: len(errors)], s=64, zorder=2)
         for i, error in enumerate(errors):
             axis.annotate(f"{error:.3g}", (i, error), (8, 6), textcoords="offset points")
-        axis.set_xticks(range(len(errors)), [_step_name(step, i) for i, step in enumerate(steps)])
+        axis.set_xticks(range(len(errors)), names)
         axis.set_xlim(-0.4, max(len(errors) - 0.4, 1.0))
         _log_axis(axis, [*errors, 1.0])
         axis.set_ylabel("validation error [times noise]")
@@ -73,10 +82,21 @@ def _x_share(axis: Any) -> Any:
     return axis.get_yaxis_transform()
 
 
-def _step_name(step: Step, place: int) -> str:
-    if not step.changes:
-        return "model as given" if place == 0 else "refitted"
-    return "+ " + "\n+ ".join(plain(name, 24) for name in step.changes)
+def _step_name(step: Step, otherwise: str) -> str:
+    return "\n".join(f"+ {plain(name, 24)}" for name in step.changes) or otherwise
+
+
+def _predictions(axis: Any, steps: Sequence[Step], horizons: Sequence[str], names: Sequence[str]) -> None:
+    """Error of predicted velocities by horizon, a gap where a prediction diverges."""
+    for horizon, colour in zip(horizons, COLOURS, strict=False):
+        errors = [100 * step.ahead.get(horizon, np.nan) for step in steps]
+        axis.plot(range(len(errors)), errors, color=colour, marker="o", label=horizon)
+    axis.set_xticks(range(len(names)), names)
+    axis.set_xlim(-0.4, max(len(names) - 0.6, 1.0))
+    axis.set_ylim(bottom=0.0)
+    axis.set_ylabel("velocity error ahead [% of motion]")
+    axis.legend(title="ahead", fontsize=9)
+    axis.grid(axis="y")
 
 
 def _log_axis(axis: Any, values: Sequence[float]) -> None:
@@ -159,19 +179,20 @@ def _heat(axis: Any, table: Array, errors: ErrorMap) -> Any:
 
 
 def measured_vs_simulated(run: RunTraces, names: tuple[str, str] = ("before", "after")) -> Figure:
-    """Every channel of a run: the measurement, and what both models make of the same commands."""
+    """Every channel of a run: the measurement, and what the models make of the same commands."""
     with look():
         picture, axes = figure(0.8 + 1.45 * len(run.traces), max(len(run.traces), 1), sharex=True)
         for axis, trace in zip(axes[:, 0], run.traces, strict=False):
             _draw_trace(axis, trace, names)
         axes[-1, 0].set_xlabel("time [s]")
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        picture.legend(handles, labels, loc="outside upper left", ncols=3)
+        picture.legend(handles, labels, loc="outside upper left", ncols=4)
     return picture
 
 
 def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
     lines: list[tuple[Any, str, dict[str, Any]]] = [
+        (trace.given, "model as given", {"color": FAINT, "linewidth": 0.8, "alpha": 0.7}),
         (trace.measured, "measured", {"color": INK, "linewidth": 0.9}),
         (trace.before, plain(names[0]), {"color": BEFORE, "linestyle": (0, (4, 2))}),
         (trace.after, plain(names[1]), {"color": AFTER}),
@@ -186,14 +207,17 @@ def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
 
 
 def _limits(axis: Any, trace: Trace) -> None:
-    """A simulation that runs away must not flatten everything else."""
+    """A simulation that runs away, of the model as given above all, must not flatten everything else."""
     finite = trace.measured[np.isfinite(trace.measured)]
     if not len(finite):
         return
     low, high = float(finite.min()), float(finite.max())
-    margin = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-12)
-    shown = axis.get_ylim()
-    axis.set_ylim(max(shown[0], low - margin), min(shown[1], high + margin))
+    margin = _SPANS * max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-12)
+    fitted = [v[np.isfinite(v)] for v in (trace.before, trace.after) if v is not None]
+    ends = np.concatenate([finite, *fitted])
+    low, high = max(ends.min(), low - margin), min(ends.max(), high + margin)
+    room = 0.05 * max(high - low, margin / _SPANS)
+    axis.set_ylim(low - room, high + room)
 
 
 def thinned(t: Array, values: Array) -> tuple[Array, Array]:
@@ -243,6 +267,7 @@ def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None
                 capsize=2,
                 **how,
             )
+    axis.locator_params(axis="x", nbins=4)
     axis.set_xlabel(with_unit(curve.variable, curve.variable_unit))
     axis.set_ylabel(with_unit(f"{curve.degree_of_freedom} residual", curve.unit))
     axis.grid()

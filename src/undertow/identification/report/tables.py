@@ -11,9 +11,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.identification.compare.comparison import Comparison, Profile
+from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.windows import Prediction
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import FORCE_UNITS, VELOCITY
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from . import pictures
@@ -41,22 +43,36 @@ def _map(comparison: Comparison, rows: tuple[str, ...], names: tuple[str, ...]) 
     return table
 
 
-def traces(before: Comparison, after: Comparison | None = None, *, free: bool = False) -> list[RunTraces]:
-    """Measured and simulated channels of every run: over windows that start from the measurement, or free."""
-    pairs = [c.free_run if free else c.ahead for c in (before, after) if c is not None]
+def traces(
+    before: Comparison,
+    after: Comparison | None = None,
+    *,
+    free: bool = False,
+    given: Vehicle | None = None,
+) -> list[RunTraces]:
+    """Measured and simulated channels of every run: over windows that start from the measurement, or free.
+
+    `given` is the model before any fit, shown beside the other two.
+    """
+    models = {"before": before} | ({} if after is None else {"after": after})
+    shown = {name: c.free_run if free else c.ahead for name, c in models.items()}
+    found = shown["before"].windows
+    if given is not None:
+        shown["given"] = predict(given, found, compiled=False)
     windows = f"every {before.result.horizon:g} s from the measured motion"
     how = f"simulated {'without any correction' if free else windows}"
-    runs = range(len(pairs[0].windows.runs))
-    return [RunTraces(pairs[0].windows.runs[i].name, tuple(_traces(i, *pairs)), how) for i in runs]
+    return [RunTraces(run.name, tuple(_traces(i, shown)), how) for i, run in enumerate(found.runs)]
 
 
-def _traces(run: int, before: Prediction, after: Prediction | None = None) -> Iterator[Trace]:
-    log = before.windows.runs[run]
-    models = [_on_clock(p, run) for p in (before, after) if p is not None]
-    for i, name in enumerate(before.names):
+def _traces(run: int, models: Mapping[str, Prediction]) -> Iterator[Trace]:
+    first = models["before"]
+    log = first.windows.runs[run]
+    simulated = {which: _on_clock(prediction, run) for which, prediction in models.items()}
+    for i, name in enumerate(first.names):
         if log.has(name):
             measured = log.channels[name]
-            yield Trace(name, UNITS[name], log.t, measured, *(_like(m[:, i], measured, name) for m in models))
+            lines = {which: _like(values[:, i], measured, name) for which, values in simulated.items()}
+            yield Trace(name, UNITS[name], log.t, measured, **lines)
 
 
 def _on_clock(prediction: Prediction, run: int) -> Array:
@@ -76,8 +92,10 @@ def _like(simulated: Array, measured: Array, name: str) -> Array:
     """A heading that was unwrapped for the simulation is brought back to the turn of the log."""
     if UNITS[name] != "rad":
         return simulated
-    turns = np.round((simulated - measured) / (2 * np.pi))
-    return np.asarray(simulated - 2 * np.pi * np.nan_to_num(turns))
+    turns = np.nan_to_num(np.round((simulated - measured) / (2 * np.pi)))
+    there = np.asarray(simulated - 2 * np.pi * turns)
+    there[1:][np.diff(turns) != 0] = np.nan  # a line across the picture would be no motion
+    return there
 
 
 def curves(before: Comparison, after: Comparison | None = None) -> list[ResidualCurve]:
@@ -159,11 +177,12 @@ def report_data(
     *,
     names: tuple[str, str] = ("model as given", "with what is missing"),
     settings: Mapping[str, str] | None = None,
+    given: Vehicle | None = None,
 ) -> ReportData:
     """What a report shows of a model, and of the same model with something added, on the same logs.
 
     Without `after` one model is shown; pictures call the two by their `names`; `settings` are further lines
-    of the record of what was done.
+    of the record of what was done; `given` is the model before any fit.
     """
     result = before.result
     both = [c for c in (before, after) if c is not None]
@@ -174,7 +193,7 @@ def report_data(
         after=names[1],
         headlines=tuple(f"{name}: {c.result.headline}" for name, c in zip(names, both, strict=False)),
         maps=(error_map(before, after),),
-        runs=tuple(_velocities_first(run) for run in traces(before, after, free=True)),
+        runs=tuple(_velocities_first(run) for run in traces(before, after, free=True, given=given)),
         residuals=tuple(c for dof in result.degrees_of_freedom for c in leading(found, dof, _MOST_VARIABLES)),
         budgets=tuple(budgets(both[-1])),
         fits=_fits(before, after),

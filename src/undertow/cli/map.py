@@ -1,0 +1,57 @@
+"""Write a first mapping file for a log: guesses, and questions about what the log does not say.
+
+    undertow map new run1.csv --vehicle rov.toml --out log.toml
+
+Channels are guessed from the names of the columns, units from names and ranges (degrees or radians,
+milliseconds or seconds), axes from whether position, heading and velocity agree. Every line with '# ?' in
+the file is a question; `undertow doctor VEHICLE LOG --map log.toml` then tries the usual mistakes on the log.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ._options import NewForceOption, new_file
+from ._terminal import progress, say, section, table
+
+app = typer.Typer(add_completion=False)
+
+_LOG = typer.Argument(metavar="LOG", help="The log: CSV, CSV.gz or Parquet.")
+_VEHICLE = typer.Option(
+    "--vehicle", metavar="VEHICLE", help="Vehicle file or name, whose commands are looked for in the log."
+)
+_OUT = typer.Option("--out", metavar="NEW.toml", help="Where to write it.")
+
+
+@app.callback()
+def map() -> None:
+    pass
+
+
+@app.command()
+def new(
+    log: Annotated[Path, _LOG],
+    vehicle: Annotated[str | None, _VEHICLE] = None,
+    out: Annotated[Path, _OUT] = Path("log.toml"),
+    force: NewForceOption = False,
+) -> None:
+    """Guess what the columns of a log mean, and write it as a mapping file with questions."""
+    from undertow.files import write_whole
+    from undertow.identification.logs.guess import guess_mapping
+    from undertow.model.loading import load_vehicle
+
+    new_file(out, force, [log, *([vehicle] if vehicle else [])])
+    model = load_vehicle(vehicle) if vehicle else None
+    with progress("reading"):
+        guessed = guess_mapping(log, model.command_names if model else (), model.dof_indices if model else ())
+    write_whole(out, guessed.text())
+    rows = [(g.column, g.channel, str(g.entry.get("unit", ""))) for g in guessed.columns]
+    section(f"{log}: guesses", table(("column", "channel", "unit"), rows))
+    if guessed.asked:
+        section("Questions", table(("",), ((question,) for question in guessed.asked)))
+    left = sum(len(names) for names in guessed.ignored.values())
+    say(f"wrote {out}: {len(rows)} columns read, {left} left out; look at every line with '# ?'")
+    say(f"then: undertow doctor {vehicle or 'VEHICLE'} {log} --map {out}")

@@ -1,0 +1,540 @@
+"""A first mapping file for a log: guesses from names, units and ranges of its columns, and what to ask."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from undertow.errors import UndertowError
+from undertow.model.symbols import POSE, VELOCITY
+from undertow.typing import Array
+
+from .guess_frames import Axes, axes_of, rate_of_heading, unit_of_heading
+from .mapping import SCHEMA, LogMapping
+from .run import FORCES, UNITS
+from .table import file_bytes, is_dates, numbers, read_table
+
+
+@dataclass(frozen=True)
+class GuessSettings:
+    """Numbers that decide a guess."""
+
+    rows: int = 20_000  # rows that are looked at; more change no guess
+    turn: float = 7.0  # an angle beyond this is in degrees: a turn and what noise adds to it
+    small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
+    spin: float = (
+        6.0  # a turning rate beyond this is in degrees: vehicles in water turn once a second at most
+    )
+    repeated: float = (
+        0.6  # share of rows that repeat the one before, from which a sensor is slower than its log
+    )
+    flagged: float = 0.9  # share of new values that a flag must announce
+    pulse: tuple[float, float] = (
+        900.0,
+        2100.0,
+    )  # width of the pulses that servos and speed controllers take, us
+    full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
+    fast: float = 50.0  # rows a second, beyond which a vehicle moves more slowly than it is logged
+
+
+SETTINGS = GuessSettings()
+
+# --- what a name may say ----------------------------------------------------------------------------
+_UNITS = {
+    "m": "m", "mm": "mm", "cm": "cm", "km": "km", "ft": "ft", "rad": "rad", "deg": "deg", "degrees": "deg",
+    "mps": "m/s", "m s": "m/s", "m/s": "m/s", "mmps": "mm/s", "mm s": "mm/s", "mm/s": "mm/s", "kn": "knot",
+    "kt": "knot", "kts": "knot", "knots": "knot", "radps": "rad/s", "rad s": "rad/s", "rad/s": "rad/s",
+    "rps": "rad/s", "degps": "deg/s", "dps": "deg/s", "deg s": "deg/s", "deg/s": "deg/s", "n": "N",
+    "nm": "N m", "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s", "sec": "s",
+    "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%", "v": "V",
+    "pwm": "pwm",
+}  # fmt: skip
+_LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
+_SPEEDS, _RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
+_PLACES = {
+    "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
+    "z": 2, "d": 2, "depth": 2, "down": 2,
+}  # fmt: skip
+_TURNS = {
+    "phi": 0,
+    "roll": 0,
+    "theta": 1,
+    "pitch": 1,
+    "psi": 2,
+    "yaw": 2,
+    "heading": 2,
+    "hdg": 2,
+    "compass": 2,
+}
+_MOVES = {
+    "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
+    "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
+}  # fmt: skip
+_OF_SPEED = {"vel", "velocity", "speed", "linear", "twist"}
+_OF_RATE = {"rate", "dot", "gyro", "angular", "omega", "angvel"}
+# Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
+_WANTED = {
+    "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err",
+    "error", "std", "var", "cov", "sigma", "acc", "accel", "acceleration", "ship", "alt", "altitude", "limit",
+}  # fmt: skip
+# Less direct than the measurement where the log has both.
+_RANK = {"meas": 0, "measured": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
+_PLAIN = {"pos", "position", "pose", "att", "attitude", "imu", "gps", "dvl", "nav", "body", "vel", "angle"}
+_DRIVES = {
+    "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
+    "propeller", "motor", "throttle", "esc", "tau",
+}  # fmt: skip
+# Other words for those of a command, the likeliest first.
+_ALSO = {
+    "rudder": ("delta", "rud"),
+    "prop": ("propeller", "thrust", "rpm", "rev"),
+    "port": ("ps", "left"),
+    "starboard": ("stbd", "stb", "sb", "right"),
+    "bow": ("bt",),
+    "lateral": ("side",),
+    "vertical": ("vert",),
+    "tau": ("force",),
+}
+_NO_FIT = 9.0
+_TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
+
+
+@dataclass(frozen=True)
+class Name:
+    """A column's name taken apart: words in small letters, and the unit that it states ("" for none)."""
+
+    column: str
+    words: tuple[str, ...]
+    unit: str
+
+    @classmethod
+    def of(cls, column: str) -> Name:
+        """Take a name such as "yawRate [deg/s]" or "u_meas_mps" apart."""
+        bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
+        rest = column if bracket is None else column.replace(bracket[0], " ")
+        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
+        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+", spaced) if w]
+        words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
+        if bracket is not None:
+            return cls(column, tuple(words), _UNITS.get(bracket[1].strip().lower(), ""))
+        for length in (2, 1):
+            unit = _UNITS.get(" ".join(words[-length:]), "")
+            if unit and len(words) > length:
+                return cls(column, tuple(words[:-length]), unit)
+        return cls(column, tuple(words), "rpm" if "rpm" in words else "pwm" if "pwm" in words else "")
+
+    @property
+    def rank(self) -> tuple[int, int]:
+        """How far the name is from that of a plain measurement; the least wins."""
+        known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN}
+        return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
+
+    def motion(self, only: int | None = None) -> str:
+        """The channel of pose or velocity that the name means; "" for none.
+
+        `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
+        """
+        if set(self.words) & _WANTED:
+            return ""
+        found = self._axis(only)
+        fits = {**dict.fromkeys(POSE[:3], _LENGTHS), **dict.fromkeys(POSE[3:], _ANGLES)}
+        fits |= {**dict.fromkeys(VELOCITY[:3], _SPEEDS), **dict.fromkeys(VELOCITY[3:], _RATES)}
+        return found if found and (not self.unit or self.unit in fits[found]) else ""
+
+    def _axis(self, only: int | None) -> str:
+        words = set(self.words)
+        speed = self.unit in _SPEEDS or bool(words & _OF_SPEED)
+        rate = self.unit in _RATES or bool(words & _OF_RATE)
+        for word in self.words:
+            if word in _MOVES:
+                return VELOCITY[_MOVES[word]]
+            if word in _TURNS:
+                return (VELOCITY if rate or speed else POSE)[3 + _TURNS[word]]
+            if word in _PLACES:
+                return VELOCITY[3 + _PLACES[word]] if rate else (VELOCITY if speed else POSE)[_PLACES[word]]
+        if only is not None and words & {"position", "pos", "velocity", "vel", "speed", "angle", "rate"}:
+            return (VELOCITY if speed or rate else POSE)[only]
+        return ""
+
+    def drives(self, command: str) -> float:
+        """How badly a column fits a command: 0 the same name, 1 the same words, more for others."""
+        wanted = [w for w in re.split(r"[^a-z0-9]+", command.lower()) if w]
+        also = [other for word in wanted for other in _ALSO.get(word, ())]
+        if self.column.lower() == command.lower():
+            return 0.0
+        if set(wanted) <= set(self.words):
+            return 1.0
+        known = [k for k, other in enumerate(also) if other in self.words]
+        if known:
+            return 2.0 + 0.1 * known[0]
+        alike = any(w.startswith(other) for w in self.words for other in [*wanted, *also] if len(other) > 3)
+        return 3.0 if alike else _NO_FIT
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it looks like what drives a vehicle."""
+        numbered = any(re.fullmatch(r"[uftm]\d+|tau[xyzkmn]", word) for word in self.words)
+        return bool(set(self.words) & _DRIVES or numbered) and "limit" not in self.words
+
+
+# --- a guess ----------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Guess:
+    """What a column may be: keys and values of its entry in the mapping file, and what is not sure."""
+
+    column: str
+    entry: Mapping[str, object]
+    doubt: str = ""
+
+    @property
+    def channel(self) -> str:
+        """The channel that it becomes."""
+        return str(self.entry["channel"])
+
+    def line(self) -> str:
+        """The entry in TOML, after its question."""
+        inside = ", ".join(f"{key} = {_toml(value)}" for key, value in self.entry.items())
+        asked = f"# ? {self.doubt}\n" if self.doubt else ""
+        return f"{asked}{_key(self.column)} = {{ {inside} }}"
+
+
+@dataclass(frozen=True)
+class GuessedMapping:
+    """A mapping file in the making.
+
+    time: column, unit, and what was seen of the rate.
+    questions: what nobody but those who made the log can say.
+    ignored: columns that are left out, by the reason.
+    """
+
+    log: str
+    time: Guess
+    columns: tuple[Guess, ...]
+    axes: Axes
+    ignored: Mapping[str, tuple[str, ...]]
+    delimiter: str = ","
+    questions: tuple[str, ...] = field(default=())
+
+    @property
+    def asked(self) -> list[str]:
+        """All questions, those about columns with their names."""
+        doubts: dict[str, list[str]] = {}
+        for guess in (self.time, *self.columns):
+            doubts.setdefault(guess.doubt, []).append(guess.column)
+        of_columns = [f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items() if doubt]
+        return [*of_columns, *self.axes.questions, *self.questions]
+
+    def text(self) -> str:
+        """The mapping file."""
+        head = [f"# Guessed from {self.log}: every line with '# ?' asks something that the log does not say."]
+        head += [f"schema = {_toml(SCHEMA)}"]
+        head += [f"delimiter = {_toml(self.delimiter)}"] if self.delimiter != "," else []
+        head += ["ignore = [", *(line for part in self._ignored() for line in part), "]"]
+        time = [f"{key} = {_toml(value)}" for key, value in self.time.entry.items()]
+        asked = [f"# ? {self.time.doubt}"] if self.time.doubt else []
+        frames = [f"# ? {question}" for question in self.axes.questions]
+        frames += [f"{key} = {_toml(value)}" for key, value in self.axes.entry.items()]
+        columns = [*(guess.line() for guess in self.columns), *(f"# ? {q}" for q in self.questions)]
+        sections = {"time": [*asked, *time], "frames": frames, "columns": columns}
+        parts = [f"[{name}]\n" + "\n".join(lines) for name, lines in sections.items()]
+        return "\n\n".join(["\n".join(head), *parts]) + "\n"
+
+    def _ignored(self) -> Iterator[list[str]]:
+        for reason, names in self.ignored.items():
+            yield [f"    # {reason}", *(f"    {_toml(name)}," for name in names)]
+
+
+def _toml(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml(name)
+
+
+# --- from a table -----------------------------------------------------------------------------------
+def guess_mapping(
+    path: Path, commands: Sequence[str] = (), degrees_of_freedom: Sequence[int] = ()
+) -> GuessedMapping:
+    """Guess what the columns of a log mean.
+
+    Parameters
+    ----------
+    path : Path
+        CSV, CSV.gz or Parquet.
+    commands : sequence of str
+        Commands of the vehicle; without them what looks like a command keeps its name.
+    degrees_of_freedom : sequence of int
+        Places of the degrees of freedom of the vehicle among the six; empty if it is not known.
+
+    Raises
+    ------
+    UndertowError
+        If the file cannot be read, or no column counts the time.
+    """
+    table, reading = _table(path)
+    data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
+    time = _time(table, data, f"log {path}")
+    t = data.get(time.column, np.zeros(0)) * _seconds(str(time.entry["unit"]))
+    names = [Name.of(column) for column in data if column != time.column]
+    only = degrees_of_freedom[0] if len(degrees_of_freedom) == 1 else None
+    motion = _best(names, only)
+    heading = _heading(motion, data, t)
+    driving = _commands([n for n in names if n not in motion.values()], commands)
+    flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
+    read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
+    read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
+    read = _rates_by_heading(read, {n: data[n.column] for n in names}, t)
+    read += [_command(command, name, data[name.column]) for command, name in driving.items()]
+    used = {time.column, *(g.column for g in read), *(str(g.entry.get("fresh", "")) for g in read)}
+    questions = [_LACKING.format(c) for c in commands if c not in driving]
+    questions += [
+        _FLAG.format(f) for f, column in flags.items() if f not in used and len(np.unique(column)) > 1
+    ]
+    return GuessedMapping(
+        path.name,
+        time,
+        tuple(read),
+        axes_of({g.channel: data[g.column] * _factor(g) for g in read if g.channel in UNITS}, t),
+        _ignored(table.columns, used, data, only),
+        reading.delimiter,
+        tuple(questions),
+    )
+
+
+_LACKING = "no column looks like command '{}' of the vehicle: which one is it, in what unit?"
+_FLAG = (
+    "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
+    'fresh = "{0}"'
+)
+
+
+def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:
+    """Unit of the heading: as its name states, or as jumps by a turn, the position or its range have it."""
+    name = motion.get("psi")
+    if name is None or name.unit:
+        return name.unit if name else ""
+    plain = {c: data[n.column] for c, n in motion.items() if c in ("x", "y", "u", "v")}
+    return unit_of_heading(data[name.column], plain, t) or _unit("psi", data[name.column])[0]
+
+
+def _table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
+    """The first rows of a log, and how its text is written."""
+    reading, data, where = LogMapping(), file_bytes(path), f"log {path}"
+    table = read_table(data, reading, where, path)
+    sign = next((s for s in ";\t|" if len(table.columns) == 1 and s in table.columns[0]), None)
+    if sign is not None:
+        reading = LogMapping(delimiter=sign)
+        table = read_table(data, reading, where, path)
+    return table.head(SETTINGS.rows), reading
+
+
+def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
+    if is_dates(table, name):
+        return None
+    try:
+        return numbers(table, name, reading, "log")
+    except UndertowError:
+        return None
+
+
+def _seconds(unit: str) -> float:
+    return {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit, 1.0)
+
+
+def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
+    rising = [n for n, column in data.items() if len(column) > 1 and np.all(np.diff(column) > 0)]
+    named = [n for n in table.columns if set(Name.of(n).words) & _TIMES and (n in rising or n not in data)]
+    found = next(iter([*named, *rising]), None)
+    if found is None:
+        raise UndertowError(
+            f"{where}: no column counts the time, none rises from row to row: its columns are "
+            f"{', '.join(table.columns)}"
+        )
+    if found not in data:
+        return Guess(found, {"column": found, "unit": "iso"})
+    stated, step = Name.of(found).unit, float(np.median(np.diff(data[found])))
+    unit = stated if stated in ("s", "ms", "us", "ns") else _unit_of_time(data[found], step)
+    rate = 1.0 / (step * _seconds(unit))
+    said = (
+        ""
+        if stated
+        else f"{step:.4g} from row to row: that is {rate:.3g} rows a second if it is in {unit}; is it?"
+    )
+    if rate > SETTINGS.fast:
+        said += f"{' ' if said else ''}{rate:.3g} rows a second: every = {round(rate / 20)} would do at first"
+    return Guess(found, {"column": found, "unit": unit}, said)
+
+
+def _unit_of_time(t: Array, step: float) -> str:
+    """The unit in which a clock since 1970, or else the time from row to row, makes sense."""
+    for unit in ("ns", "us", "ms"):
+        if 1e9 < float(t[0]) * _seconds(unit) < 1e10 and float(t[0]) > 1e11:
+            return unit
+    return next((unit for unit, least in (("ns", 5e6), ("us", 5e3), ("ms", 5.0)) if step >= least), "s")
+
+
+def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
+    """The column of each channel: the plainest of those whose names mean it."""
+    found: dict[str, Name] = {}
+    for name in names:
+        channel = name.motion(only)
+        if channel and (channel not in found or name.rank < found[channel].rank):
+            found[channel] = name
+    return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
+
+
+def _commands(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]:
+    """The column of each command: of those of the vehicle, or of whatever looks like one."""
+    if not commands:
+        return {name.column: name for name in names if name.is_command and not set(name.words) & _WANTED}
+    found: dict[str, Name] = {}
+    for command in commands:
+        known = [n for n in names if n not in found.values()]
+        fits = sorted((name.drives(command), k) for k, name in enumerate(known))
+        if fits and fits[0][0] < _NO_FIT:
+            found[command] = known[fits[0][1]]
+    return found
+
+
+def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:
+    values, doubt, unit = data[name.column], "", name.unit
+    if not unit:
+        unit, doubt = _unit(channel, values)
+    entry: dict[str, object] = {"channel": channel, "unit": unit}
+    if channel == "psi":
+        entry["wrapped"] = True
+    fresh = _fresh(name, values, flags)
+    if fresh:
+        entry["fresh"] = fresh
+        if fresh == name.column:
+            doubt += (
+                f"{' ' if doubt else ''}most rows repeat the one before: is the sensor slower than the log?"
+            )
+    if channel == "z" and not set(name.words) & {"d", "down", "depth"}:
+        doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
+    return Guess(name.column, entry, doubt)
+
+
+def _unit(channel: str, values: Array) -> tuple[str, str]:
+    """Unit of a column that does not state it, and what is not sure about it."""
+    most = float(np.nanmax(np.abs(values), initial=0.0))
+    if most == 0.0:
+        return UNITS[channel], ""
+    if channel in POSE[3:]:
+        if most > SETTINGS.turn:
+            return "deg", ""
+        sure = channel == "psi" and most > SETTINGS.small
+        return "rad", "" if sure else f"never beyond {most:.2g}: radians, or small angles in degrees?"
+    if channel in VELOCITY[3:]:
+        if most > SETTINGS.spin:
+            return "deg/s", ""
+        return "rad/s", f"never beyond {most:.2g}: rad/s, or slow turns in deg/s?"
+    unit = UNITS[channel]
+    return unit, f"no unit in the name: is it in {unit}?"
+
+
+def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
+    """The column that announces new values of a sensor slower than its log; the column itself without one."""
+    new = np.concatenate([[False], np.diff(values) != 0]) & np.isfinite(values)
+    if len(values) < 2 or not 0 < np.mean(new) < 1.0 - SETTINGS.repeated:
+        return ""
+    for flag, column in flags.items():
+        up = column > 0
+        if (
+            up.any()
+            and not up.all()
+            and np.mean(up[new]) > SETTINGS.flagged
+            and np.mean(up) < SETTINGS.repeated
+        ):
+            return flag
+    gaps = np.diff(np.flatnonzero(new))
+    usual = np.median(gaps) if len(gaps) else 0.0
+    # Of a coarse reading the values change when they happen to.
+    return name.column if np.mean(np.abs(gaps - usual) <= 1) > SETTINGS.flagged and usual > 1 else ""
+
+
+def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: Array) -> list[Guess]:
+    """The guesses with the unit of the yaw rate, and its column, as the change of the heading has them."""
+    heading = next((g for g in read if g.channel == "psi"), None)
+    if heading is None or len(t) == 0:
+        return list(read)
+    psi = {n.column: c for n, c in columns.items()}[heading.column] * _factor(heading)
+    rates = {n.column: c for n, c in columns.items() if n.motion() in VELOCITY[3:]}
+    column, factor = rate_of_heading(psi, rates, t)
+    kept = []
+    for guess in read:
+        if guess.channel == "r" and column:
+            unit = min(_RATES, key=lambda u: abs(np.log(abs(factor) / _rate_in_si(u))))
+            doubt = (
+                ""
+                if column == guess.column
+                else (
+                    f"the heading changes like '{column}', not like '{guess.column}': which is the yaw rate?"
+                )
+            )
+            guess = Guess(column, {"channel": "r", "unit": unit}, doubt)
+        kept.append(guess)
+    taken = [g for g in kept if g.channel == "r"]
+    return [g for g in kept if g.channel == "r" or g.column not in {one.column for one in taken}]
+
+
+def _rate_in_si(unit: str) -> float:
+    return 1.0 if unit == "rad/s" else float(np.pi / 180)
+
+
+def _factor(guess: Guess) -> float:
+    """SI units in one unit of a column of pose or velocity."""
+    from undertow.model.units import scale_offset
+
+    return scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
+
+
+def _command(command: str, name: Name, values: Array) -> Guess:
+    """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared."""
+    entry: dict[str, object] = {"channel": command}
+    most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
+    doubt, asked = "", f"is it command '{command}'? " if name.drives(command) >= 2.0 else ""
+    low, high = SETTINGS.pulse
+    if command in FORCES:
+        entry["unit"] = UNITS[command]
+    elif name.unit in ("N", "deg", "rad", "V"):
+        entry["unit"] = name.unit
+    elif name.unit == "rpm" or {"rpm", "rev"} & set(name.words):
+        entry["power"] = 2
+        doubt = (
+            "revolutions: thrust goes with n |n|; what is the force of one turn a minute squared (scale, N)?"
+        )
+    elif low <= np.nanmin(values) and most <= high:
+        entry |= {"scale": 0.0025, "offset": -3.75}
+        doubt = f"pulses from {np.nanmin(values):.4g} to {most:.4g} us, as -1 ... 1 about 1500: is it so?"
+    elif max(most, -least) > SETTINGS.full:
+        doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
+    return Guess(name.column, entry, f"{asked}{doubt}".strip())
+
+
+def _ignored(
+    columns: Sequence[str], used: set[str], data: Mapping[str, Array], only: int | None
+) -> dict[str, tuple[str, ...]]:
+    """Columns that are left out, by the reason."""
+    found: dict[str, list[str]] = {}
+    for column in columns:
+        if column in used:
+            continue
+        name = Name.of(column)
+        if column not in data:
+            reason = "not numbers"
+        elif set(name.words) & _WANTED:
+            reason = "wanted of the vehicle, or about something else"
+        elif name.motion(only):
+            reason = "another column looks more like the measurement"
+        else:
+            reason = "? meaning unknown"
+        found.setdefault(reason, []).append(column)
+    return {reason: tuple(names) for reason, names in found.items()}

@@ -1,0 +1,164 @@
+"""Which axes a log may have, as far as its motion says: position against velocity, heading against rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from undertow.typing import Array
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """Numbers that decide about axes."""
+
+    # Times over which motions are compared, s: long against noise, short against drift.
+    over: tuple[float, ...] = (1.0, 5.0, 20.0)
+    agrees: float = 0.5  # share of the motion that may be left where axes agree
+    clearly: float = 0.6  # share of the next best that the best may leave at most
+    jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
+    like: float = 0.9  # correlation of a rate with the change of the heading
+
+
+SETTINGS = FrameSettings()
+
+_HERE, _EARTH = "the axes written here", "velocities along the axes of the position"
+_WHICH = "north-east-down and forward-starboard-down, or all of it east-north-up and forward-left-up?"
+_HEADING = (
+    "does the heading grow clockwise seen from above, as that of a compass? If it grows the other way: "
+    'position = "ENU", body = "FLU"'
+)
+# Keys of [frames], and whether y and x change places, v changes sign, velocities are along earth axes.
+_ENTRIES: dict[str, tuple[dict[str, str], tuple[bool, bool, bool]]] = {
+    _HERE: ({"position": "NED", "body": "FRD"}, (False, False, False)),
+    "x east and y north": (
+        {"position": "ENU", "body": "FRD", "attitude": "NED"},
+        (True, False, False),
+    ),
+    "sway to port": (
+        {"position": "NED", "body": "FLU", "attitude": "NED"},
+        (False, True, False),
+    ),
+    "x east, y north and sway to port": (
+        {"position": "ENU", "body": "FLU", "attitude": "NED"},
+        (True, True, False),
+    ),
+    _EARTH: (
+        {"position": "NED", "body": "FRD", "velocity": "NED"},
+        (False, False, True),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Keys of [frames] in a mapping file, and what the log does not say."""
+
+    entry: Mapping[str, str] = field(default_factory=lambda: dict(_ENTRIES[_HERE][0]))
+    questions: tuple[str, ...] = ()
+
+
+def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
+    """The axes that position, heading and velocity agree with, as far as they have been logged.
+
+    Parameters
+    ----------
+    channels : mapping
+        Pose and velocities by channel, SI, shape (n,) each.
+    t : Array, shape (n,)
+        Time, s.
+    """
+    if not {"x", "y", "psi"} <= channels.keys():
+        turning = any(name in channels for name in ("psi", "r", "v", "w", "y", "z"))
+        return Axes(questions=(f"{_WHICH} Position and heading, which tell, are not both logged",) * turning)
+    if "u" not in channels:
+        course = "A vehicle that goes ahead moves where its heading points: does it, with these axes?"
+        return Axes(questions=(f"{_WHICH} {course}", _HEADING))
+    left = _left(t, channels)
+    if len(left) < 2:
+        return Axes(questions=(_WHICH, _HEADING))
+    best, other, *_ = sorted(left, key=lambda name: left[name])
+    shares = f"{best} {left[best]:.0%}, {other} {left[other]:.0%}"
+    told = f"of the change of position, velocity and heading leave: {shares}"
+    if left[best] > SETTINGS.agrees or left[best] > SETTINGS.clearly * left[other]:
+        return Axes(questions=(f"{told}. That decides nothing: which axes are they?", _HEADING))
+    doubts = [_HEADING] if best in (_HERE, _EARTH) else []
+    return Axes(_ENTRIES[best][0], (f"{told}. Hence these axes; is it so?", *doubts))
+
+
+def _left(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
+    """Share of the change of position that velocities leave, by what the axes may be.
+
+    Over the time of those in the settings that leaves least: long where the position is noisy.
+    """
+    found = [_left_over(seconds, t, channels) for seconds in SETTINGS.over]
+    return min(found, key=lambda shares: min(shares.values(), default=np.inf))
+
+
+def _left_over(seconds: float, t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
+    zero = np.zeros_like(t)
+    known = np.array([t, *(channels.get(name, zero) for name in ("x", "y", "psi", "u", "v"))])
+    t, x, y, psi, u, v = known[:, np.all(np.isfinite(known), axis=0)]
+    step = _rows(seconds, t)
+    if len(t) <= 2 * step:
+        return {}
+    motion = np.sqrt(np.mean(_change(x, step) ** 2 + _change(y, step) ** 2))
+    found = {}
+    for name, (_, (swapped, port, earth)) in _ENTRIES.items():
+        side = -v if port else v
+        ahead, across = u + 1j * side, (1.0 if earth else np.exp(1j * psi))
+        moved = _change(_summed(ahead * across, t), step)
+        went = _change(y + 1j * x if swapped else x + 1j * y, step)
+        found[name] = float(np.sqrt(np.mean(np.abs(went - moved) ** 2)) / max(motion, 1e-12))
+    return found
+
+
+def unit_of_heading(psi: Array, channels: Mapping[str, Array], t: Array) -> str:
+    """ "rad" or "deg" where jumps by a turn, or the change of position, tell; "" where nothing does."""
+    steps = np.abs(np.diff(psi[np.isfinite(psi)]))
+    jumps = float(np.median(steps[steps > np.pi])) if np.any(steps > np.pi) else 0.0
+    for unit, turn in (("rad", 2 * np.pi), ("deg", 360.0)):
+        if abs(jumps - turn) < SETTINGS.jump * turn:
+            return unit
+    if not {"x", "y", "u"} <= channels.keys():
+        return ""
+    units = {"rad": psi, "deg": np.radians(psi)}
+    left = {
+        unit: min(_left(t, {**channels, "psi": values}).values(), default=1.0)
+        for unit, values in units.items()
+    }
+    best, other = sorted(left, key=lambda unit: left[unit])
+    return best if left[best] < SETTINGS.clearly * left[other] else ""
+
+
+def _rows(seconds: float, t: Array) -> int:
+    """Rows that pass in a time."""
+    return max(1, round(seconds / max(float(np.median(np.diff(t))), 1e-9))) if len(t) > 1 else 1
+
+
+def _change(values: Any, step: int) -> Any:
+    return values[step:] - values[:-step]
+
+
+def _summed(rate: Any, t: Array) -> Any:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
+
+
+def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[str, float]:
+    """The column that the heading changes with, and rad/s in one of its units; ("", 1) for none."""
+    found, best = ("", 1.0), SETTINGS.like
+    for name, rate in rates.items():
+        there = np.isfinite(psi) & np.isfinite(rate) & np.isfinite(t)
+        if there.sum() < 20 or np.ptp(rate[there]) == 0.0:
+            continue
+        step = _rows(SETTINGS.over[0], t[there])
+        turned = _change(np.unwrap(psi[there]), step)
+        expected = _change(_summed(rate[there], t[there]), step)
+        size = float(np.sum(expected**2) * np.sum(turned**2)) ** 0.5
+        alike = abs(float(np.sum(expected * turned))) / size if size > 0 else 0.0
+        if alike > best:
+            best, found = alike, (name, float(np.sum(expected * turned) / np.sum(expected**2)))
+    return found

@@ -1,0 +1,137 @@
+"""What `undertow fit` and `undertow add` found, as it is written to JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import Field
+
+from undertow.identification.compare.comparison import finite
+from undertow.identification.diagnosis.addition import Addition
+from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, ValuesByRun
+from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.identification.diagnosis.verdict import estimates
+from undertow.identification.doctor.findings import ResultTable
+from undertow.model.vehicle import Vehicle
+from undertow.version import __version__
+
+from .sentences import changes, rises, shown
+
+
+class FittedParameter(ResultTable):
+    """A parameter after the fit, in the units and signs of the vehicle file.
+
+    `bound` is the error that the noise of the sensors alone would leave (Cramér-Rao), `t` the magnitude over
+    the standard error, `identified` what the logs determine of it. What is not known is null.
+    """
+
+    parameter: str
+    value: float
+    standard_error: float | None
+    bound: float | None
+    unit: str
+    before: float | None
+    t: float
+    identified: str
+
+
+class ChannelError(ResultTable):
+    """Error of a predicted velocity as a share of its motion; null where the prediction diverges."""
+
+    velocity: str
+    before: float | None
+    after: float | None
+
+
+class FitResult(ResultTable):
+    """Outcome of `undertow fit`: errors are those `horizon` s ahead on the validation data, as shares."""
+
+    schema_id: Literal["undertow/fit/1"] = "undertow/fit/1"
+    undertow: str = __version__
+    vehicle: str
+    command: str
+    method: str
+    runs: list[RunInfo]
+    horizon: float
+    error_before: float | None
+    error_after: float | None
+    channels: list[ChannelError]
+    parameters: list[FittedParameter]
+    by_run: list[ValuesByRun] = Field(default_factory=list)
+    condition: float | None
+
+    @property
+    def worse(self) -> bool:
+        """Whether the refitted model predicts worse than the one given, in the digits that are shown."""
+        return rises(self.error_before, self.error_after)
+
+    def sentence(self) -> str:
+        """What the fit does to the error, in words that follow from the numbers."""
+        before, after = (
+            {} if e is None else {f"{self.horizon:.3g} s": e} for e in (self.error_before, self.error_after)
+        )
+        return f"Refitting {changes(before, after) or 'changes nothing'} on the validation data."
+
+
+def channel_errors(before: Mapping[str, float], after: Mapping[str, float]) -> list[ChannelError]:
+    """Errors of every velocity before and after a fit."""
+    return [ChannelError(velocity=n, before=finite(before[n]), after=finite(after[n])) for n in before]
+
+
+class AdditionResult(ResultTable):
+    """Outcome of `undertow add`.
+
+    `steps` are the model as given, refitted without the effect, and with it; `fall` is the mean fall of the
+    mean square over the blocks of the validation data, with its 95 % interval, and `p_value` the chance of so
+    consistent a fall where the effect does nothing.
+    """
+
+    schema_id: Literal["undertow/addition/1"] = "undertow/addition/1"
+    undertow: str = __version__
+    vehicle: str
+    effect: str
+    helps: bool
+    sentence: str
+    runs: list[RunInfo]
+    steps: list[Step]
+    fall: float
+    interval: tuple[float | None, float | None]
+    p_value: float
+    parameters: list[Estimate]
+    dropped: list[str]
+
+
+def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) -> AdditionResult:
+    """An addition to a vehicle, as it is written to JSON."""
+    low, high = addition.evidence.interval
+    return AdditionResult(
+        vehicle=stated.name,
+        effect=addition.effect,
+        helps=addition.helps,
+        sentence=addition_sentence(addition),
+        runs=runs,
+        steps=addition.steps,
+        fall=addition.evidence.mean,
+        interval=(finite(low), finite(high)),
+        p_value=addition.evidence.p_value,
+        parameters=estimates(addition.fit, stated),
+        dropped=list(addition.dropped),
+    )
+
+
+def addition_sentence(addition: Addition) -> str:
+    """What an effect does to the error, and whether chance would do as much."""
+    before, after, evidence = addition.before, addition.after, addition.evidence
+    ahead = changes(before.ahead, after.ahead)
+    change = f"Adding {addition.effect} {ahead or 'changes no prediction'} on the validation data"
+    if addition.helps:
+        return f"{change}."
+    errors = f"from {before.error:.4g} to {after.error:.4g} times the noise"
+    if after.error >= before.error:
+        return f"{change}; the error of the force, which decides, goes {errors}."
+    if evidence.p_value >= DEFAULT.false_alarm_rate:
+        why = f"as by chance in {shown(evidence.p_value)} % of cases"
+    else:
+        why = f"by less than {DEFAULT.smallest_fall:g} in the mean square, which noise can hide"
+    return f"{change}; the error of the force, which decides, falls {errors}, {why}."

@@ -1,0 +1,220 @@
+"""What was found in one sentence, whose words follow from the numbers that it shows, and what to run next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import floor, inf, isfinite, log10
+from pathlib import PurePath
+
+from undertow.identification.diagnosis.result import Diagnosis, Step
+
+
+@dataclass(frozen=True)
+class CommandLine:
+    """What the words of a command line named, for a command that goes on from there.
+
+    vehicle: vehicle file, or the name of a bundled one.
+    logs, holdout: logs that were fitted to, and those for validation.
+    options: how the logs are read, such as ("--map", "log.toml").
+    written: the file with the result of a diagnosis as JSON, if one is written.
+    """
+
+    vehicle: str = "VEHICLE"
+    logs: tuple[str, ...] = ("LOG",)
+    holdout: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    written: str = ""
+
+    def fitting(self, words: Sequence[str], *more: str) -> str:
+        """A command that takes the vehicle and all logs."""
+        holdout = ["--holdout", *self.holdout] if self.holdout else []
+        return self._undertow([*words, self.vehicle, *self.logs, *holdout, *self.options, *more])
+
+    def looking(self, words: Sequence[str], *more: str) -> str:
+        """A command that takes the vehicle and the logs, with no difference between them."""
+        return self._undertow([*words, self.vehicle, *self.logs, *self.holdout, *self.options, *more])
+
+    def better(self, part: str) -> str:
+        """Name of a vehicle file that is made from the one given."""
+        return f"{PurePath(self.vehicle).stem}-{part}.toml"
+
+    def _undertow(self, words: Iterable[str]) -> str:
+        return f"undertow {shlex.join(words)}"
+
+
+# --- errors, and how they change --------------------------------------------------------------------
+def shown(share: float | None, digits: int = 2) -> str:
+    """A share in per cent, without the sign; "diverging" where a simulation runs away."""
+    if share is None or not isfinite(share):
+        return "diverging"
+    return f"{100 * share:.{_places(share, digits)}f}"
+
+
+def _places(share: float, digits: int = 2) -> int:
+    """Decimals with which a share in per cent has so many digits."""
+    return min(max(0, digits - 1 - floor(log10(100 * share))), 6) if share > 0 else 0
+
+
+def rises(before: float | None, after: float | None) -> bool:
+    """Whether an error rises in the digits that are shown of it, and by more than their rounding."""
+    low, high = (inf if share is None else share for share in (before, after))
+    if not isfinite(low) or shown(low) == shown(high):
+        return False
+    return not isfinite(high) or 100 * (high - low) >= 0.5 * 10.0 ** -_places(high)
+
+
+def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
+    """How errors change, by horizon: "lowers the 5-s error from 4.0 to 1.6 % and ... ".
+
+    The arguments are errors as shares by horizon ("5 s", "free run"), without those that diverge; the free
+    run is left out where there are horizons.
+    """
+    horizons = _horizons([before, after])
+    pairs = {h: (before.get(h), after.get(h)) for h in horizons}
+    parts = [
+        _said("lowers", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*reversed(pair))]),
+        _said("raises", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*pair)]),
+        _said("leaves", [_still(h, a) for h, (b, a) in pairs.items() if not (rises(b, a) or rises(a, b))]),
+    ]
+    return _joined([part for part in parts if part])
+
+
+def errors(ahead: Mapping[str, float]) -> str:
+    """Errors by horizon: "a 5-s error of 1.6 % and a 20-s error of 3.3 %"."""
+    return _joined([f"a {_error(h)} of {shown(ahead.get(h))} %" for h in _horizons([ahead])])
+
+
+def _horizons(found: Iterable[Mapping[str, float]]) -> list[str]:
+    names = list(dict.fromkeys(h for ahead in found for h in ahead))
+    return [h for h in names if h.endswith(" s")] or names
+
+
+def _error(horizon: str) -> str:
+    return f"{horizon.replace(' ', '-')} error"
+
+
+def _from_to(horizon: str, before: float | None, after: float | None) -> str:
+    end = "" if shown(after) == "diverging" else " %"
+    return f"{_error(horizon)} from {shown(before)} to {shown(after)}{end}"
+
+
+def _still(horizon: str, share: float | None) -> str:
+    return f"{_error(horizon)} " + ("diverging" if shown(share) == "diverging" else f"at {shown(share)} %")
+
+
+def _said(verb: str, parts: Sequence[str]) -> str:
+    return f"{verb} {_joined([f'the {part}' for part in parts])}" if parts else ""
+
+
+def _joined(parts: Sequence[str]) -> str:
+    return " and ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
+
+
+# --- a diagnosis ------------------------------------------------------------------------------------
+def summarised(diagnosis: Diagnosis) -> Diagnosis:
+    """A diagnosis whose headline begins with what was found in errors of prediction."""
+    if not diagnosis.steps:
+        return diagnosis
+    return diagnosis.model_copy(update={"headline": f"{first_sentence(diagnosis)} {diagnosis.headline}"})
+
+
+def first_sentence(diagnosis: Diagnosis) -> str:
+    """What was found, in errors of prediction on the validation data, and what can be done about it."""
+    judged = f"on {_judged_on(diagnosis)}"
+    errors_now = errors(diagnosis.last_step.ahead)
+    left = f"the refitted model has {errors_now} {judged}" if errors_now else "the refitted model fails"
+    change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
+    helping = _joined(diagnosis.helps)
+    beside = f"; {helping} beside it helps to predict and is not established as a cause" if helping else ""
+    said: dict[str, str] = {
+        "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
+        "missing_effect": f"{change}{beside}.",
+        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same: record the run that tells "
+        "them apart before one of them is taken for the cause.",
+        "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "
+        "explain.",
+        "not_identifiable": f"Something is missing and these logs do not say what: {left}; record a run with "
+        "other motions.",
+    }
+    unexplained = f"No effect of the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
+    freed = diagnosis.verdict == "adequate" and diagnosis.freed
+    return f"{change}, and nothing else is missing." if freed else said.get(diagnosis.verdict, unexplained)
+
+
+def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:
+    """The command that does what the first sentence says, with the files of this one."""
+    effects, freed = _taken(diagnosis), diagnosis.freed
+    if diagnosis.verdict == "indistinguishable" and diagnosis.indistinguishable:
+        between = ",".join(diagnosis.indistinguishable[0].effects)
+        return line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
+    if len(effects) == 1 and not freed:
+        return line.fitting(["add", effects[0]], "--out", line.better(effects[0]))
+    if effects or freed:
+        return line.fitting(["diagnose"], "--apply", line.better("better" if effects else "fitted"))
+    if diagnosis.verdict == "adequate":
+        return line.fitting(["fit"], "--out", line.better("fitted"))
+    if _terms(diagnosis):
+        return _made_of_what_remains(line)
+    if diagnosis.verdict == "not_identifiable":
+        return line.looking(["plan"], "--out", "plan.csv")
+    reading = tuple(o for o in line.options if o != "--trust-log")  # doctor refuses nothing
+    return replace(line, options=reading).looking(["doctor"])
+
+
+def _made_of_what_remains(line: CommandLine) -> str:
+    make = "undertow effects new my_force --from "
+    if line.written:
+        return make + shlex.quote(line.written)
+    return f"{line.fitting(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
+
+
+def _judged_on(diagnosis: Diagnosis) -> str:
+    whole = any(run.role == "holdout" for run in diagnosis.runs)
+    return "validation runs" if whole else "stretches of the logs that were not fitted"
+
+
+def _taken(diagnosis: Diagnosis) -> list[str]:
+    """The effects that the first sentence is about: those that are named, else those that help to predict."""
+    return diagnosis.effects or diagnosis.helps
+
+
+def _adding(diagnosis: Diagnosis) -> str:
+    names = _joined(_taken(diagnosis))
+    if not diagnosis.freed:
+        return f"Adding {names}"
+    return f"Fitting {_joined(diagnosis.freed)} as well" + (f" and adding {names}" if names else "")
+
+
+def _change(diagnosis: Diagnosis) -> str:
+    """What the effects, and the values found to be others, do to the error."""
+    taken = set(_taken(diagnosis))
+    before, after = _without(diagnosis), [s for s in diagnosis.steps if set(s.added) <= taken][-1]
+    by_horizon = changes(before.ahead, after.ahead)
+    return by_horizon or f"brings the error from {before.error:.3g} to {after.error:.3g} times the noise"
+
+
+def _without(diagnosis: Diagnosis) -> Step:
+    """The refitted model before anything was added to it."""
+    return diagnosis.steps[0] if diagnosis.freed else [s for s in diagnosis.steps if not s.added][-1]
+
+
+def _sets(diagnosis: Diagnosis) -> str:
+    others = [e for s in diagnosis.indistinguishable for e in s.effects if e not in diagnosis.effects]
+    return " or ".join(others) or "others"
+
+
+def _terms(diagnosis: Diagnosis) -> bool:
+    return any(left.depends_on or left.spectrum for left in diagnosis.remaining)
+
+
+def _where_to_look(diagnosis: Diagnosis) -> str:
+    worst = max(diagnosis.remaining, key=lambda r: r.normalised_error, default=None)
+    if worst is None:
+        return "look for mistakes in the logs"
+    place = f"most of what is left is in {worst.degree_of_freedom}"
+    if not _terms(diagnosis):
+        return f"{place}, and goes with nothing that was logged: look for mistakes in the logs"
+    described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
+    return f"{place}; an effect can be made of the force that is left in {_joined(described)}"

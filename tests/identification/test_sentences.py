@@ -1,0 +1,157 @@
+"""The first sentence of a diagnosis, the command after it, and words that follow from numbers."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any
+
+import pytest
+
+from undertow.identification.diagnosis.result import (
+    Dependence,
+    Diagnosis,
+    Indistinguishable,
+    Remaining,
+    Role,
+    RunInfo,
+    Step,
+    Verdict,
+)
+from undertow.identification.report.sentences import (
+    CommandLine,
+    changes,
+    first_sentence,
+    next_command,
+    rises,
+    shown,
+    summarised,
+)
+
+REFITTED = Step(added=[], error=9.0, ahead={"5 s": 0.040, "20 s": 0.090, "free run": 0.3})
+BETTER = Step(added=["lift"], error=2.0, ahead={"5 s": 0.016, "20 s": 0.0334, "free run": 0.1})
+LINE = CommandLine(
+    "my rov.toml", ("a.csv", "b.csv"), ("c.csv",), ("--map", "log.toml", "--trust-log"), "found.json"
+)
+
+
+def _run(role: Role) -> RunInfo:
+    return RunInfo(name="a", source="a.csv", sha256="", role=role, samples=9, duration=1.0, notes=[])
+
+
+def _left(**more: Any) -> Remaining:
+    numbers = {"normalised_error": 4.0, "residual_rms": 2.0, "noise_rms": 0.5}
+    return Remaining(degree_of_freedom="sway", unit="N", note="", **{**numbers, **more})
+
+
+def _diagnosis(verdict: Verdict, **more: Any) -> Diagnosis:
+    named, helps = verdict in ("missing_effect", "indistinguishable"), verdict == "helps_prediction"
+    usual: dict[str, Any] = {
+        "undertow": "0",
+        "vehicle": "v",
+        "degrees_of_freedom": ["sway"],
+        "signs": "sname",
+        "runs": [_run("train"), _run("holdout")],
+        "verdict": verdict,
+        "headline": "What was tried.",
+        "effects": ["lift"] if named else [],
+        "ranking": [],
+        "helps": ["lift"] if helps else [],
+        "steps": [REFITTED, BETTER] if named or helps else [REFITTED],
+        "indistinguishable": [],
+        "warnings": [],
+        "remaining": [_left()],
+        "parameters": [],
+        "false_alarm_rate": 0.01,
+        "noise": {},
+        "seconds": 1.0,
+    }
+    return Diagnosis(**{**usual, **more})
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (0.040, 0.016, "lowers the 5-s error from 4.0 to 1.6 %"),
+        (0.67, 0.84, "raises the 5-s error from 67 to 84 %"),
+        (0.2549, 0.2546, "leaves the 5-s error at 25 %"),
+        (0.02849, 0.02851, "leaves the 5-s error at 2.9 %"),
+        (0.126, 0.134, "leaves the 5-s error at 13 %"),
+        (None, 0.05, "lowers the 5-s error from diverging to 5.0 %"),
+        (0.05, None, "raises the 5-s error from 5.0 to diverging"),
+    ],
+)
+def test_words_follow_from_the_numbers(before: float | None, after: float | None, said: str) -> None:
+    pair = [{} if share is None else {"5 s": share} for share in (before, after)]
+    assert changes(*pair) == said
+    assert rises(before, after) == said.startswith("raises")
+
+
+def test_what_falls_and_what_rises_are_said_apart() -> None:
+    before, after = {"5 s": 0.688, "20 s": 0.582, "free run": 2.0}, {"5 s": 0.5, "20 s": 0.843}
+    assert changes(before, after) == (
+        "lowers the 5-s error from 69 to 50 % and raises the 20-s error from 58 to 84 %"
+    )
+    assert changes({"free run": 0.4}, {"free run": 0.2}) == "lowers the free-run error from 40 to 20 %"
+
+
+def test_shares_have_two_digits() -> None:
+    assert [shown(s) for s in (0.0401, 0.0996, 0.5, 1.234, 0.0, float("inf"))] == [
+        "4.0",
+        "10.0",
+        "50",
+        "123",
+        "0",
+        "diverging",
+    ]
+    assert shown(0.2546, 3) == "25.5"
+
+
+def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
+    found = _diagnosis("missing_effect")
+    said = (
+        "Adding lift lowers the 5-s error from 4.0 to 1.6 % and the 20-s error from 9.0 to 3.3 % on "
+        "validation runs."
+    )
+    assert first_sentence(found) == said
+    assert summarised(found).headline == f"{said} What was tried."
+    command = next_command(found, LINE)
+    assert shlex.split(command) == [
+        *("undertow", "add", "lift", "my rov.toml", "a.csv", "b.csv", "--holdout", "c.csv"),
+        *("--map", "log.toml", "--trust-log", "--out", "my rov-lift.toml"),
+    ]
+
+
+def test_each_verdict_says_what_to_do() -> None:
+    several = _diagnosis("missing_effect", effects=["lift", "wind"])
+    assert next_command(several, LINE).endswith("--apply 'my rov-better.toml'")
+    equals = [Indistinguishable(effects=["lift", "wind"], reason="")]
+    either = _diagnosis("indistinguishable", indistinguishable=equals)
+    assert "but wind would do the same" in first_sentence(either)
+    assert "--goal separate --between lift,wind --out plan.csv" in next_command(either, LINE)
+    useful = _diagnosis("helps_prediction")
+    assert "from 9.0 to 3.3 % on validation runs, but is not established" in first_sentence(useful)
+    assert "undertow add lift" in next_command(useful, LINE)
+    enough = _diagnosis("adequate", runs=[_run("blocks")])
+    assert first_sentence(enough) == (
+        "Nothing is missing that these logs could show: the refitted model has a 5-s error of 4.0 % and a "
+        "20-s error of 9.0 % on stretches of the logs that were not fitted, and can be used as it is."
+    )
+    assert "undertow fit" in next_command(enough, LINE)
+    freed = REFITTED.model_copy(update={"ahead": BETTER.ahead, "freed": ["N_r"]})
+    others = _diagnosis("adequate", steps=[REFITTED, freed])
+    assert first_sentence(others).startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6 %")
+    assert "--apply" in next_command(others, LINE)
+
+
+def test_what_is_unexplained_says_where_to_look() -> None:
+    nothing = _diagnosis("unexplained")
+    assert "most of what is left is in sway, and goes with nothing that was logged" in first_sentence(nothing)
+    assert next_command(nothing, LINE) == ("undertow doctor 'my rov.toml' a.csv b.csv c.csv --map log.toml")
+    term = Dependence(
+        term="v|v|", columns=[["v"]], coefficients=[1.0], standard_errors=[0.1], units=["N"], share=0.5,
+        chance=0.01, alike=[],
+    )  # fmt: skip
+    some = _diagnosis("unexplained", remaining=[_left(depends_on=[term])])
+    assert "an effect can be made of the force that is left in sway" in first_sentence(some)
+    assert next_command(some, LINE) == "undertow effects new my_force --from found.json"
+    assert "&& undertow effects new" in next_command(some, CommandLine())
