@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
+from pydantic import Field
+
 from undertow.identification.compare.comparison import finite
 from undertow.identification.diagnosis.addition import Addition
-from undertow.identification.diagnosis.result import Estimate, RunInfo, Step
+from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, ValuesByRun
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.verdict import estimates
 from undertow.identification.doctor.findings import ResultTable
@@ -56,6 +58,7 @@ class FitResult(ResultTable):
     error_after: float | None
     channels: list[ChannelError]
     parameters: list[FittedParameter]
+    by_run: list[ValuesByRun] = Field(default_factory=list)
     condition: float | None
 
     @property
