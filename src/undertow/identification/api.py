@@ -224,6 +224,7 @@ class Refit:
             error_after=after,
             channels=channel_errors(self.before.relative, self.after.relative),
             parameters=[FittedParameter(**row) for row in self.parameters.iter_rows(named=True)],
+            by_run=self.by_run,
             condition=finite(self.fit.condition),
         )
 

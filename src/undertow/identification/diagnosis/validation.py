@@ -14,7 +14,12 @@ from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
-from undertow.identification.estimation.adaptation import factor_of_the_rest, in_runs, learned_from
+from undertow.identification.estimation.adaptation import (
+    adapted,
+    factor_of_the_rest,
+    in_runs,
+    learned_from,
+)
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
@@ -256,7 +261,7 @@ class SimulationValidator:
     def _vehicles(self, model: Fitted | Vehicle) -> list[Vehicle]:
         """The model as it is in each validation run."""
         if isinstance(model, Vehicle):
-            return [model] * len(self.test)
+            return [adapted(model, run)[0] for run in self.test]
         return in_runs(model, self.test)[0]
 
     def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
