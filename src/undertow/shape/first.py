@@ -18,8 +18,9 @@ from undertow.model.catalogue import catalogue
 from undertow.model.effects.added_mass import AddedMass as AddedMassEffect
 from undertow.model.effects.added_mass_coupling import AddedMassCoupling
 from undertow.model.effects.linear_damping import LinearDamping
-from undertow.model.loading import VehicleTable, vehicle_from_table
+from undertow.model.loading import vehicle_from_table
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.model.tables import VehicleTable
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
 

@@ -302,7 +302,7 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
     gains = {t.name: t.wrench[row] * t.thrust_per_command.value for t in vehicle.thrusters if t.wrench[row]}
     limits = {t.name: t.limit for t in vehicle.thrusters}
     largest = sum(abs(g) * (limits[n] or np.inf) for n, g in gains.items())
-    if not gains or not np.isfinite(largest):
+    if not gains or not np.isfinite(largest) or any(vehicle.laws):
         return None
     force = np.concatenate([sum(g * r.channels[n] for n, g in gains.items()) for r in runs])
     return float((np.nanmax(force) - np.nanmin(force)) / (2 * largest))
