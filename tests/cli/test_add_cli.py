@@ -76,7 +76,7 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
     before = contents(case)
     assert add("dry_friction", "--out", "new.toml") == 1
     out, err = capsys.readouterr()
-    assert "raises the 5-s error from 45 to 49 %" in out
+    assert "Adding dry_friction raises the 5-s error" in out
     assert err.splitlines() == [
         "dry_friction is not put into the vehicle file; --force writes it all the same"
     ]

@@ -197,7 +197,7 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
     after = load_vehicle("new.toml")
     assert after.value_of("Y_vdot").value == pytest.approx(1.5 * after.value_of("X_udot").value, rel=1e-6)
     told = tomllib.loads(Path("new.toml").read_text())["history"][0]
-    assert told["command"] == 'undertow fit --method weak --equal "Y_vdot = 1.5 X_udot" --dissipative'
+    assert told["command"] == 'undertow fit --method default --equal "Y_vdot = 1.5 X_udot" --dissipative'
     assert "Y_vdot" not in told["covariance"]["parameters"]
     assert main(["fit", *LOG, "--equal", "Y_vdot = 1.5 Q_x"]) == 2
     assert "'Q_x' is not a parameter in the equations of 'usv'" in capsys.readouterr().err
