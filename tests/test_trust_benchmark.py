@@ -19,7 +19,7 @@ from benchmarks.hidden_effects.world import plain_world
 from benchmarks.trust import sizing
 from benchmarks.trust.__main__ import main
 from benchmarks.trust.ablation import ablation_page, ablations, sample, switchable
-from benchmarks.trust.cases import COMPLETE, FAINT, SINGLES, SIZES, Planned, part, plan
+from benchmarks.trust.cases import COMPLETE, FAINT, HARD, OTHER_FORMS, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
 from benchmarks.trust.grade import HIDDEN, grade_of, oracle_refit
@@ -70,7 +70,9 @@ def test_every_round_has_every_effect_outsider_and_complete_model() -> None:
         assert all(FAINT[0] <= case.aim <= FAINT[1] for case in faint)
         assert "thruster_deadband" in SINGLES
         assert "thruster_deadband_jump" not in SINGLES
-        assert {case.label for case in cases if case.kind == "complete"} == set(COMPLETE)
+        assert {case.label for case in cases if case.kind == "complete"} == {*COMPLETE, *HARD}
+        hard = Counter(case.label for case in cases if case.kind == "hard")
+        assert hard == Counter([*HARD, *OTHER_FORMS])
         assert all(case.vehicle in EFFECTS[name].vehicles for case in cases for name in case.hidden)
 
 

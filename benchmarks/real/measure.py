@@ -11,9 +11,10 @@ from typing import Any
 
 from benchmarks.trust.measure import Record, answer_of
 from undertow.errors import UndertowError
-from undertow.identification.api import diagnose, fit, try_effect
+from undertow.identification.api import diagnose, try_effect
 from undertow.identification.diagnose import DiagnosisResult
 from undertow.identification.diagnosis.parallel import jobs
+from undertow.identification.diagnosis.validation import training_and_validation
 from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.windows import Windows, cut, prediction_error
 from undertow.identification.logs.run import Run
@@ -26,6 +27,9 @@ from .logs import LogSet
 
 Errors = list[float | None]
 REFUSED = "refused"
+#: Share of each validation run that judges nothing, so that what belongs to a run (its current, its trim) may
+#: be estimated from it; the rest is the same for all models.
+FIRST_PART = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,12 @@ def material(case: Case, logs: LogSet, data: Path) -> Material:
     """Vehicle and logs of a case."""
     vehicle, train, test = logs.read(data)
     if case.removed:
-        return Material(without(vehicle, case.removed), train, test, right=(case.removed,))
+        return Material(
+            without(vehicle, case.removed),
+            train,
+            test,
+            right=(case.removed, *logs.also.get(case.removed, ())),
+        )
     if case.kind != "injection":
         return Material(vehicle, train, test)
     injection = INJECTIONS[case.change]
@@ -78,7 +87,7 @@ def _described(case: Case, logs: LogSet) -> Record:
 
 def measured(given: Material, horizons: Sequence[float]) -> Record:
     """What the diagnosis says of a case, and the errors of the models about it."""
-    began = time.perf_counter()
+    began, worked = time.perf_counter(), time.process_time()
     facts = {"motions": list(given.vehicle.degrees_of_freedom), "value": given.value, "truth": given.right}
     try:
         outcome = diagnose(given.vehicle, given.train, given.test)
@@ -86,7 +95,9 @@ def measured(given: Material, horizons: Sequence[float]) -> Record:
         # A refusal in one line is an answer, too: that nothing is to be made of such logs.
         said = {"verdict": REFUSED, "named": [], "sets": [], "ranking": []}
         return facts | {"answer": said, "headline": str(error), "seconds": time.perf_counter() - began}
-    spent = {"seconds": time.perf_counter() - began, "cores": jobs()}
+    spent = {
+        "seconds": time.perf_counter() - began, "cpu": time.process_time() - worked, "cores": jobs(),
+    }  # fmt: skip
     windows = cut_all(given.vehicle, outcome.test, horizons)
     models = {"stated": given.vehicle, "refitted": outcome.before, "found": outcome.after}
     errors = {name: ahead(vehicle, windows) for name, vehicle in models.items()}
@@ -112,17 +123,14 @@ def _last(errors: Errors) -> float:
 
 
 def predicted(given: Material, horizons: Sequence[float]) -> Record:
-    """Errors of the refitted model and of the peers, all fitted to the same logs; not of our diagnosis."""
-    began = time.perf_counter()
-    refit = fit(given.vehicle, given.train, given.test)
-    seconds = {"undertow fit": time.perf_counter() - began}
-    windows = cut_all(given.vehicle, refit.test, horizons)
-    errors = {"undertow fit": ahead(refit.vehicle, windows)}
-    failures = {}
+    """Errors of the peers, fitted to the logs that ours is fitted to and judged by the same windows."""
+    train, test = training_and_validation(given.vehicle, given.train, given.test)
+    windows = cut_all(given.vehicle, test, horizons)
+    errors, failures, seconds = {}, {}, {}
     for name, method in peers.METHODS.items():
         began = time.perf_counter()
         try:
-            model = method(given.vehicle, refit.train, longest_of(refit.train, given.vehicle, horizons[1]))
+            model = method(given.vehicle, train, longest_of(train, given.vehicle, horizons[1]))
             errors[name] = [finite(prediction_error(model.predicted(w))) for w in windows]
         except (peers.NotApplicable, ImportError) as error:
             failures[name] = str(error)
@@ -131,14 +139,15 @@ def predicted(given: Material, horizons: Sequence[float]) -> Record:
 
 
 def cut_all(vehicle: Vehicle, test: Sequence[Run], horizons: Sequence[float]) -> list[Windows]:
-    """Windows of all lengths; where no stretch is so long, windows as long as it is."""
-    return [cut(test, vehicle, longest_of(test, vehicle, horizon)) for horizon in horizons]
+    """Windows of all lengths in what judges; where no stretch is so long, windows as long as it is."""
+    judging = [run.slice(run.t[0] + FIRST_PART * (run.t[-1] - run.t[0])) for run in test]
+    return [cut(judging, vehicle, longest_of(judging, vehicle, horizon)) for horizon in horizons]
 
 
 def longest_of(runs: Sequence[Run], vehicle: Vehicle, horizon: float) -> float:
     """The horizon, or the longest stretch without gaps where none is so long."""
-    needed = [*vehicle.velocity_names, *vehicle.command_names]
-    pieces = ((run, piece) for run in runs for piece in run.segments(needed))
+    names = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
+    pieces = ((run, piece) for run in runs for piece in run.segments(n for n in names if run.has(n)))
     return min(horizon, max(float(run.t[p.stop - 1] - run.t[p.start]) for run, p in pieces))
 
 

@@ -90,12 +90,18 @@ def _as_logged(records: Sequence[Record], earlier: Iterable[Record]) -> str:
         ]
         for r in own
     ]  # fmt: skip
-    said = "\n".join(f"- {r['vehicle']}: {r['headline']}" for r in own)
+    said = "\n".join(f"- {r['vehicle']}: {r['headline']}{_source(r)}" for r in own)
     return AS_LOGGED + table(head, rows, left=5) + "\nIn its own words:\n\n" + said + "\n"
 
 
+def _source(record: Record) -> str:
+    """Where an answer was taken over from."""
+    return f" (From {record['source']}.)" if "source" in record else ""
+
+
 def _baselines(records: Iterable[Record]) -> list[Record]:
-    return [r for r in records if r["kind"] == "baseline" and "failure" not in r]
+    own = (r for r in records if r["kind"] == "baseline" and "failure" not in r)
+    return sorted(own, key=lambda r: str(r["vehicle"]))
 
 
 def _before(record: Record) -> str:
@@ -104,7 +110,7 @@ def _before(record: Record) -> str:
 
 
 def _lengths(record: Record) -> str:
-    return " / ".join(f"{h:g}" for h in record["horizons"])
+    return " / ".join(f"{h:g}" for h in record.get("horizons", ())) or MISSING
 
 
 def _named(record: Record) -> str:
@@ -164,7 +170,7 @@ def _prediction(found: Sequence[Predicted]) -> str:
             *(percent(p.ours.get(stage)) for stage in STAGES),
             *(percent(p.grey.get(name)) for name in GREY),
             *(percent(p.black.get(name)) for name in BLACK),
-            number(p.over(p.grey)) + ("" if p.met else " **>**"),
+            number(p.over(p.grey)) + ("" if p.met or not p.ours else " **>**"),
             number(p.over(p.black)),
         ]
         for p in found
@@ -228,8 +234,9 @@ logged with it. Beside each stands the answer for the log as it is.
 """
 AS_LOGGED = """\
 Errors here and below: simulated velocities of the runs that were kept aside, in % of the motion (geometric
-mean over the degrees of freedom), from the measured state every so many seconds. A dash: it diverged, or
-there is none. Before: what was said before the changes of this version.
+mean over the degrees of freedom), from the measured state every so many seconds. The first third of these
+runs judges nothing, so that what belongs to a run may be estimated from it. A dash: it diverged, or there is
+none. Before: what was said before the changes of this version.
 
 """
 REMOVAL = f"""\
@@ -246,8 +253,8 @@ the log as it is. Where velocities are derived from the pose, a wrong pose is a 
 both names are right.
 """
 PREDICTION = """\
-The same windows of the same runs for all, fitted to the same training runs. Refitted: by `undertow fit`; ours
-in the last columns is the model that the diagnosis ends with. Grey boxes: least squares on smoothed
+The same windows of the same runs for all, fitted to the same training runs. Ours in the last columns is the
+model that the diagnosis ends with. Grey boxes: least squares on smoothed
 accelerations with linear thrusters, the best delay of the commands and products of two velocities; the
 polynomial of Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees, and a
 linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**

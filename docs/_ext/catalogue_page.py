@@ -78,6 +78,9 @@ def _parameters(d: Description) -> Iterator[str]:
     if d.parameters:
         head = "| parameter | unit | from | to | | meaning |\n|---|---|---|---|---|---|"
         yield "\n".join([head, *map(_row, d.parameters), ""])
+    if d.from_logs:
+        listed = "\n".join(f"- `{name}`: {about}" for name, about in d.from_logs.items())
+        yield f"A log may hold (`inputs` of the vehicle file):\n\n{listed}\n"
     if d.also_in_files:
         also = ", ".join(f"`{name}` ({unit})" for name, unit in d.also_in_files.items())
         yield f"A vehicle file may give these instead: {also}.\n"

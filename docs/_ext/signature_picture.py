@@ -24,7 +24,7 @@ from undertow.figures import FAINT, look, svg, unit_text
 from undertow.figures import figure as new_figure
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import Statement, commands_of, function_of, statement_of
-from undertow.model.effect import Effect
+from undertow.model.effect import Actuation, Effect
 from undertow.model.kinematics import rotation
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, signals
@@ -94,7 +94,7 @@ def typical(p: Parameter) -> float:
 
 def _signals(effect: Effect) -> dict[sm.Symbol, Signal]:
     """Signals that an effect may depend on, in the order in which they are tried."""
-    s = signals(effect.thrusters)
+    s = signals(effect.thrusters, effect.surface_names)
     ahead, *others = s.nu
     found = {ahead: Signal(1.0, -1.5, 1.5, "m/s")}
     found |= {x: Signal(0.0, -1.0, 1.0, "m/s" if i < 2 else "rad/s") for i, x in enumerate(others)}
@@ -103,8 +103,12 @@ def _signals(effect: Effect) -> dict[sm.Symbol, Signal]:
     found |= {
         x: Signal(0.0, -turn, turn, "rad") for x, turn in zip(s.eta[3:], (1.2, 1.2, math.pi), strict=True)
     }
-    for thrusters in (s.actuation, commands_of(effect)):  # one of them turns
+    found |= {x: Signal(0.2, -0.6, 0.6, "rad") for x in s.deflection}
+    steered = isinstance(effect, Actuation) and effect.of_surfaces
+    commands = {x: Signal(0.2, -0.6, 0.6, "rad") for x in commands_of(effect)} if steered else {}
+    for thrusters in (s.actuation, *([] if steered else [commands_of(effect)])):  # one of them turns
         found |= {x: Signal(1.0 if i == 0 else 0.0, -1.5, 1.5, "command") for i, x in enumerate(thrusters)}
+    found |= commands
     found |= {x: Signal(0.0, -1.0, 1.0, u) for x, u in zip(s.generalised_force, FORCE_UNITS, strict=True)}
     return {**found, s.t: Signal(0.0, 0.0, 20.0, "s")}
 
@@ -113,6 +117,9 @@ def _nominal(statement: Statement) -> Values:
     """A value for every symbol of a statement."""
     s, effect = statement.signals, statement.effect
     hardware = {x: 1.0 if str(x).startswith("e_x") else 0.0 for x in effect.constants}
+    # A rudder of 0.02 m^2 a metre behind the origin, in the slipstream of a propeller of 0.2 m.
+    sizes = {"area": 0.02, "place_x": -1.0, "diameter": 0.2}
+    hardware |= {x: v for x in hardware for name, v in sizes.items() if str(x).startswith(name)}
     # Two thrusters that push ahead, one to each side.
     arms = {x: 0.2 if str(x).endswith("port") else -0.2 for x in hardware if str(x).startswith("lever_z")}
     values: Values = {x: signal.nominal for x, signal in _signals(effect).items()}
@@ -144,7 +151,7 @@ def _rows(statement: Statement) -> Iterator[Row]:
 
 def _delays(statement: Statement, part: str) -> sm.Matrix:
     if part == "output":
-        return sm.Matrix([statement.part("dead_time")[0]] * len(statement.effect.thrusters))
+        return sm.Matrix([statement.part("dead_time")[0]] * len(commands_of(statement.effect)))
     if part.startswith("reported"):
         return statement.part("age")[slice(0, 6) if part.endswith("pose") else slice(6, 12), 0]
     return sm.zeros(6, 1)
@@ -216,7 +223,7 @@ def _dynamic(row: Row, statement: Statement) -> tuple[Panel, float]:
     still: Values = _nominal(statement) | {x: 0.0 for x in _signals(statement.effect)}
     rates = sum(statement.part("rates"), sm.Integer(0)) if statement.effect.states else sm.Integer(0)
     used = statement.in_still_water(sm.Matrix([rates + row.given])).free_symbols
-    kinds = ("m/s", "rad/s", "command")
+    kinds = ("m/s", "rad/s", "command", *(["rad"] if len(statement.effect.surfaces) else []))
     ranges = {x: r for x, r in _signals(statement.effect).items() if r.unit in kinds and x in used}
     ranges = ranges or dict(list(_signals(statement.effect).items())[:1])
     at = {x: _simulated(statement, still | {x: _switch()}) for x in ranges}

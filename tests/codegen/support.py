@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import mpmath
@@ -13,14 +13,17 @@ import sympy as sm
 
 from undertow.codegen.functions import Functions
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import bundled_vehicles, load_vehicle
+from undertow.model.hardware import Curve, Propeller, Surface
+from undertow.model.loading import load_vehicle
 from undertow.model.symbols import DOFS, symbol
 from undertow.model.vehicle import Thruster, Vehicle
 
 DIGITS = 50
 BASE = ("rigid_body", "added_mass", "linear_damping")
 EFFECTS = sorted(e for e, cls in catalogue().items() if not cls.built_in)
-BUNDLED = sorted(bundled_vehicles())
+RUDDER = Surface("rudder", (-0.8, 0.1, -0.05), (0.0, 0.6, -0.8), 0.02, 0.6, "T1", 0.2)
+# Of all degrees of freedom and hardware; what the other bundled vehicles add, the vehicle "full" has.
+BUNDLED = ["bluerov2", "box-hull", "cybership2", "mini-auv"]
 
 
 # --- vehicles -----------------------------------------------------------------------------------
@@ -37,8 +40,14 @@ def vehicle_with(*ids: str, dofs: tuple[str, ...] = DOFS, thrusters: int = 6) ->
     # What the hardware brings in by itself (the thrusters) is there already.
     required = [r for e in ids for r in catalogue()[e].requires if not catalogue()[r].built_in]
     wanted = [*BASE, *required, *ids]
-    effects = tuple(catalogue()[e](names) for e in dict.fromkeys(wanted))
-    return Vehicle("test vehicle", dofs, effects, {}, hardware, force_channels=("tau_X", "tau_N"))
+    steered = any("control_surfaces" in catalogue()[e].requires for e in ids)
+    surfaces = (RUDDER,) if steered and thrusters else ()
+    if steered and thrusters > 2:  # by revolutions ahead of the rudder, and by a curve
+        laws = (Propeller(0.2, 1.0), Curve.through([(-2.0, -1.0), (-0.1, 0.0), (0.1, 0.0), (2.0, 3.0)]))
+        hardware = (*(replace(t, law=law) for t, law in zip(hardware, laws, strict=False)), *hardware[2:])
+    effects = tuple(catalogue()[e](names, surfaces) for e in dict.fromkeys(wanted))
+    forces = ("tau_X", "tau_N")
+    return Vehicle("test vehicle", dofs, effects, {}, hardware, forces, surfaces=surfaces)
 
 
 @cache
@@ -113,7 +122,7 @@ class Reference:
         vehicle = functions.vehicle
         c = vehicle.composition
         chain, rates, _ = c.chain
-        delivered = dict(zip(c.signals.actuation, chain, strict=True))
+        delivered = dict(zip(c.actuation, chain, strict=True))
         self.n = len(vehicle.dof_indices)
         states = [*c.eta, *c.nu, *c.wrench_states, *rates]
         assert tuple(map(str, states)) == functions.state_names

@@ -36,6 +36,15 @@ direction = [0.6, 0.0, 0.8]
 name = "aft_backward"
 position = [-0.2, 0.1, -0.1]
 direction = [0.6, 0.8, 0.0]
+
+[[surfaces]]
+name = "rudder"
+position = [-0.4, 0.1, 0.0]
+axis = "rudder"
+area = 0.01
+aspect_ratio = 1.5
+slipstream_of = "aft_backward"
+propeller_diameter = 0.1
 """
 OFFERED = sorted(e for e, cls in catalogue().items() if not cls.built_in)
 NAMES = ("port_forward", "aft_backward")
@@ -82,7 +91,7 @@ def test_rates_are_finite_with_only_what_must_be_given(effect_id: str, tmp_path:
     for motion in MOTIONS:
         x = [motion] * len(functions.state_names)
         for command in (0.0, 2.0, -2.0):
-            rates = functions.dynamics(x, [command] * 2, p, 1.0)
+            rates = functions.dynamics(x, [command] * 3, p, 1.0)
             assert np.isfinite(np.array(rates, dtype=float)).all(), (motion, command)
 
 

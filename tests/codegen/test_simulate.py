@@ -91,12 +91,9 @@ def test_the_method_is_of_fourth_order(compiled: bool | None) -> None:
     functions = functions_of("full")
     p = random_parameters(functions, 3)
     # Memory and lag are smooth; dead band and asymmetries have kinks, at which every method loses its order.
-    smooth = [
-        i
-        for i, n in enumerate(functions.parameter_names)
-        if "back" in n or n == "deadband_width" or "abs" in n
-    ]
-    p[smooth] = 0.0
+    names = functions.parameter_names
+    p[[i for i, n in enumerate(names) if "back" in n or n == "deadband_width" or "abs" in n]] = 0.0
+    p[names.index("rate_rudder")] = 100.0
     x0 = np.full(len(functions.state_names), 0.1)
     u = np.full((2, functions.u.numel()), 0.5)
     simulator = Simulator(functions, compiled=compiled)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
@@ -19,7 +20,7 @@ from undertow.identification.doctor.findings import (
     into_file,
     reassigned,
 )
-from undertow.identification.doctor.sampling import excitation, excitation_findings, sampling
+from undertow.identification.doctor.sampling import excitation, excitation_findings, sampling, was_filtered
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 
@@ -92,6 +93,17 @@ def test_rows_out_of_order_are_a_mistake_until_the_mapping_drops_them() -> None:
 
 
 # --- excitation ------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("cut_off", [0.7, 2.0])
+def test_a_record_that_was_filtered_is_found_with_its_cut_off(cut_off: float) -> None:
+    t, rng = np.arange(0.0, 100.0, 0.05), np.random.default_rng(1)
+    noisy = np.cumsum(np.sin(0.3 * t)) * 0.05 + 0.01 * rng.standard_normal(len(t))
+    smooth = sosfiltfilt(butter(4, cut_off, fs=20.0, output="sos"), noisy)
+    run = _run(t, u=smooth, v=noisy, r=np.round(noisy, 2))
+    assert was_filtered([run], ["u", "v", "r", "w"]) == {"u": pytest.approx(cut_off, rel=0.5)}
+    assert "u above" in _found(run)["filtered_record"].text
+    assert not was_filtered([replace(run, sigma={"u": 0.01})], ["u"]), "the user knows the sensor"
+
+
 def test_excitation_tells_what_moved_and_what_the_commands_asked_for() -> None:
     case = make_case("usv", (), 2, duration=40.0, runs=("multisine",))
     vehicle, runs = vehicle_of(case), runs_of(case)

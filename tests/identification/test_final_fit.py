@@ -95,7 +95,7 @@ def test_the_default_prior_does_not_move_what_data_determine(vehicle: str) -> No
     free = {n: replace(stated.value_of(n), sigma=1e9) for n in fit.model.free}
     without = fit_weak(stated.with_values(free), data)
     for name, value in without.values.items():
-        assert fit.values[name] == pytest.approx(value, abs=0.03 * without.standard_errors[name])
+        assert fit.values[name] == pytest.approx(value, abs=0.1 * without.standard_errors[name])
     assert held_by_size(fit) == []
     assert notes(fit) == []
 
@@ -124,7 +124,7 @@ def test_a_scale_that_no_force_fixes_is_said_and_stays() -> None:
     vehicle = stated.with_values({"X_uabsu": replace(stated.value_of("X_uabsu"), value=0.0, estimate=False)})
     fit = fit_weak(vehicle, prepare([_coasting()], vehicle))
     assert unknown_scales(fit) == {"surge": ["X_udot", "X_u"]}
-    assert "no known force in these logs fixes the scale of X_udot, X_u (surge)" in " ".join(notes(fit))
+    assert "fixes the scale of the forces in surge: X_udot, X_u are known up to a" in " ".join(notes(fit))
     inertia = MASS - fit.values["X_udot"]
     assert -fit.values["X_u"] / inertia == pytest.approx(TRUTH["X_u"] / M_X, rel=0.02)
     assert fit.values["X_udot"] == pytest.approx(vehicle.value_of("X_udot").value, abs=0.5)

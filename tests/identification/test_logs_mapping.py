@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from undertow.errors import UndertowError
 from undertow.identification.logs import mapping
 from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import FORCES
 from undertow.model.symbols import POSE, VELOCITY
 
@@ -80,6 +82,41 @@ def test_bad_mappings_are_one_clear_line(read, text, parts):
 def test_a_mapping_that_is_not_there(tmp_path):
     with pytest.raises(UndertowError, match="No such file"):
         read_mapping(tmp_path / "none.toml")
+
+
+PLACE = "position = 'ENU'\nbody = 'FRD'\nattitude = 'NED'"
+
+
+@pytest.mark.parametrize(
+    ("column", "frames", "sigma"),
+    [
+        ("{ channel = 'x', noise = '2 cm' }", "", {"x": 0.02}),
+        ("{ channel = 'x', unit = 'mm', noise = 5 }", "", {"x": 0.005}),
+        ("{ channel = 'x', noise = '2 cm' }", f"[frames]\n{PLACE}", {"y": 0.02}),
+        ("{ channel = 'psi', unit = 'deg', noise = '1 deg' }", "", {"psi": np.pi / 180}),
+        ("'x'", "", {}),
+    ],
+)
+def test_the_noise_of_a_sensor_is_stated_in_any_unit(read, tmp_path, column, frames, sigma):
+    log = tmp_path / "log.csv"
+    log.write_text("t,a\n0,1\n1,2\n2,4\n")
+    run = read_log(log, read(f"{TOP}[columns]\na = {column}\n{frames}"))
+    assert run.sigma == pytest.approx(sigma)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[columns]\na = { channel = 'x', noise = '2 s' }", "noise of column 'a': '2 s' has the dimension"),
+        ("[columns]\na = { channel = 'x', noise = 0 }", "noise of column 'a' is '0.0 m': give a value"),
+        ("[columns]\na = 'x'\n[disturbance]\nX = '2 m'", "disturbance X: '2 m' has the dimension"),
+    ],
+)
+def test_a_noise_or_disturbance_that_is_none_is_refused(read, tmp_path, text, complaint):
+    log = tmp_path / "log.csv"
+    log.write_text("t,a\n0,1\n1,2\n2,4\n")
+    with pytest.raises(UndertowError, match=re.escape(complaint)):
+        read_log(log, read(TOP + text))
 
 
 @pytest.mark.parametrize("folder", [EXAMPLES / "cse1", DEMO_DATA / "cfd-surge"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,14 +11,17 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
+from undertow.identification.diagnosis.floors import in_words, noise_floors
 from undertow.identification.diagnosis.reference import predictable
 from undertow.identification.diagnosis.result import Predictability
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 NOISE = 1e-3  # m/s
+STEPS = 20  # of the simulation between samples
 
 
 def surge_run(seed: int, rms: float, memory: float, duration: float = 100.0) -> Run:
@@ -26,8 +30,10 @@ def surge_run(seed: int, rms: float, memory: float, duration: float = 100.0) -> 
     command = np.repeat(rng.uniform(-0.5, 0.5, 1 + count // 60), 60)[:count]
     keep, u, force = np.exp(-INTERVAL / memory), np.zeros(count), rms * rng.standard_normal()
     for i in range(count - 1):
-        drag = TRUTH["X_u"] * u[i] + TRUTH["X_uabsu"] * abs(u[i]) * u[i]
-        u[i + 1] = u[i] + INTERVAL * (command[i] + force - drag) / M_X
+        u[i + 1] = u[i]
+        for _ in range(STEPS):
+            drag = TRUTH["X_u"] * u[i + 1] + TRUTH["X_uabsu"] * abs(u[i + 1]) * u[i + 1]
+            u[i + 1] += INTERVAL / STEPS * (command[i] + force - drag) / M_X
         force = keep * force + rms * np.sqrt(1 - keep**2) * rng.standard_normal()
     t = INTERVAL * np.arange(count)
     return Run(
@@ -75,3 +81,48 @@ def test_a_disturbance_is_none_of_the_signals(memory: float) -> None:
     assert found.share < 0.02
     # Some of it is averaged away, some goes into the parameters.
     assert 0.02 < found.disturbance_rms < 0.06
+
+
+# --- two floors -------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("rms", "memory"), [(0.02, 0.5), (0.1, 2.0)])
+def test_a_disturbance_has_a_size_and_a_memory(rms: float, memory: float) -> None:
+    fit, _ = _split(surge_vehicle(), [surge_run(seed, rms, memory) for seed in range(4)])
+    floors = noise_floors(fit, fit.data)
+    (found,) = floors.disturbances
+    assert found.rms == pytest.approx(rms, rel=0.25)
+    assert found.correlation_time == pytest.approx(memory, rel=0.5)
+    (sensor,) = floors.sensors
+    assert sensor.sigma == pytest.approx(NOISE, rel=0.25)
+    assert (sensor.channel, sensor.unit, sensor.stated, sensor.cut_off) == ("u", "m/s", False, None)
+
+
+def test_noise_is_no_disturbance_and_what_is_stated_is_shown() -> None:
+    mapping = LogMapping(disturbance={"X": "0.4 N"})
+    runs = [replace(surge_run(s, 0.0, 1.0), sigma={"u": 0.001}, mapping=mapping) for s in range(4)]
+    fit, _ = _split(surge_vehicle(), runs)
+    floors = noise_floors(fit, fit.data)
+    (found,) = floors.disturbances
+    assert (found.rms, found.correlation_time, found.stated) == (0.0, None, 0.4)
+    assert floors.sensors[0].stated
+
+
+def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:
+    left = _predictability("surge", share=0.2, interval=(0.1, 0.31), something=True)
+    noise = _predictability("yaw", share=0.0, interval=(0.0, 0.2), something=False)
+    assert in_words(0.44, [left, noise]) == (
+        "the model leaves 44 %; of that at most 31 % in surge can be predicted from the logged signals; what "
+        "is beyond that is disturbance: 0.4 N rms in surge and 0.4 N rms in yaw"
+    )
+    assert in_words(0.44, [noise]).startswith("the model leaves 44 %, and the logged signals predict no more")
+
+
+def _predictability(motion: str, **found: object) -> Predictability:
+    size = {
+        "unit": "N",
+        "averaged_over": 1.0,
+        "residual_rms": 1.0,
+        "noise_share": 0.64,
+        "disturbance_rms": 0.4,
+    }
+    given = {"degree_of_freedom": motion, "of_motion": 0.1, "variables": {}, **size, **found}
+    return Predictability.model_validate(given)

@@ -17,8 +17,11 @@ from undertow.errors import UndertowError
 from undertow.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.diagnose import _with_doctor  # for findings that no log here has
 from undertow.identification.diagnosis.result import (
+    ChannelNoise,
     Diagnosis,
+    DisturbanceLevel,
     Estimate,
+    Floors,
     Indistinguishable,
     Ranked,
     Remaining,
@@ -116,6 +119,17 @@ def _diagnosis(
         parameters=[_estimate("X_u", 4.1234, 0.12).model_copy(update={"prior": 3.9, "about": name})],
         false_alarm_rate=0.01,
         noise={"u": 0.012, name: 0.1},
+        floors=Floors(
+            sensors=[
+                ChannelNoise(channel="u", unit="m/s", sigma=0.012, stated=True),
+                ChannelNoise(channel="r", unit="rad/s", sigma=1e-9, stated=False, cut_off=1.23),
+            ],
+            disturbances=[
+                DisturbanceLevel(
+                    degree_of_freedom="yaw", unit="N m", rms=0.37, correlation_time=2.6, stated=0.5
+                )
+            ],
+        ),
         seconds=12.34,
     )
 
@@ -261,6 +275,8 @@ def test_numbers_have_their_units() -> None:
         "u: 0.012 m/s",
         "at most 1 %",
         "98.7 %",
+        "filtered above 1.2 Hz before it was logged",
+        "0.37 N m correlated over 2.6 s; 0.5 N m stated",
     ):
         assert text in words, text
 

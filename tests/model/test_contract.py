@@ -13,6 +13,7 @@ from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.contract import check_effect, positive_semidefinite
 from undertow.model.effect import Effect
+from undertow.model.parameter import logged
 from undertow.model.units import dimension, dimension_of, require_unit, short_unit, unit_text
 
 IDS_OF_ISSUE_2 = {
@@ -32,6 +33,26 @@ def test_effect_keeps_the_contract(effect_id: str) -> None:
     findings = check_effect(catalogue()[effect_id])
     assert [f.message for f in findings if not f.ok] == []
     assert {f.check for f in findings} >= EVERY
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "inputs"),
+    [
+        ("wind", ("wind_speed", "wind_from")),
+        ("wind", ("apparent_wind_speed", "apparent_wind_angle")),
+        ("supply_droop", ("voltage",)),
+        ("ocean_current", ("V_N", "V_E")),
+        ("tether_drag", ("tether_length",)),
+        ("boundary_proximity", ("altitude",)),
+        ("net_buoyancy", ("B_net",)),
+    ],
+)
+def test_effect_keeps_the_contract_where_the_log_has_more(effect_id: str, inputs: tuple[str, ...]) -> None:
+    cls = catalogue()[effect_id]
+    assert {d.name for d in logged(cls)} >= {*inputs}
+    findings = check_effect(cls, inputs=inputs)
+    assert [f.message for f in findings if not f.ok] == []
+    assert not {p.name for p in cls.specimen(inputs).parameters} & {*inputs}
 
 
 def test_catalogue_has_the_effects_of_the_first_version() -> None:
@@ -62,7 +83,7 @@ import sympy as sm
 from undertow.model.effect import Actuation, Effect, Flow, Measurement, Wrench
 from undertow.model.effects.added_mass import AddedMass
 from undertow.model.kinematics import coriolis, rotation
-from undertow.model.parameter import Parameter, PerThruster, Place
+from undertow.model.parameter import Parameter, PerThruster, Place, logged
 """
 NOTES = """
     reference = "Hoerner (1965), Fluid-Dynamic Drag"

@@ -19,6 +19,7 @@ from undertow.identification.estimation.inputs import ActuatorStates
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Actuation, Effect, Measurement, kinds_of
+from undertow.model.hardware import Surface
 from undertow.model.symbols import DOFS, Signals, signals, symbol
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
@@ -29,6 +30,7 @@ DIRECTIONS = np.array([[1.0, 0.0, 0.0], [np.cos(np.pi / 6), 0.0, np.sin(np.pi / 
 PLACES = np.array([[-0.2, -0.3, 0.1], [0.4, 0.25, -0.05]])
 ALLOCATION = np.vstack([DIRECTIONS.T, np.cross(PLACES, DIRECTIONS).T])
 GAINS = np.array([1.5, 0.8])
+RUDDER = Surface("rudder", (-0.8, 0.0, 0.1), (0.0, 0.0, -1.0), 0.02)
 COMMANDS = np.array([[-3.0, 0.0, 0.4, 2.5], [1.2, -0.1, 0.0, -2.0]])
 
 
@@ -413,9 +415,10 @@ def craft(dofs: tuple[str, ...], values: dict[str, float], *ids: str, thrusters:
     hardware = tuple(
         Thruster(n, tuple(column), Value(k)) for n, column, k in zip(NAMES, ALLOCATION.T, GAINS, strict=True)
     )
-    effects = tuple(catalogue()[i](NAMES) for i in ids)
+    surfaces = (RUDDER,) if any("control_surfaces" in catalogue()[i].requires for i in ids) else ()
+    effects = tuple(catalogue()[i](NAMES, surfaces) for i in ids)
     stated_values = {n: Value(v) for n, v in values.items()}
-    return Vehicle("craft", dofs, effects, stated_values, hardware if thrusters else ())
+    return Vehicle("craft", dofs, effects, stated_values, hardware if thrusters else (), surfaces=surfaces)
 
 
 BODY = {"m": 20.0, "I_z": 2.0, "X_u": -5.0, "Y_v": -8.0, "N_r": -1.0}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from benchmarks.hidden_effects.world import Moment, World, derivative, plain_wor
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import statement_of
+from undertow.model.loading import load_vehicle
+from undertow.model.saving import save_vehicle
 from undertow.model.symbols import DOFS, symbol
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
@@ -32,8 +35,15 @@ STILL = np.zeros(6)
 class Stated:
     """What an effect states, as a function of numbers, by SymPy's own printer and nothing of ours."""
 
-    def __init__(self, effect_id: str, values: Mapping[str, float], part: str = "wrench") -> None:
-        self.statement = statement_of(catalogue()[effect_id].specimen(), catalogue())
+    def __init__(
+        self,
+        effect_id: str,
+        values: Mapping[str, float],
+        part: str = "wrench",
+        inputs: tuple[str, ...] = (),
+    ) -> None:
+        self.statement = statement_of(catalogue()[effect_id].specimen(inputs), catalogue())
+        values = catalogue()[effect_id].from_file(dict(values))
         own = {p.name: p.default for p in self.statement.own if p.default is not None}
         shared = {p.name: 0.0 for p in self.statement.shared}
         known = {symbol(n): v for n, v in ({"rho": 1000.0, "g": 9.81} | shared | own | dict(values)).items()}
@@ -414,20 +424,57 @@ def test_what_cannot_show_of_a_tether_is_no_parameter_of_the_vehicle() -> None:
 
 
 # --- wind, slosh, rudders -------------------------------------------------------------------------
-def test_wind_is_a_force_fixed_over_ground() -> None:
-    wind = Stated("wind", {"W_N": 3.0, "W_E": -2.0, "wind_aspect": 1.0, "x_wind": 0.3, "z_wind": -0.5})
+WIND = {
+    "area_frontal": 0.2,
+    "area_lateral": 0.8,
+    "wind_from": 0.5,
+    "wind_speed": 8.0,
+    "air_density": 1.2,
+    "wind_least": 1e-9,
+    "x_wind": 0.3,
+    "z_wind": -0.5,
+}
+
+
+@pytest.mark.parametrize(
+    "inputs", [(), ("wind_speed", "wind_from"), ("apparent_wind_speed", "apparent_wind_angle")]
+)
+def test_wind_pushes_on_two_areas(inputs: tuple[str, ...]) -> None:
     for heading in (0.0, 0.7, 2.5, -2.0):
         eta = np.array([0, 0, 0, 0, 0, heading])
-        force = turn_of(eta).T @ [3.0, -2.0, 0.0]
+        air = turn_of(eta).T @ [-8.0 * np.cos(0.5), -8.0 * np.sin(0.5), 0.0]
+        felt = {"apparent_wind_speed": 5.0, "apparent_wind_angle": 1.1 + heading}
+        if inputs:
+            air -= NU[:3]
+        if "apparent_wind_speed" in inputs:
+            air = -5.0 * np.array([np.cos(1.1 + heading), np.sin(1.1 + heading), 0.0])
+        force = 0.5 * 1.2 * np.hypot(*air[:2]) * air * [0.2, 0.8, 0.0]
+        wind = Stated("wind", WIND | felt, inputs=inputs)
         assert wind(eta, NU) == pytest.approx(pushed(force, np.array([0.3, 0, -0.5])))
-        assert wind(eta, NU) == pytest.approx(wind(eta)), "whatever the speed"
 
 
-def test_beam_wind_counts_by_the_lateral_area() -> None:
-    wind = Stated("wind", {"W_N": 3.0, "W_E": 0.0, "wind_aspect": 4.0, "x_wind": 0.0, "z_wind": 0.0})
-    east = np.array([0, 0, 0, 0, 0, np.pi / 2])
-    assert np.abs(wind()).max() == pytest.approx(3.0)
-    assert wind(east)[1] == pytest.approx(-12.0), "from starboard when heading east"
+def test_a_file_with_the_former_parameters_of_the_wind_is_still_read(tmp_path: Path) -> None:
+    """A force to north and east and the ratio of beam to bow wind were what two areas are now."""
+    file = tmp_path / "ship.toml"
+    table = (
+        "W_N = { value = 3.0, estimate = true }\nW_E = { value = -2.0, estimate = true }\nwind_aspect = 4.0\n"
+    )
+    body = "m = 20.0\nI_z = 2.0\n"
+    file.write_text(
+        'schema = "undertow/vehicle/1"\nname = "s"\nsigns = "sname"\n'
+        'degrees_of_freedom = ["surge", "sway", "yaw"]\n'
+        f"[effects.rigid_body]\n{body}[effects.wind]\n{table}x_wind = 0.3\n"
+    )
+    read = load_vehicle(file)
+    assert all(read.values[n].estimate for n in ("area_frontal", "area_lateral", "wind_from"))
+    values = {n: read.value_of(n).value for n in read.parameter_names}
+    wind = Stated("wind", values | {"z_wind": 0.0})
+    for heading in (0.0, 0.7, -2.0):
+        eta = np.array([0, 0, 0, 0, 0, heading])
+        force = turn_of(eta).T @ [3.0, -2.0, 0.0] * [1.0, 4.0, 0.0]
+        assert wind(eta) == pytest.approx(pushed(force, np.array([0.3, 0.0, 0.0])))
+    save_vehicle(read.with_values({"wind_from": Value(1.0, estimate=True)}), file, tmp_path / "out.toml")
+    assert load_vehicle(tmp_path / "out.toml").value_of("wind_from").value == 1.0
 
 
 @pytest.mark.parametrize(

@@ -180,6 +180,7 @@ def _remarks(d: Description) -> str:
 def _print_parameters(d: Description) -> None:
     rows = [(p.name, p.unit, _number(p.low), _number(p.high), _role(p), p.about) for p in d.parameters]
     rows += [(n, unit, "", "", "in files", "another way to write it") for n, unit in d.also_in_files.items()]
+    rows += [(n, "", "", "", "from a log", about) for n, about in d.from_logs.items()]
     content = (
         table(("name", "unit", "from", "to", "", "meaning"), rows) if rows else text("  none of its own")
     )

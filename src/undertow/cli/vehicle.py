@@ -1,6 +1,8 @@
-"""Make a first vehicle file from the shape of a hull, before any test.
+"""Make a first vehicle file from the shape of a hull or from a type and its dimensions, before any test.
 
     undertow vehicle new --mesh hull.stl --unit mm --frame FLU --mass 12 --cg 0,0,0.02 --out my.toml
+
+    undertow vehicle new --type torpedo --length 1.33 --beam 0.19 --height 0.19 --mass 30.5 --out my.toml
 
     undertow vehicles show my.toml
 
@@ -55,7 +57,15 @@ Method = Literal["auto", "panels", "ellipsoid", "box"]
 
 app = typer.Typer(add_completion=False)
 
+Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv"]
+
 _MESH = typer.Option("--mesh", metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
+_TYPE = typer.Option(
+    "--type", help="In place of a mesh: a type, of which --length, --beam and --height are asked."
+)
+_LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
+_BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width.")
+_HEIGHT = typer.Option("--height", metavar="M", help="With --type: overall; of ship and asv the draught.")
 _MASS = typer.Option("--mass", metavar="KG", help="Of the vehicle, dry.")
 _CG = typer.Option(
     "--cg", metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down."
@@ -110,8 +120,12 @@ def vehicle() -> None:
 
 @app.command()
 def new(
-    mesh: Annotated[Path, _MESH],
     mass: Annotated[float, _MASS],
+    mesh: Annotated[Path | None, _MESH] = None,
+    kind: Annotated[Kind | None, _TYPE] = None,
+    length: Annotated[float | None, _LENGTH] = None,
+    beam: Annotated[float | None, _BEAM] = None,
+    height: Annotated[float | None, _HEIGHT] = None,
     unit: UnitOption = None,
     frame: FrameOption = "FRD",
     cg: Annotated[str, _CG] = "0,0,0",
@@ -133,10 +147,18 @@ def new(
     mass from panels (extra undertow[bem]) or from a box or ellipsoid of the same extents, the drag from
     coefficients for blunt, rounded or streamlined hulls. Each value has its source and a standard deviation;
     added mass, drag and buoyancy are marked to be estimated from logs. Thrusters are left for you to state.
+
+    With --type there is no mesh: dimensions and mass give a complete file, with thrusters, rudders and fins
+    where vehicles of the type have them, by rules (ellipsoids, Clarke's regression, ITTC 1957, Hoerner) that
+    each value names.
     """
     from undertow.files import sha256_of, write_whole
     from undertow.shape.first import HullSpec, first_vehicle, motions
 
+    sides = (length, beam, height)
+    if mesh is None or kind is not None or any(s is not None for s in sides):
+        _of_type(mesh, kind, sides, mass, density, name, out, force)
+        return
     target = new_file(out or Path(f"{name or mesh.stem}.toml"), force, [mesh])
     hull = read(mesh, unit, frame)
     spec = HullSpec(
@@ -155,6 +177,31 @@ def new(
     found = _added(hull.mesh, density, added_mass, panels, crease)
     write_whole(target, first_vehicle(hull.mesh, found, spec))
     _summary(hull.mesh, target, spec.volume, mass, density, found.source)
+
+
+def _of_type(
+    mesh: Path | None,
+    kind: Kind | None,
+    sides: tuple[float | None, float | None, float | None],
+    mass: float,
+    density: float,
+    name: str | None,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """Write a vehicle file from a type and its dimensions."""
+    from undertow.files import write_whole
+    from undertow.shape.types import MainDimensions, typed_vehicle
+
+    if kind is None or mesh is not None:
+        raise UndertowError("give the shape once: --mesh HULL, or --type with --length, --beam and --height")
+    length, beam, height = sides
+    if length is None or beam is None or height is None:
+        raise UndertowError(f"--type {kind} lacks dimensions: give --length, --beam and --height in m")
+    target = new_file(out or Path(f"{name or kind}.toml"), force, [])
+    size = MainDimensions(length, beam, height, mass, density)
+    write_whole(target, typed_vehicle(kind, size, name or kind))
+    say(f"wrote {target}; look at what is assumed: undertow vehicles show {target}")
 
 
 def _by_panels(method: Method) -> bool:

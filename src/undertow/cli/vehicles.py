@@ -59,8 +59,10 @@ def _summary(path: Path) -> dict[str, Any]:
 
 # --- what is in a vehicle -------------------------------------------------------------------------
 def _content(vehicle: Vehicle) -> dict[str, Any]:
+    own = {e.id for e in vehicle.effects}
+    stated = [(e.id, list(_parameters(vehicle, e))) for e in vehicle.all_effects]
     return {
-        "effects": [{"id": e.id, "parameters": list(_parameters(vehicle, e))} for e in vehicle.effects],
+        "effects": [{"id": i, "parameters": rows} for i, rows in stated if rows or i in own],
         "thrusters": [
             {
                 "name": t.name,
@@ -70,6 +72,11 @@ def _content(vehicle: Vehicle) -> dict[str, Any]:
             }
             for t in vehicle.thrusters
         ],
+        "surfaces": [
+            {"name": s.name, "position": list(s.position), "axis": list(s.axis), "area": s.area}
+            for s in vehicle.surfaces
+        ],
+        "inputs": dict(vehicle.inputs),
         "generalised_forces": list(vehicle.force_channels),
         "environment": dict(vehicle.environment),
     }
@@ -106,6 +113,11 @@ def _print_vehicle(v: dict[str, Any]) -> None:
         section(effect["id"], table(("", "", "", "", ""), rows) if rows else None)
     if v["thrusters"]:
         section("thrusters", table(("name", *"XYZKMN", "N per command"), map(_thruster_row, v["thrusters"])))
+    if v["surfaces"]:
+        section("surfaces", table(("name", *"xyz", "axis", "area, m^2"), map(_surface_row, v["surfaces"])))
+    if v["inputs"]:
+        names = " ".join(f"{n} ({unit})" for n, unit in v["inputs"].items())
+        section("taken from the log", text(f"  {names}"))
     if v["generalised_forces"]:
         section("forces known from the log", text(f"  {' '.join(v['generalised_forces'])}"))
     if v["hints"]:
@@ -122,3 +134,8 @@ def _parameter_row(p: dict[str, Any]) -> tuple[Any, ...]:
 def _thruster_row(t: dict[str, Any]) -> tuple[str, ...]:
     # + 0.0 turns -0.0 into 0.0
     return t["name"], *(f"{w + 0.0:.4g}" for w in t["wrench"]), f"{t['thrust_per_command']:.4g}"
+
+
+def _surface_row(s: dict[str, Any]) -> tuple[str, ...]:
+    axis = " ".join(f"{a + 0.0:.3g}" for a in s["axis"])
+    return s["name"], *(f"{p + 0.0:.4g}" for p in s["position"]), axis, f"{s['area']:.4g}"

@@ -19,8 +19,8 @@ from pydantic import TypeAdapter
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, together, write_whole
-from undertow.model.loading import Printable
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.tables import Printable
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
@@ -146,7 +146,7 @@ def describe(functions: Functions) -> Manifest:
         vehicle=vehicle.name,
         effects=tuple(e.id for e in vehicle.effects),
         states=tuple(Entry(n, _state_unit(functions, n)) for n in functions.state_names),
-        inputs=tuple(Entry(n, _UNITS.get(n, "command")) for n in vehicle.command_names),
+        inputs=tuple(Entry(n, unit) for n, unit in vehicle.command_units.items()),
         parameters=tuple(
             Entry(n, _parameter_unit(functions, n), v)
             for n, v in zip(functions.parameter_names, functions.values(), strict=True)

@@ -22,7 +22,8 @@ class Functions:
     """Everything numeric that follows from a vehicle, as CasADi expressions and functions.
 
     The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the
-    commands (thrusters, then known forces), p the parameters as in `parameter_names`, t the time in s.
+    commands (thrusters, surfaces, known forces, logged inputs), p the parameters as in `parameter_names`, t
+    the time in s.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ class Functions:
         self.u = ca.SX.sym("u", len(composition.commands))
         self.p = ca.SX.sym("p", len(vehicle.parameter_names))
         self.t = ca.SX.sym("t")
-        self.actuation = ca.SX.sym("actuation", len(composition.signals.actuation))
+        self.actuation = ca.SX.sym("actuation", len(composition.actuation))
         self.convert = Converter(self._environment())
         self._define_relations()
 
@@ -78,7 +79,7 @@ class Functions:
             (composition.nu, self.nu),
             (composition.nu_dot, self.nu_dot),
             (composition.commands, self.u),
-            (composition.signals.actuation, self.actuation),
+            (composition.actuation, self.actuation),
             (list(self._memory), self.memory),
             (list(self._chain_rates), self.actuator_states),
             (names, self._own_or_tied() if self.equal else self.p),
@@ -361,7 +362,8 @@ def prepared(functions: Functions) -> Prepared:
 def acceleration(functions: Functions) -> ca.SX:
     """d(nu)/dt from x, u, p, t, with the inertial wrenches stated by their momentum."""
     f, rows = functions, functions.vehicle.dof_indices
-    inertia = find_inertia(f.stated, f.vehicle.composition.signals, f.convert, f.p, rows)
+    composition = f.vehicle.composition
+    inertia = find_inertia(f.stated, composition.signals, f.convert, f.p, rows, composition.inputs)
     others = sum((w for i, w in f.wrenches.items() if i not in inertia.ids), ca.SX(len(rows), 1))
     others = ca.substitute(others, f.actuation, f.chain_output)
     other_mass = -ca.jacobian(others, f.nu_dot)

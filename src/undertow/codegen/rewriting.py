@@ -58,10 +58,15 @@ def kirchhoff(momentum: ca.SX, nu: ca.SX) -> ca.SX:
 
 
 def find_inertia(
-    wrenches: Mapping[str, sm.Matrix], s: Signals, known: Converter, p: ca.SX, dofs: tuple[int, ...]
+    wrenches: Mapping[str, sm.Matrix],
+    s: Signals,
+    known: Converter,
+    p: ca.SX,
+    dofs: tuple[int, ...],
+    prescribed: tuple[str, ...] = (),
 ) -> Inertia:
-    """The inertial ones among some wrenches."""
-    search = _Search(s, known, p, dofs)
+    """The inertial ones among some wrenches; `prescribed` are inputs that the log holds."""
+    search = _Search(s, known, p, dofs, prescribed)
     found = {i: parts for i, w in wrenches.items() if (parts := search.parts(w)) is not None}
     total = [sum(parts, ca.SX(6, 6)) for parts in zip(*found.values(), strict=True)] or [ca.SX(6, 6)] * 4
     return Inertia(tuple(found), *total)
@@ -86,7 +91,9 @@ def is_galilean(inertia: Inertia, p: ca.SX, dofs: tuple[int, ...]) -> bool:
 class _Search:
     """Decides for one wrench after the other."""
 
-    def __init__(self, s: Signals, known: Converter, p: ca.SX, dofs: tuple[int, ...]) -> None:
+    def __init__(
+        self, s: Signals, known: Converter, p: ca.SX, dofs: tuple[int, ...], prescribed: tuple[str, ...]
+    ) -> None:
         self._known, self._p, self._dofs = known, p, dofs
         self._ground, self._pushed = _column("nu", dofs), _column("nu_dot", dofs)
         # The water does not rotate: through it only the translations are different.
@@ -103,6 +110,9 @@ class _Search:
             (s.nu_dot, self._pushed, dofs),
         ):
             self._meaning.update({stated[i]: symbols[k] for k, i in enumerate(places)})
+        # What is prescribed by the log is no motion of the model's own.
+        for i in (i for i, x in enumerate(s.nu) if str(x) in prescribed):
+            self._meaning = {x: e for x, e in self._meaning.items() if x not in (s.nu[i], s.nu_r[i])}
         self._motion = ca.vertcat(self._ground, self._pushed, self._water, self._water_pushed)
 
     def parts(self, wrench: sm.Matrix) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX] | None:

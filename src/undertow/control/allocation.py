@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.model.loading import Quantity
+from undertow.model.tables import Quantity
 from undertow.model.units import to_si
 
 from .gains import GainSet

@@ -14,8 +14,9 @@ import sympy as sm
 from pydantic import Field, StrictStr
 
 from undertow.errors import UndertowError, nearest
-from undertow.model.loading import FileTable, Identifier, Quantity, is_file, read_table
+from undertow.model.loading import is_file, read_table
 from undertow.model.symbols import DOFS, POSE
+from undertow.model.tables import FileTable, Identifier, Quantity
 from undertow.model.units import to_si
 from undertow.model.vehicle import Vehicle
 

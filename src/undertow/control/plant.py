@@ -10,9 +10,10 @@ import numpy as np
 import sympy as sm
 
 from undertow.model.effect import Wrench, kinds_of
+from undertow.model.effects.control_surfaces import ControlSurfaces
 from undertow.model.kinematics import body_rates, rotation
 from undertow.model.symbols import POSE, column, symbol
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 _ZERO = sm.Integer(0)
 
@@ -27,14 +28,14 @@ class Plant:
     Attributes
     ----------
     vehicle : Vehicle
-        The model as given.
+        The model as given, but for control surfaces and logged inputs, which no law commands.
     left_out : dict of str
         Reason, by id, why an effect is in none of the matrices.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle = vehicle
         self.left_out: dict[str, str] = {}
+        self.vehicle = vehicle = _by_thrusters_alone(vehicle, self.left_out)
         self._composition = _in_still_water(vehicle, self.left_out).composition
         n = len(vehicle.dof_indices)
         self._mass, self._damping, self._moving = sm.zeros(n, n), sm.zeros(n, n), sm.zeros(n, 1)
@@ -57,7 +58,8 @@ class Plant:
     def inputs(self) -> sm.Matrix:
         """What reaches each thruster, in units of its command, then forces known directly, N and N m."""
         forces = [symbol(name) for name in self._composition.forces]
-        return sm.Matrix([*self._composition.signals.actuation, *forces])
+        inputs = [*self._composition.signals.actuation, *forces]
+        return sm.Matrix(len(inputs), 1, inputs)
 
     @cached_property
     def numbers(self) -> dict[sm.Symbol, sm.Expr]:
@@ -211,6 +213,17 @@ class Plant:
         if self._slope_in_inputs(wrench).free_symbols & {*self.nu, *self.eta, *self.inputs}:
             return "its force depends on inputs and on the motion together"
         return ""
+
+
+def _by_thrusters_alone(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
+    """The vehicle without control surfaces, which need way on, and without inputs that only a log has."""
+    if not vehicle.surfaces and not vehicle.inputs:
+        return vehicle
+    left_out |= {s.name: "laws command thrusters, and this surface stays at zero" for s in vehicle.surfaces}
+    left_out |= {name: "an input that logs hold: laws take it as zero" for name in vehicle.inputs}
+    kept = tuple(e for e in vehicle.effects if ControlSurfaces.id not in e.requires)
+    alone = replace(vehicle, effects=kept, surfaces=(), inputs={})
+    return alone.with_values({n: Value(0.0) for n in vehicle.inputs if n in alone.declared_parameters})
 
 
 def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:

@@ -19,7 +19,7 @@ from undertow.identification.diagnosis.validation import repeats, training_and_v
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -31,7 +31,8 @@ from undertow.version import __version__
 from .compare.comparison import compare
 from .diagnosis.candidates import possible
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
-from .diagnosis.reference import predictable
+from .diagnosis.floors import noise_floors
+from .diagnosis.reference import is_disturbance, predictable
 from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
@@ -155,7 +156,7 @@ class ResultBuilder:
     @cached_property
     def _verdict(self) -> Judgement:
         """The judgement, or that nothing is missing which these logs could show."""
-        if self.judgement.verdict != "unexplained" or any(f.something for f in self._predictable):
+        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable):
             return self.judgement
         found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
         return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
@@ -187,6 +188,7 @@ class ResultBuilder:
             parameters=estimates(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
+            floors=noise_floors(self.after, self.bench.train),
             seconds=seconds,
         )
 
@@ -321,7 +323,10 @@ class ResultBuilder:
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
-        return absorbing(self.vehicle, self.base, helpers, alike, self.settings)
+        return [
+            *absorbing(self.vehicle, self.base, helpers, alike, self.settings),
+            *(f"{line[:1].upper()}{line[1:]}." for line in notes(self.after)),
+        ]
 
 
 def _confirmed(

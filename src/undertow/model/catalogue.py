@@ -20,6 +20,7 @@ from undertow.errors import UndertowError, nearest
 
 from . import effects
 from .effect import Effect
+from .parameter import LoggedOnly, logged
 
 Catalogue = Mapping[str, type[Effect]]
 
@@ -170,3 +171,14 @@ def lookup(effect_id: str, known: Catalogue) -> type[Effect]:
             f"effect '{effect_id}' is not known{nearest(effect_id, known)}; 'undertow effects' lists them"
         )
     return known[effect_id]
+
+
+def logged_quantities(known: Catalogue) -> dict[str, str]:
+    """Units of the quantities that effects can take from a log, by name."""
+    return {d.name: d.unit for cls in known.values() for d in logged(cls)}
+
+
+def companions(known: Catalogue) -> dict[str, str]:
+    """Quantities that a log has to hold where it holds another one: name to name of the other."""
+    found = (d for cls in known.values() for d in logged(cls) if isinstance(d, LoggedOnly))
+    return {d.name: d.with_log for d in found if d.with_log}

@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from .catalogue import Catalogue, catalogue, lookup
 from .effect import Actuation, Effect, Flow, Measurement, Wrench, kinds_of
 from .kinematics import pose_jacobian, rotation, skew
-from .parameter import Parameter
+from .parameter import Parameter, logged
 from .symbols import (
     FORCE,
     FORCE_UNITS,
@@ -53,7 +53,7 @@ class _Setting(NamedTuple):
 @lru_cache(maxsize=_REMEMBERED)
 def stated(effect: Wrench) -> sm.ImmutableMatrix:
     """Wrench of an effect as it states it, abbreviations spelled out, shape (6, 1)."""
-    s = signals(effect.thrusters)
+    s = signals(effect.thrusters, effect.surface_names)
     wrench = effect.wrench(s)
     if getattr(wrench, "shape", None) != (6, 1):
         raise UndertowError(
@@ -71,7 +71,8 @@ def _reduced(effect: Wrench, setting: _Setting) -> sm.ImmutableMatrix:
 class Composition:
     """The equations of a set of effects in the chosen degrees of freedom.
 
-    `dofs`: degrees of freedom, indices among the six; `thrusters`: names of the thrusters.
+    `dofs`: degrees of freedom, indices among the six; `thrusters`, `surfaces`: names of the actuators;
+    `inputs`: names of logged quantities that are inputs.
     """
 
     def __init__(
@@ -81,10 +82,13 @@ class Composition:
         thrusters: tuple[str, ...],
         forces: tuple[str, ...] = (),
         split: Mapping[str, tuple[sm.Symbol, sm.Symbol]] | None = None,
+        surfaces: tuple[str, ...] = (),
+        inputs: tuple[str, ...] = (),
     ) -> None:
         self.effects, self.dofs, self.thrusters, self.forces = effects, dofs, thrusters, forces
         self.split = dict(split or {})
-        self.signals: Signals = signals(thrusters)
+        self.surfaces, self.inputs = surfaces, inputs
+        self.signals: Signals = signals(thrusters, surfaces)
 
     # --- symbols of the chosen degrees of freedom --------------------------------------------
     @property
@@ -104,8 +108,14 @@ class Composition:
 
     @property
     def commands(self) -> sm.Matrix:
-        """Commands of the thrusters, then known forces, shape (n_commands, 1)."""
-        return column([f"command_{n}" for n in self.thrusters] + list(self.forces))
+        """Commands of thrusters and surfaces, known forces, logged inputs, shape (n_commands, 1)."""
+        actuators = [f"command_{n}" for n in (*self.thrusters, *self.surfaces)]
+        return column([*actuators, *self.forces, *self.inputs])
+
+    @property
+    def actuation(self) -> sm.Matrix:
+        """What reaches the thrusters, then the angles of the surfaces, shape (n_actuators, 1)."""
+        return sm.Matrix.vstack(self.signals.actuation, self.signals.deflection)
 
     def _rows(self, six: sm.Matrix) -> sm.Matrix:
         return six.extract(list(self.dofs), list(range(six.cols)))
@@ -118,9 +128,13 @@ class Composition:
     # --- what is frozen, and what depends on what ---------------------------------------------
     @cached_property
     def locked(self) -> dict[sm.Symbol, sm.Expr]:
-        """Zero for motions that the vehicle does not have and forces that the log does not hold."""
+        """Zero for motions that the vehicle does not have and forces that the log does not hold.
+
+        A motion that is left out of the model may be prescribed: the log holds it as an input.
+        """
         s = self.signals
         motions = [m[i] for m in (s.eta, s.nu, s.nu_dot) for i in range(6) if i not in self.dofs]
+        motions = [x for x in motions if str(x) not in self.inputs]
         absent = [symbol(f"tau_{n}") for n in FORCE if f"tau_{n}" not in self.forces]
         return dict.fromkeys([*motions, *absent, *self._absent_parameters()], sm.Integer(0))
 
@@ -156,7 +170,8 @@ class Composition:
         velocity = sm.Matrix(s.nu[:3]) - water
         acceleration = sm.Matrix(s.nu_dot[:3]) + skew(omega) * water - rate
         relative = enumerate([*velocity, *acceleration])
-        seen = [e if i % 3 in self.dofs else sm.Integer(0) for i, e in relative]
+        there = [i for i in range(3) if i in self.dofs or VELOCITY[i] in self.inputs]
+        seen = [e if i % 3 in there else sm.Integer(0) for i, e in relative]
         return dict(zip([*s.nu_r[:3], *s.nu_r_dot[:3]], seen, strict=True))
 
     @cached_property
@@ -203,22 +218,28 @@ class Composition:
     @cached_property
     def chain(self) -> tuple[sm.Matrix, dict[sm.Symbol, sm.Expr], dict[sm.Symbol, sm.Expr]]:
         """Output of the actuation chain, rates of its states, and the states' values at rest."""
-        value = column([f"command_{n}" for n in self.thrusters])
+        ways = {of: column([f"command_{n}" for n in names]) for of, names in self._ways.items()}
         rates: dict[sm.Symbol, sm.Expr] = {}
         rest: dict[sm.Symbol, sm.Expr] = {}
         for effect in self.of_kind(Actuation):
             assert isinstance(effect, Actuation)
-            states = effect.state_symbols
+            states, value = effect.state_symbols, ways[effect.of_surfaces]
             rates.update(zip(states, effect.rates(value, self.signals), strict=True))
             rest.update(zip(states, effect.rest_state(value).xreplace(rest), strict=True))
-            value = effect.output(value, self.signals)
+            ways[effect.of_surfaces] = effect.output(value, self.signals)
+        value = sm.Matrix.vstack(*ways.values())
         # A step may feel the flow past the thruster (thrust loss), so it is reduced like a wrench.
         return self.reduce(value), {x: self.reduce(r) for x, r in rates.items()}, rest
+
+    @property
+    def _ways(self) -> dict[bool, tuple[str, ...]]:
+        """Names of what commands lead to, thrusters and then surfaces, by `Actuation.of_surfaces`."""
+        return {False: self.thrusters, True: self.surfaces}
 
     @cached_property
     def dead_time(self) -> sm.Expr:
         """Sum of the pure delays between command and thrust, s; none where there is nothing to command."""
-        if not self.thrusters:
+        if not any(self._ways.values()):
             return sm.Integer(0)
         return sum((e.dead_time() for e in self.effects if isinstance(e, Actuation)), sm.Integer(0))
 
@@ -305,11 +326,16 @@ class Statement:
         return {symbol(p.name): p for p in (*self.shared, *self.own)}
 
     @cached_property
+    def logged(self) -> dict[sm.Symbol, Parameter]:
+        """Quantities that the log holds for the effect, by symbol."""
+        return {symbol(d.name): d for d in logged(type(self.effect)) if d.name in self.effect.inputs}
+
+    @cached_property
     def inputs(self) -> dict[sm.Symbol, str]:
         """Units of all symbols that are no parameters: signals, commands, states, numbers of the hardware."""
         effect = self.effect
         states = dict(zip(effect.state_symbols, effect.state_units, strict=True))
-        commands = dict.fromkeys(commands_of(effect), "command")
+        commands = dict.fromkeys(commands_of(effect), getattr(effect, "command_unit", "command"))
         return {**signal_units(self.signals), **commands, **states, **effect.constants}
 
     @cached_property
@@ -335,9 +361,9 @@ class Statement:
 
 def statement_of(effect: Effect, known: Catalogue) -> Statement:
     """Ask an effect for everything that it states."""
-    signal_set = signals(effect.thrusters)
+    signal_set = signals(effect.thrusters, effect.surface_names)
     beside = (*effect.requires, *effect.shares)
-    shared = tuple(p for r in beside for p in lookup(r, known)(effect.thrusters).parameters)
+    shared = tuple(p for r in beside for p in lookup(r, known)(effect.thrusters, effect.surfaces).parameters)
     try:
         parts = tuple(p for kind in kinds_of(effect) for p in _BUILDERS[kind](effect, signal_set))
     except UndertowError:  # says already which line of a file it is
@@ -358,8 +384,9 @@ def _require_column(part: Part) -> None:
 
 
 def commands_of(effect: Effect) -> sm.Matrix:
-    """Symbols of what reaches an actuation effect, shape (n_thrusters, 1)."""
-    return column([f"command_{n}" for n in effect.thrusters])
+    """Symbols of what reaches an actuation effect, shape (n_thrusters, 1) or (n_surfaces, 1)."""
+    names = effect.acts_on if isinstance(effect, Actuation) else effect.thrusters
+    return column([f"command_{n}" for n in names])
 
 
 def _usable(*groups: sm.Matrix | sm.Symbol) -> frozenset[sm.Symbol]:
@@ -403,10 +430,12 @@ def _actuation(effect: Actuation, s: Signals) -> tuple[Part, ...]:
     commands = commands_of(effect)
     usable = _usable(s.eta, s.nu, s.nu_r, s.t, s.rho, s.g, commands)
     rest = effect.rest_state(commands)
-    names = tuple(f"output_{n}" for n in effect.thrusters)
+    names = tuple(f"output_{n}" for n in effect.acts_on)
     rest_rows = tuple(f"{x} at rest" for x in effect.states)
     return (
-        Part("output", effect.output(commands, s), names, ("command",) * len(names), commands, usable),
+        Part(
+            "output", effect.output(commands, s), names, (effect.command_unit,) * len(names), commands, usable
+        ),
         _rates(effect, effect.rates(commands, s), usable),
         Part("rest_state", rest, rest_rows, effect.state_units, None, usable),
         Part(

@@ -45,7 +45,7 @@ class RandomPoints:
     def __init__(self, statement: Statement) -> None:
         self._random = Random(_TRIALS.seed)
         self._inputs = statement.inputs
-        self._parameters = statement.parameters
+        self._parameters = {**statement.parameters, **statement.logged}
 
     def point(self) -> Point:
         """A value for every symbol."""
@@ -190,7 +190,8 @@ def absent_at_neutral(s: Statement) -> Iterator[str]:
 
 
 def _neutral_values(s: Statement) -> dict[sm.Symbol, sm.Expr]:
-    parameters = s.own or s.shared
+    # Where a log says that there is nothing, there is nothing.
+    parameters = (*(s.own or s.shared), *s.logged.values())
     values = {symbol(p.name): _exact(p.neutral) for p in parameters if p.neutral is not None}
     if s.effect.built_in:  # hardware hands on what the log holds: nothing in, nothing out
         values |= dict.fromkeys(s.signals.generalised_force, sm.Integer(0))
@@ -448,7 +449,9 @@ _LAWS = (
 )
 
 
-def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[ContractCheck]:
+def check_effect(
+    cls: type[Effect], known: Catalogue | None = None, inputs: tuple[str, ...] = ()
+) -> list[ContractCheck]:
     """Check an effect class against the contract.
 
     Parameters
@@ -457,6 +460,8 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Cont
         A concrete effect class.
     known : mapping, optional
         The other effects that it will stand beside; the catalogue when not given.
+    inputs : tuple of str
+        Quantities that the log holds.
 
     Returns
     -------
@@ -471,7 +476,7 @@ def check_effect(cls: type[Effect], known: Catalogue | None = None) -> list[Cont
     if not all(f.ok for f in findings):
         return findings
     try:
-        statement = statement_of(cls.specimen(), beside)
+        statement = statement_of(cls.specimen(inputs), beside)
     except UndertowError as error:
         return [*findings, ContractCheck("shape", False, str(error))]
     findings.append(ContractCheck("shape", True, "every part is a column of the right length"))
@@ -570,7 +575,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
             yield f"'{name}' is taken by {taken[name]}: choose another name"
         elif names.count(name) > 1:
             yield f"'{name}' is declared twice: rename one"
-    s = signals(specimen.thrusters)
+    s = signals(specimen.thrusters, specimen.surface_names)
     for name in map(str, specimen.abbreviations(s)):
         if name in names or name in map(str, signal_units(s)):
             yield f"abbreviation '{name}' is also a parameter, a state or a signal: choose another name"

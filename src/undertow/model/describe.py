@@ -14,8 +14,8 @@ from sympy.printing.str import StrPrinter
 
 from .catalogue import Catalogue, catalogue
 from .composition import Part, Statement, statement_of
-from .effect import Effect
-from .parameter import Parameter, PerThruster, declared
+from .effect import Actuation, Effect
+from .parameter import Parameter, PerSurface, PerThruster, declared, logged
 from .symbols import FORCE, VELOCITY
 from .units import short_unit
 
@@ -60,6 +60,7 @@ class Description:
     legend: dict[str, str]
     parameters: tuple[ParameterNote, ...]
     also_in_files: dict[str, str]
+    from_logs: dict[str, str]
     requires: tuple[str, ...]
     shares: tuple[str, ...]
     claims: tuple[str, ...]
@@ -86,6 +87,7 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
         legend=dict(_legend(statement)),
         parameters=tuple(_note(p, {t.key for t in cls.taken}) for p in _as_declared(cls)),
         also_in_files=cls.file_units(),
+        from_logs={d.name: f"{d.about}, {short_unit(d.unit)}" for d in logged(cls)},
         requires=cls.requires,
         shares=cls.shares,
         claims=tuple(c for c in ("dissipative", "workless") if getattr(cls, c, False)),
@@ -97,11 +99,11 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
 
 # --- parameters ----------------------------------------------------------------------------------
 def _as_declared(cls: type[Effect]) -> Iterator[Parameter]:
-    """Scalar parameters, those of thrusters once for all of them."""
+    """Scalar parameters, those of thrusters and surfaces once for all of them."""
     for declaration in declared(cls):
         if isinstance(declaration, PerThruster):
-            (one,) = declaration.expand(("<thruster>",))
-            yield one
+            kind = "surface" if isinstance(declaration, PerSurface) else "thruster"
+            yield declaration.of(kind, f"<{kind}>")
         else:
             yield from declaration.expand(())
 
@@ -117,8 +119,14 @@ def _note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
         required=p.must_be_given and p.name not in stated_elsewhere,
         default=p.default,
         directional=p.motion is not None,
-        about=p.about,
+        about=p.about + _where(p),
     )
+
+
+def _where(p: Parameter) -> str:
+    """With which logs a parameter is there, if not with all."""
+    without = f" (unless the log has {p.without_log})" if p.without_log else ""
+    return without + (f" (where the log has {p.with_log})" if p.with_log else "")
 
 
 # --- equations -----------------------------------------------------------------------------------
@@ -162,20 +170,34 @@ _LEGEND = (
 )
 
 
+_OF_SURFACES = (
+    ("deflection_", "angle of the control surface, rad"),
+    ("area_", "its area, m^2"),
+    ("place_x_", "where it stands, forward, m; place_y and place_z likewise"),
+    ("diameter_", "diameter of the propeller ahead of it, m"),
+)
+
+
 def _legend(statement: Statement) -> Iterator[tuple[str, str]]:
     """Meaning of the signals, states and shared parameters that occur in the equations."""
     found = {str(x) for part in statement.parts for _, e in _active_rows(part) for x in e.free_symbols}
     for names, meaning in _LEGEND:
         if present := [n for n in names if n in found]:
             yield ", ".join(present), meaning
+    steered = isinstance(statement.effect, Actuation) and statement.effect.of_surfaces
+    unit = "rad" if steered else "in units of the command"
     for start, meaning in (
-        ("command_", "what reaches the step, in units of the command"),
+        ("command_", f"what reaches the step, {unit}"),
         ("actuation_", "what reaches the thruster, in units of its command"),
         ("e_x_", "direction of a thruster, forward; e_y and e_z likewise"),
         ("lever_x_", "moment about the x axis per newton of its thrust, m; lever_y and lever_z likewise"),
     ):
         if any(n.startswith(start) for n in found):
-            yield f"{start}<thruster>", meaning
+            yield f"{start}<{'surface' if steered else 'thruster'}>", meaning
+    numbers = {str(x) for x in (*statement.signals.deflection, *statement.effect.constants)}
+    for start, meaning in _OF_SURFACES:
+        if any(n.startswith(start) for n in found & numbers):
+            yield f"{start}<surface>", meaning
     states = statement.effect.states
     if states:
         yield ", ".join(states), "states of the effect itself"

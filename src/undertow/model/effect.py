@@ -11,13 +11,17 @@ from typing import ClassVar, Literal, Self
 
 import sympy as sm
 
-from .parameter import Limits, Parameter, Taken, declared
-from .symbols import Signals, column, spelled_out
+from .hardware import Law, Propeller, Surface
+from .parameter import Limits, Parameter, Taken, declared, logged
+from .symbols import Signals, column, spelled_out, symbol
 
 
 @lru_cache(maxsize=1024)
-def _parameters_of(cls: type[Effect], thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
-    return tuple(p for d in declared(cls) for p in d.expand(thrusters))
+def _parameters_of(
+    cls: type[Effect], thrusters: tuple[str, ...], surfaces: tuple[str, ...], inputs: tuple[str, ...]
+) -> tuple[Parameter, ...]:
+    found = (p for d in declared(cls) for p in d.expand(thrusters, surfaces))
+    return tuple(p for p in found if p.name not in inputs and p.usable(inputs))
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,16 @@ class Effect(abc.ABC):
         damaged: what a fleet is watched for. Empty where they do not.
     taken : tuple of Taken
         Keys of its table that another effect states as well: the mass of one is the weight of the other.
+    former_keys : tuple of str
+        Keys of `file_units` that were parameters once: what they become is estimated where they are.
     allocation : Matrix, shape (6, n_thrusters)
         Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
+    laws : tuple of Propeller, Curve or None
+        How the command of each thruster becomes thrust; None where it is in proportion.
+    surfaces : tuple of Surface
+        Control surfaces of the vehicle.
+    inputs : tuple of str
+        Logged quantities that the vehicle takes as inputs; a parameter of that name is then the input.
     """
 
     id: ClassVar[str]
@@ -73,17 +85,26 @@ class Effect(abc.ABC):
     weighed: ClassVar[bool] = False
     scales_with: ClassVar[Literal["", "drag", "inertia"]] = ""
     taken: ClassVar[tuple[Taken, ...]] = ()
+    former_keys: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, thrusters: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        thrusters: tuple[str, ...] = (),
+        surfaces: tuple[Surface, ...] = (),
+        inputs: tuple[str, ...] = (),
+    ) -> None:
         self.thrusters = tuple(thrusters)
+        self.surfaces = tuple(surfaces)
+        self.inputs = tuple(inputs)
         self.allocation = sm.zeros(6, len(thrusters))
+        self.laws: tuple[Law, ...] = (None,) * len(thrusters)
 
     def __eq__(self, other: object) -> bool:
         """The same effect on the same hardware: what is derived from one serves for the other."""
         if type(self) is not type(other) or not isinstance(other, Effect):
             return False
         own, others = vars(self), vars(other)
-        hardware = ("thrusters", "allocation")
+        hardware = ("thrusters", "allocation", "laws", "surfaces", "inputs")
         return own.keys() == others.keys() and all(
             own[n] == others[n] if n in hardware else own[n] is others[n] for n in own
         )
@@ -94,16 +115,28 @@ class Effect(abc.ABC):
     def __repr__(self) -> str:
         return f"{self.id}: {self.about()}"
 
-    def placed(self, allocation: sm.Matrix) -> Self:
+    @property
+    def surface_names(self) -> tuple[str, ...]:
+        """Names of the control surfaces."""
+        return tuple(surface.name for surface in self.surfaces)
+
+    def placed(
+        self,
+        allocation: sm.Matrix,
+        surfaces: tuple[Surface, ...] = (),
+        inputs: tuple[str, ...] = (),
+        laws: tuple[Law, ...] = (),
+    ) -> Self:
         """The effect on a vehicle whose thrusters press on it like this, `allocation` of shape (6, n)."""
         there = copy.copy(self)
-        there.allocation = allocation
+        there.allocation, there.surfaces, there.inputs = allocation, surfaces, inputs
+        there.laws = laws or self.laws
         return there
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The scalar parameters of this effect on its vehicle."""
-        return _parameters_of(type(self), self.thrusters)
+        return _parameters_of(type(self), self.thrusters, self.surface_names, self.inputs)
 
     @classmethod
     def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
@@ -177,8 +210,12 @@ class Effect(abc.ABC):
 
     @property
     def constants(self) -> dict[sm.Symbol, str]:
-        """Symbols, with units, that stand for numbers of the hardware on a `specimen`."""
-        return {x: "1" if str(x).startswith("e_") else "m" for x in self.allocation.free_symbols}
+        """Symbols, with units, that stand for numbers of the hardware on a `specimen`, and its inputs."""
+        units = {x: "1" if str(x).startswith("e_") else "m" for x in self.allocation.free_symbols}
+        propellers = [law for law in self.laws if isinstance(law, Propeller)]
+        for found in (part.symbols for parts in (self.surfaces, propellers) for part in parts):
+            units |= found
+        return units | {symbol(d.name): d.unit for d in logged(type(self)) if d.name in self.inputs}
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
@@ -203,11 +240,15 @@ class Effect(abc.ABC):
         return True
 
     @classmethod
-    def specimen(cls) -> Self:
-        """An instance to look at and to check, as it would be on a vehicle with two thrusters."""
+    def specimen(cls, inputs: tuple[str, ...] = ()) -> Self:
+        """An instance to look at and to check, as it would be on a vehicle with two thrusters.
+
+        It has a rudder in the slipstream of one of them. `inputs` are the quantities that its log holds.
+        """
         names = ("port", "starboard")
         columns = [[*(f"e_{a}_{n}" for a in "xyz"), *(f"lever_{a}_{n}" for a in "xyz")] for n in names]
-        return cls(names).placed(sm.Matrix.hstack(*map(column, columns)))
+        surfaces = (Surface.specimen("rudder", names[0]),)
+        return cls(names).placed(sm.Matrix.hstack(*map(column, columns)), surfaces, inputs)
 
     @classmethod
     def about(cls) -> str:
@@ -278,15 +319,28 @@ class Actuation(Effect):
         Place in the chain, whatever the order in a vehicle file: 10 wiring and gain, 14 and 16 dead band and
         limit of the drive, 20 and 22 curve and reverse loss of the propeller, 35 supply, 40 dynamics,
         50 dead time. Two that do not commute need different places.
+    of_surfaces : bool
+        Whether it is on the way from the command of a control surface to its angle, not to thrusters.
     """
 
     family = "actuation"
     stage: ClassVar[int] = 10
+    of_surfaces: ClassVar[bool] = False
 
     @property
     def state_units(self) -> tuple[str, ...]:
         """Unit of each of the step's own states: that of the command, unless the step says otherwise."""
-        return ("command",) * len(self.states)
+        return (self.command_unit,) * len(self.states)
+
+    @property
+    def command_unit(self) -> str:
+        """Unit of what it takes and hands on."""
+        return "rad" if self.of_surfaces else "command"
+
+    @property
+    def acts_on(self) -> tuple[str, ...]:
+        """Names of the thrusters, or of the surfaces, on whose way it is."""
+        return self.surface_names if self.of_surfaces else self.thrusters
 
     @abc.abstractmethod
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:

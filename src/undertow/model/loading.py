@@ -11,109 +11,32 @@ from functools import cached_property
 from importlib.resources import files
 from math import inf, isclose
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import sympy as sm
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    StrictBool,
-    StrictFloat,
-    StrictInt,
-    StrictStr,
-    ValidationError,
-)
+from pydantic import BaseModel, ValidationError
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 
-from .catalogue import Catalogue, catalogue, load_effects, lookup, merge
+from .actuators import propeller_values, surface_of, surface_values, thruster_of
+from .catalogue import Catalogue, catalogue, companions, load_effects, logged_quantities, lookup, merge
 from .effect import Effect
-from .parameter import Parameter, Taken, printed
+from .effects.control_surfaces import ControlSurfaces
+from .effects.propellers import Propellers
+from .effects.steering_gear import SteeringGear
+from .hardware import Surface
+from .parameter import Taken, printed
 from .plausibility import check_vehicle
-from .symbols import DOFS, symbol
+from .symbols import DOFS, MOTION_UNITS, POSE, VELOCITY, symbol
+from .tables import (
+    ParameterTable,
+    VehicleTable,
+    as_table,
+    parameter_values,
+)
 from .units import si_of
-from .vehicle import Thruster, Value, Vehicle
-
-SCHEMA = "undertow/vehicle/1"
-Quantity = StrictFloat | StrictInt | StrictStr
-_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
-
-
-def _identifier(name: object) -> object:
-    if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name):
-        raise ValueError("a name must be a letter, then up to 39 letters, digits or underscores")
-    return name
-
-
-def _printable(text: object) -> object:
-    if isinstance(text, str) and not text.isprintable():
-        raise ValueError("a name must be printable, without line breaks and control characters")
-    return text
-
-
-Identifier = Annotated[StrictStr, BeforeValidator(_identifier)]
-Printable = Annotated[StrictStr, BeforeValidator(_printable)]
-
-
-class FileTable(BaseModel):
-    """A table of the file; keys that it does not know are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ParameterTable(FileTable):
-    """A parameter with what is known of it."""
-
-    value: Quantity | None = None
-    forward: Quantity | None = None
-    backward: Quantity | None = None
-    estimate: StrictBool = False
-    sigma: Quantity | None = None
-    sigma_forward: Quantity | None = None
-    sigma_backward: Quantity | None = None
-    source: StrictStr = ""
-    assumed: StrictBool = False
-    allow_sign: StrictBool = False
-    override: StrictBool = False
-
-    def one_way(self, way: str) -> ParameterTable:
-        """What the table says about the value `forward` or `backward`; its sigma may be its own."""
-        own = getattr(self, f"sigma_{way}")
-        return self.model_copy(update={"sigma": self.sigma if own is None else own})
-
-
-class ThrusterTable(FileTable):
-    """A thruster: where it is and which way it pushes, or its wrench per newton."""
-
-    name: Identifier
-    position: tuple[Quantity, Quantity, Quantity] | None = None
-    direction: tuple[StrictFloat | StrictInt, StrictFloat | StrictInt, StrictFloat | StrictInt] | None = None
-    wrench: Annotated[list[StrictFloat | StrictInt], Field(min_length=6, max_length=6)] | None = None
-    thrust_per_command: Quantity | ParameterTable = 1.0
-    limit: Quantity | None = None
-    source: StrictStr = ""
-
-
-class VehicleTable(FileTable):
-    """The whole file."""
-
-    schema_: Annotated[Literal["undertow/vehicle/1"], Field(alias="schema")]
-    name: Annotated[Printable, Field(min_length=1, max_length=80)]
-    description: StrictStr = ""
-    source: StrictStr = ""
-    degrees_of_freedom: Annotated[list[Literal[DOFS]], Field(min_length=1)]  # type: ignore[valid-type]
-    signs: Literal["sname", "magnitudes"]
-    water_density: Quantity = 1000.0
-    gravity: Quantity = 9.81
-    effects_from: list[StrictStr] = []
-    generalised_forces: list[Literal["tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N"]] = []
-    effects: dict[str, dict[str, Quantity | ParameterTable]]
-    thrusters: list[ThrusterTable] = []
-    history: list[dict[str, object]] = []
-
+from .vehicle import Value, Vehicle
 
 Content = TypeVar("Content", bound=BaseModel)
 _UNION_MEMBERS = ("ParameterTable", "float", "int", "str")
@@ -328,7 +251,7 @@ def load_vehicle(
     table = read_vehicle_table(path)
     known = _known_effects(table, path, list(effect_files), trust_effects)
     try:
-        vehicle, remarks = _vehicle_and_remarks(table, known)
+        vehicle, remarks = _vehicle_and_remarks(table, known, path.parent)
     except UndertowError as error:
         raise UndertowError(f"{path}: {error}") from error
     for line in remarks:
@@ -370,15 +293,17 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
     return merge(catalogue(), [cls for file in chosen for cls in load_effects(file)])
 
 
-def vehicle_from_table(table: VehicleTable, known: Catalogue) -> Vehicle:
-    """Build the vehicle that a validated file describes."""
-    return _vehicle_and_remarks(table, known)[0]
+def vehicle_from_table(table: VehicleTable, known: Catalogue, folder: Path = Path()) -> Vehicle:
+    """Build the vehicle that a validated file in a folder describes."""
+    return _vehicle_and_remarks(table, known, folder)[0]
 
 
-def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle, list[str]]:
-    thrusters = tuple(_thruster(t) for t in table.thrusters)
+def _vehicle_and_remarks(table: VehicleTable, known: Catalogue, folder: Path) -> tuple[Vehicle, list[str]]:
+    thrusters = tuple(thruster_of(t, folder) for t in table.thrusters)
     names = tuple(t.name for t in thrusters)
-    effects = tuple(_chosen(effect_id, known)(names) for effect_id in table.effects)
+    surfaces = tuple(surface_of(t, names) for t in table.surfaces)
+    inputs = _inputs(table.inputs, table.degrees_of_freedom, known)
+    effects = tuple(_chosen(effect_id, known)(names, surfaces, tuple(inputs)) for effect_id in table.effects)
     environment = {
         "rho": si_of("water_density", table.water_density, "kg/m^3"),
         "g": si_of("gravity", table.gravity, "m/s^2"),
@@ -387,6 +312,7 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle
     tables, values = statements.completed(), dict[str, Value]()
     for effect in effects:
         values |= _effect_values(effect, tables[effect.id], table.signs)
+    values |= _hardware_values(table, names, surfaces, values)
     vehicle = Vehicle(
         name=table.name,
         degrees_of_freedom=tuple(sorted(table.degrees_of_freedom, key=DOFS.index)),
@@ -396,10 +322,51 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue) -> tuple[Vehicle
         force_channels=tuple(table.generalised_forces),
         signs=table.signs,
         environment=environment,
+        surfaces=surfaces,
+        inputs=inputs,
     )
     vehicle = replace(vehicle, fitted_to=_fitted_to(table.history, vehicle))
     check_vehicle(vehicle)
     return vehicle, list(statements.differing())
+
+
+def _inputs(names: Sequence[str], dofs: Sequence[str], known: Catalogue) -> dict[str, str]:
+    """Units of the logged quantities that a file takes as inputs: those of effects, and motions left out."""
+    motions = dict(zip((*POSE, *VELOCITY), (*DOFS, *DOFS), strict=True))
+    units = logged_quantities(known) | {n: MOTION_UNITS[n] for n, dof in motions.items() if dof not in dofs}
+    for name in names:
+        if motions.get(name) in dofs:
+            dof = motions[name]
+            raise UndertowError(
+                f"inputs names '{name}', but {dof} is a degree of freedom: remove one of them"
+            )
+        if name not in units:
+            raise UndertowError(
+                f"inputs names '{name}', which no effect takes from a log{nearest(name, units)}; "
+                f"known are {', '.join(units)}"
+            )
+    for name, companion in companions(known).items():
+        if companion in names and name not in names:
+            raise UndertowError(f"inputs names '{companion}' without '{name}': name both, or neither")
+    return {name: units[name] for name in names}
+
+
+def _hardware_values(
+    table: VehicleTable, names: tuple[str, ...], surfaces: tuple[Surface, ...], others: Mapping[str, Value]
+) -> dict[str, Value]:
+    """What the tables of propellers and surfaces state of parameters."""
+    effects = [cls(names, surfaces) for cls in (Propellers, ControlSurfaces, SteeringGear)]
+    parameters = {p.name: p for effect in effects for p in effect.parameters}
+    found: dict[str, Value] = {}
+    for thruster in table.thrusters:
+        found |= propeller_values(thruster, parameters, table.signs)
+    for surface in table.surfaces:
+        found |= surface_values(surface, parameters, table.signs)
+    for name in found.keys() & others.keys():
+        raise UndertowError(
+            f"[[surfaces]] and [effects.{SteeringGear.id}] both state {name}: keep one of them"
+        )
+    return found
 
 
 def _fitted_to(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> dict[str, frozenset[str]]:
@@ -422,7 +389,7 @@ def _chosen(effect_id: str, known: Catalogue) -> type[Effect]:
     cls = lookup(effect_id, known)
     if cls.built_in:
         raise UndertowError(
-            f"[effects.{effect_id}] comes with [[thrusters]] and generalised_forces: remove the table"
+            f"[effects.{effect_id}] comes with [[thrusters]], [[surfaces]] or generalised_forces: remove it"
         )
     return cls
 
@@ -433,7 +400,7 @@ def _effect_values(effect: Effect, table: Mapping[str, Any], signs: str) -> dict
     values: dict[str, Value] = {}
     for key, entry in table.items():
         if key in parameters:
-            values |= _parameter_values(effect.id, parameters[key], entry, signs)
+            values |= parameter_values(f"[effects.{effect.id}]", parameters[key], entry, signs)
         elif key not in aliases:
             known = [*parameters, *aliases]
             raise UndertowError(
@@ -448,7 +415,7 @@ def _listing(names: list[str]) -> str:
 
 
 def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str, Value]) -> dict[str, Value]:
-    aliases = {k: _as_table(v) for k, v in table.items() if k in effect.file_units()}
+    aliases = {k: as_table(v) for k, v in table.items() if k in effect.file_units()}
     if not aliases:
         return {}
     plain = {n: v.value for n, v in values.items()}
@@ -457,8 +424,9 @@ def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str,
     source = "; ".join(dict.fromkeys(e.source for e in aliases.values() if e.source))
     assumed = any(e.assumed for e in aliases.values())
     sigma = _carried_over(effect, plain, converted, values)
+    sought = {n for k in aliases if aliases[k].estimate for n in _touched(effect, plain, converted, k)}
     new = {
-        n: Value(v, estimate=n in sigma, sigma=sigma.get(n), source=source, assumed=assumed)
+        n: Value(v, estimate=n in {*sigma, *sought}, sigma=sigma.get(n), source=source, assumed=assumed)
         for n, v in converted.items()
         if n not in values
     }
@@ -488,130 +456,18 @@ def _carried_over(
     return {n: s for n, s in found.items() if s > 0.0}
 
 
+def _touched(
+    effect: Effect, plain: Mapping[str, float], converted: Mapping[str, float], key: str
+) -> list[str]:
+    """Parameters that a key stands for among others."""
+    moved = effect.from_file({**plain, key: plain[key] + 1.0})
+    return [n for n, v in converted.items() if moved[n] != v]
+
+
 def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
     place = f"[effects.{effect.id}] {key}"
-    if entry.estimate or entry.sigma is not None:
+    if (entry.estimate or entry.sigma is not None) and key not in effect.former_keys:
         raise UndertowError(f"{place} cannot be estimated: estimate the static moment instead")
     if entry.value is None:
         raise UndertowError(f"{place} needs one 'value'")
     return si_of(place, entry.value, effect.file_units()[key])
-
-
-def _as_table(entry: Any) -> ParameterTable:
-    return entry if isinstance(entry, ParameterTable) else ParameterTable(value=entry)
-
-
-def _parameter_values(owner: str, parameter: Parameter, entry: Any, signs: str) -> dict[str, Value]:
-    table = _as_table(entry)
-    given = {k: getattr(table, k) for k in ("value", "forward", "backward") if getattr(table, k) is not None}
-    _refuse_idle_sigmas(f"[effects.{owner}] {parameter.name}", table, len(given))
-    if set(given) == {"value"}:
-        return {parameter.name: _value(owner, parameter, parameter.name, given["value"], table, signs)}
-    if set(given) != {"forward", "backward"}:
-        raise UndertowError(
-            f"[effects.{owner}] {parameter.name} needs either 'value' or both 'forward' and 'backward', "
-            f"found {' and '.join(given) or 'none'}"
-        )
-    if parameter.motion is None:
-        raise UndertowError(
-            f"[effects.{owner}] {parameter.name} cannot differ forward and backward: give one value"
-        )
-    return {
-        f"{parameter.name}_{way}": _value(
-            owner, parameter, f"{parameter.name}_{way}", raw, table.one_way(way), signs
-        )
-        for way, raw in given.items()
-    }
-
-
-def _refuse_idle_sigmas(place: str, table: ParameterTable, values: int) -> None:
-    """A standard deviation that another one makes idle, or that belongs to a value that is not there."""
-    own = [s for s in (table.sigma_forward, table.sigma_backward) if s is not None]
-    if own and (values < 2 or (len(own) == 2 and table.sigma is not None)):
-        raise UndertowError(
-            f"{place} has a sigma that holds for nothing: give 'sigma', or with 'forward' and 'backward' "
-            f"'sigma_forward' and 'sigma_backward'"
-        )
-
-
-def _value(owner: str, parameter: Parameter, name: str, raw: Any, table: ParameterTable, signs: str) -> Value:
-    place = f"[effects.{owner}] {name}"
-    stated = si_of(place, raw, parameter.unit)
-    sigma = None if table.sigma is None else _positive(f"{place} sigma", table.sigma, parameter.unit)
-    number = printed(parameter, stated, signs)
-    _check_bounds(place, parameter, number, stated, table, signs)
-    return Value(number, table.estimate, sigma, table.source, table.assumed)
-
-
-def _check_bounds(
-    place: str, parameter: Parameter, number: float, stated: float, table: ParameterTable, signs: str
-) -> None:
-    low, high = parameter.bounds
-    if low <= number <= high:
-        return
-    one_sided = 0.0 in (low, high)
-    if one_sided and table.allow_sign:
-        return
-    limit = f"{low:g} to {high:g} {parameter.unit} in SNAME signs"
-    remedy = "correct the value"
-    if one_sided:
-        other = "magnitudes" if signs == "sname" else "sname"
-        remedy = (
-            f'correct the sign, write signs = "{other}" if the whole file is meant so, or allow_sign = true'
-        )
-    raise UndertowError(
-        f'{place} = {stated:g} cannot be under signs = "{signs}" (possible: {limit}); {remedy}'
-    )
-
-
-def _thruster(table: ThrusterTable) -> Thruster:
-    place = f"thruster '{table.name}'"
-    given = table.wrench is not None
-    if {table.position is not None, table.direction is not None} != {not given}:
-        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
-    wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
-    if not any(wrench):
-        raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
-    return Thruster(table.name, wrench, _thrust_per_command(place, table), _limit(place, table.limit))
-
-
-def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
-    place = f"{place} thrust_per_command"
-    spec = _as_table(table.thrust_per_command)
-    if spec.value is None:
-        raise UndertowError(f"{place} needs a 'value'")
-    value = si_of(place, spec.value, "N/command")
-    if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
-        raise UndertowError(f"{place} = {value:g} N cannot be: give a positive thrust and turn the direction")
-    sigma = None if spec.sigma is None else _positive(f"{place} sigma", spec.sigma, "N/command")
-    return Value(value, spec.estimate, sigma, spec.source, spec.assumed)
-
-
-def _limit(place: str, limit: Any) -> float | None:
-    if limit is None:
-        return None
-    # Where the command is the thrust itself, its limit is naturally written in N.
-    in_newton = isinstance(limit, str) and "N" in limit
-    return _positive(f"{place} limit", limit, "N" if in_newton else "command")
-
-
-def _positive(place: str, raw: Any, unit: str) -> float:
-    value = si_of(place, raw, unit)
-    if value <= 0:
-        raise UndertowError(f"{place} = {value:g} cannot be: give a positive number")
-    return value
-
-
-def _numbers(place: str, entries: Iterable[Any] | None) -> tuple[float, ...]:
-    return tuple(si_of(place, entry, "1") for entry in entries or ())
-
-
-def _wrench_of(place: str, table: ThrusterTable) -> tuple[float, ...]:
-    assert table.position is not None
-    assert table.direction is not None
-    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
-    a, b, c = _numbers(f"{place} direction", table.direction)
-    length = math.hypot(a, b, c)
-    if abs(length - 1) > 1e-3:
-        raise UndertowError(f"{place}: direction has length {length:g}; give a unit vector")
-    return (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)

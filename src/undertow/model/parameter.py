@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -95,6 +95,11 @@ class Parameter:
     arm_of : str
         For a place aboard, from the body origin: "1" where the parameter is a length, the name of a mass or
         force where it is that times a length; empty for all others.
+    logged : bool
+        Whether a log may hold it: where `inputs` of a vehicle file names it, it is an input, held between
+        samples, and no parameter.
+    with_log, without_log : str
+        Such an input without which, or beside which, the parameter has no meaning and is not there.
     within : float
         Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
         sqrt(length / g)) that a fit takes for possible where the file states no standard deviation. Places
@@ -113,6 +118,9 @@ class Parameter:
     on_left_side: bool = False
     alone: bool = True
     arm_of: str = ""
+    logged: bool = False
+    with_log: str = ""
+    without_log: str = ""
     within: float = 100.0
     name: str = field(default="", kw_only=True)
 
@@ -121,10 +129,16 @@ class Parameter:
             object.__setattr__(self, "name", name)
 
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
-        return self if effect is None else symbol(self.name)
+        if effect is None:
+            return self
+        return symbol(self.name) if self.usable(effect.inputs) else sm.Integer(0)
 
-    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
-        """The scalar parameters that this declaration stands for on a vehicle with these thrusters."""
+    def usable(self, inputs: Container[str]) -> bool:
+        """Whether it has a meaning where the log holds these inputs."""
+        return self.without_log not in inputs and (not self.with_log or self.with_log in inputs)
+
+    def expand(self, thrusters: tuple[str, ...], surfaces: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
+        """The scalar parameters that this declaration stands for on a vehicle with this hardware."""
         return (self,)
 
     @property
@@ -151,15 +165,34 @@ class PerThruster(Parameter):
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
         if effect is None:
             return self
-        names = [p.name for p in self.expand(effect.thrusters)]
+        names = [p.name for p in self.expand(effect.thrusters, effect.surface_names)]
         return sm.Matrix(len(names), 1, [symbol(n) for n in names])
 
-    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+    def expand(self, thrusters: tuple[str, ...], surfaces: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
+        return tuple(self.of("thruster", t) for t in thrusters)
+
+    def of(self, kind: str, owner: str) -> Parameter:
+        """The parameter of one piece of hardware."""
         fields = {k: v for k, v in vars(self).items() if k not in ("name", "about")}
-        return tuple(
-            Parameter(**fields, name=f"{self.name}_{t}", about=f"{self.about}, thruster {t}")
-            for t in thrusters
-        )
+        return Parameter(**fields, name=f"{self.name}_{owner}", about=f"{self.about}, {kind} {owner}")
+
+
+@dataclass(frozen=True)
+class PerSurface(PerThruster):
+    """A parameter that every control surface has for itself; reads as a column of symbols."""
+
+    def expand(self, thrusters: tuple[str, ...], surfaces: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
+        return tuple(self.of("surface", s) for s in surfaces)
+
+
+@dataclass(frozen=True)
+class LoggedOnly(Parameter):
+    """A quantity that only a log can give, an input where a vehicle file names it under `inputs`."""
+
+    logged: bool = True
+
+    def expand(self, thrusters: tuple[str, ...], surfaces: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
+        return ()
 
 
 WAYS = ("forward", "backward")
@@ -212,7 +245,7 @@ class DerivativeMatrix:
     def _name(self, i: int, j: int) -> str:
         return self.pattern.format(F=FORCE[i], m=VELOCITY[j])
 
-    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+    def expand(self, thrusters: tuple[str, ...], surfaces: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
         """One parameter for each entry."""
         return tuple(self._entry(i, j) for i, j in self.entries)
 
@@ -246,17 +279,20 @@ class Place:
         "ned" or "body".
     farthest : float
         Largest magnitude of a coordinate, m.
+    without_log : str
+        Input beside which the point has no meaning.
     """
 
     name: str
     about: str
     axes: str
     farthest: float
+    without_log: str = ""
 
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
         return self if effect is None else sm.Matrix([symbol(f"{axis}_{self.name}") for axis in "xyz"])
 
-    def expand(self, thrusters: tuple[str, ...]) -> tuple[Parameter, ...]:
+    def expand(self, thrusters: tuple[str, ...], surfaces: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
         """One parameter for each coordinate; none of them can switch an effect off."""
         return tuple(
             Parameter(
@@ -267,6 +303,7 @@ class Place:
                 starts=(0.0,),
                 neutral=None,
                 arm_of="1" if self.axes == "body" else "",
+                without_log=self.without_log,
                 name=f"{axis}_{self.name}",
             )
             for axis, way in zip("xyz", _WAYS[self.axes], strict=True)
@@ -300,6 +337,11 @@ def declared(owner: type) -> Iterable[Declaration]:
     for cls in reversed(owner.__mro__):
         found.update({k: v for k, v in vars(cls).items() if isinstance(v, Declaration)})
     return found.values()
+
+
+def logged(owner: type) -> list[Parameter]:
+    """Quantities that an effect class can take from a log, parameters of it or not."""
+    return [d for d in declared(owner) if isinstance(d, Parameter) and d.logged]
 
 
 def printed(parameter: Parameter, value: float, signs: str) -> float:

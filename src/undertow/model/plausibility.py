@@ -105,7 +105,7 @@ def _thrusters(vehicle: Vehicle, size: VehicleSize | None) -> Iterator[str]:
         yield from _sigma(f"{place} thrust_per_command", thrust)
         if thruster.limit is not None:
             yield from _out_of(f"{place} limit", thruster.limit, _LIMITS.command)
-        if size is not None:
+        if size is not None and thruster.law is None:
             yield from _pushed(thruster, size.mass)
 
 
@@ -144,6 +144,8 @@ def _arms(vehicle: Vehicle) -> Iterator[tuple[str, float]]:
         force, moment = hypot(*thruster.wrench[:3]), hypot(*thruster.wrench[3:])
         if force:
             yield f"thruster '{thruster.name}'", moment / force
+    for surface in vehicle.surfaces:
+        yield f"surface '{surface.name}'", hypot(*surface.position)
     for name, value in vehicle.values.items():
         of = getattr(vehicle.parameter_of(name), "arm_of", "")
         whole = 1.0 if of == "1" else vehicle.value_of(of).value if of else 0.0
@@ -200,7 +202,7 @@ def _stated(vehicle: Vehicle) -> Iterator[tuple[str, sm.Matrix]]:
     c = vehicle.composition
     output, rates, _ = c.chain
     yield from ((f"the force of {effect.id}", wrench) for effect, wrench in c.wrenches.items())
-    yield "what reaches the thrusters", output
+    yield "what reaches thrusters and surfaces", output
     states = {**rates, **c.wrench_states}
     yield from ((f"the rate of {state}", sm.Matrix([rate])) for state, rate in states.items())
     yield from ((f"the reported {what}", m) for what, m in zip(("pose", "velocity"), c.reported, strict=True))
@@ -282,6 +284,12 @@ def _undamped(vehicle: Vehicle) -> Iterator[str]:
         for i, name in diagonal_entries(effect).items()
         if _given(vehicle, name)
     }
+    for effect, wrench in vehicle.composition.wrenches.items():
+        if effect.family == "damping" and not diagonal_entries(effect):  # of strips, or by lift
+            own = {symbol(p.name) for p in effect.parameters if p.name in vehicle.values}
+            damped |= {
+                i for i, row in zip(vehicle.dof_indices, wrench, strict=True) if row.free_symbols & own
+            }
     for i in vehicle.dof_indices:
         if i not in damped:
             yield f"nothing damps {DOFS[i]}"

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isclose, isfinite
+from os.path import relpath
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from tomlkit.items import AoT, InlineTable, Table, Whitespace
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
+from .actuators import PROPELLER_KEYS, SURFACE_KEYS, propeller_values, surface_values
 from .effect import Effect
-from .loading import Statements, VehicleTable, read_vehicle_table, resolve_vehicle, vehicle_from_table
+from .loading import Statements, read_vehicle_table, resolve_vehicle, vehicle_from_table
 from .parameter import Parameter, printed
+from .tables import VehicleTable
 from .units import si_of, si_unit, unit_of
 from .vehicle import Value, Vehicle
 
@@ -367,8 +370,8 @@ def save_vehicle(
         raise UndertowError(
             f"'{out}' is the file {path} itself: choose another name, or give that path to replace it"
         )
-    text = _file_text(vehicle, path, history)
-    _check(text, vehicle, path)
+    text = _file_text(vehicle, path, history, out.parent)
+    _check(text, vehicle, path, out.parent)
     write_whole(out, text)
 
 
@@ -385,7 +388,7 @@ def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
     return vehicle
 
 
-def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None) -> str:
+def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None, folder: Path) -> str:
     signs = read_vehicle_table(path).signs  # also: nothing is changed in a file that is not understood
     try:
         document = tomlkit.parse(path.read_bytes().decode("utf-8-sig"))
@@ -394,16 +397,20 @@ def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | Non
     _write_head(document, vehicle)
     _write_effects(document, vehicle, signs, history)
     _write_thrusters(document, vehicle, history)
+    for thruster in document.get("thrusters", []):
+        if isinstance(thruster.get("curve"), str) and folder.resolve() != path.parent.resolve():
+            thruster["curve"] = relpath(path.parent / thruster["curve"], folder)
+    _write_hardware(document, vehicle, read_vehicle_table(path), history)
     if history is not None:
         append_history(document, vehicle, history, signs)
     return tomlkit.dumps(document)
 
 
-def _check(text: str, vehicle: Vehicle, path: Path) -> None:
+def _check(text: str, vehicle: Vehicle, path: Path, folder: Path) -> None:
     """What is about to be written must say what the vehicle is."""
     known = {e.id: type(e) for e in vehicle.effects}
     try:
-        again = vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), known)
+        again = vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), known, folder)
     except (UndertowError, ValidationError, tomllib.TOMLDecodeError) as error:
         raise UndertowError(f"{path} cannot carry the new values: {error}") from error
     for name in sorted({*vehicle.values, *again.values, *(f"thrust_{t.name}" for t in vehicle.thrusters)}):
@@ -528,3 +535,25 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
         place = f"thruster '{thruster.name}' thrust_per_command"
         if "thrust_per_command" in tables[thruster.name] or wanted.differs(1.0, place):
             _write(tables[thruster.name], "thrust_per_command", wanted, place, history)
+
+
+def _write_hardware(
+    document: Any, vehicle: Vehicle, file: VehicleTable, history: Mapping[str, object] | None
+) -> None:
+    """What has changed of the parameters that the tables of propellers and control surfaces state."""
+    elsewhere = {p.name for effect in vehicle.effects for p in effect.parameters}
+    known = vehicle.declared_parameters
+    parts: list[tuple[Any, str, dict[str, str], dict[str, Value]]] = []
+    for table, propelled in zip(document.get("thrusters", []), file.thrusters, strict=True):
+        keys = dict(zip(PROPELLER_KEYS, PROPELLER_KEYS, strict=True)) if propelled.propeller else {}
+        stated = propeller_values(propelled, known, file.signs)
+        parts.append((table.get("propeller"), propelled.name, keys, stated))
+    for table, surface in zip(document.get("surfaces", []), file.surfaces, strict=True):
+        parts.append((table, surface.name, SURFACE_KEYS, surface_values(surface, known, file.signs)))
+    for table, owner, keys, stated in parts:
+        for key, short in keys.items():
+            name = f"{short}_{owner}"
+            value = vehicle.values.get(name)
+            if value is not None and name not in elsewhere and value != stated.get(name):
+                wanted = _wanted(vehicle.declaration(name), {"value": value}, file.signs)
+                _write(table, key, wanted, f"{key} of '{owner}'", history)

@@ -52,6 +52,8 @@ class Signals:
         Velocity through the water and its rate; equal to `nu` and `nu_dot` where no flow effect is present.
     actuation : Matrix, shape (n_thrusters, 1)
         What reaches each thruster after all actuation effects, in units of its command.
+    deflection : Matrix, shape (n_surfaces, 1)
+        Angle of each control surface after all actuation effects, rad.
     generalised_force : Matrix, shape (6, 1)
         Forces and moments that the log itself holds (channels tau_X ... tau_N), N and N m.
     t : Symbol
@@ -66,6 +68,7 @@ class Signals:
     nu_r: sm.Matrix
     nu_r_dot: sm.Matrix
     actuation: sm.Matrix
+    deflection: sm.Matrix
     generalised_force: sm.Matrix
     t: sm.Symbol
     rho: sm.Symbol
@@ -73,8 +76,8 @@ class Signals:
 
 
 @cache
-def signals(thrusters: tuple[str, ...] = ()) -> Signals:
-    """Signals of a vehicle with these thrusters."""
+def signals(thrusters: tuple[str, ...] = (), surfaces: tuple[str, ...] = ()) -> Signals:
+    """Signals of a vehicle with these thrusters and control surfaces."""
     angular = list(VELOCITY[3:])
     angular_rate = [f"{n}_dot" for n in angular]
     return Signals(
@@ -85,6 +88,7 @@ def signals(thrusters: tuple[str, ...] = ()) -> Signals:
         nu_r=column(["u_r", "v_r", "w_r", *angular]),
         nu_r_dot=column(["u_r_dot", "v_r_dot", "w_r_dot", *angular_rate]),
         actuation=column([f"actuation_{n}" for n in thrusters]),
+        deflection=column([f"deflection_{n}" for n in surfaces]),
         generalised_force=column([f"tau_{n}" for n in FORCE]),
         t=symbol("t"),
         rho=symbol("rho"),
@@ -104,6 +108,7 @@ def signal_units(s: Signals) -> dict[sm.Symbol, str]:
         (s.nu_r_dot, rate),
         (s.generalised_force, FORCE_UNITS),
         (s.actuation, ("command",) * s.actuation.rows),
+        (s.deflection, ("rad",) * s.deflection.rows),
     ):
         units.update(zip(matrix, names, strict=True))
     return units

@@ -49,6 +49,17 @@ def to_si(value: str | float, unit: str) -> float:
     return _finite(value, value, unit)
 
 
+def magnitude(value: str | float, unit: str, of: str) -> float:
+    """A size from a file, which is more than zero, in the SI unit `unit`."""
+    try:
+        found = to_si(value, unit)
+    except UndertowError as error:
+        raise UndertowError(f"{of}: {error}") from error
+    if found <= 0:
+        raise UndertowError(f"{of} is {value!r}: give a value above zero, such as '0.1 {unit}'")
+    return found
+
+
 def si_of(place: str, raw: Any, unit: str) -> float:
     """A quantity in SI; what is counted in commands may be written as a plain number or in "command"."""
     texts = [unit, _without_command(unit)] if isinstance(raw, str) else [_without_command(unit)]

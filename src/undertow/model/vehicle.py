@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,10 +13,14 @@ from undertow.notebook import html
 
 from .composition import Composition
 from .effect import Effect
+from .effects.control_surfaces import ControlSurfaces
 from .effects.generalised_force import GeneralisedForce
+from .effects.propellers import Propellers
+from .effects.steering_gear import SteeringGear
 from .effects.thrusters import Thrusters
+from .hardware import Law, Propeller, Surface
 from .parameter import WAYS, Parameter
-from .symbols import CHANNELS, DOFS, POSE, VELOCITY, symbol
+from .symbols import CHANNELS, DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, symbol
 from .units import short_unit
 
 
@@ -39,6 +43,12 @@ class Thruster:
     wrench: tuple[float, ...]  # force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m)
     thrust_per_command: Value = Value(1.0)  # thrust per unit of command, N
     limit: float | None = None  # largest magnitude of the command
+    law: Law = None  # how the command becomes thrust; None: in proportion
+    command_unit: str = "command"  # unit of the command
+
+
+# Where a vehicle file states the hardware that an effect stands for.
+_HARDWARE_TABLES = {Thrusters.id: "[[thrusters]]", ControlSurfaces.id: "[[surfaces]]"}
 
 
 def _refuse_twice(names: Iterable[str], complaint: str) -> None:
@@ -71,6 +81,10 @@ class Vehicle:
         Convention of the vehicle's file: "sname" or "magnitudes".
     environment : mapping
         `rho` in kg/m^3 and `g` in m/s^2.
+    surfaces : tuple of Surface
+        Control surfaces in the order of their commands, which follow those of the thrusters.
+    inputs : mapping
+        Logged quantities that effects take as inputs (wind, voltage ...), with their SI units.
     fitted_to : mapping
         Hashes (sha256) of the logs that values with their standard deviations were fitted to, by name.
     """
@@ -83,10 +97,17 @@ class Vehicle:
     force_channels: tuple[str, ...] = ()
     signs: str = "sname"
     environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
+    surfaces: tuple[Surface, ...] = ()
+    inputs: Mapping[str, str] = field(default_factory=dict)
     fitted_to: Mapping[str, frozenset[str]] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
-        parts = {"thrusters": [t.name for t in self.thrusters], "effects": [e.id for e in self.effects]}
+        parts = {
+            "thrusters": [t.name for t in self.thrusters],
+            "surfaces": [s.name for s in self.surfaces],
+            "inputs": [*self.inputs],
+            "effects": [e.id for e in self.effects],
+        }
         listed = (f"{what} {', '.join(names)}" for what, names in parts.items() if names)
         return "; ".join([f"Vehicle {self.name}: {', '.join(self.degrees_of_freedom)}", *listed])
 
@@ -107,10 +128,16 @@ class Vehicle:
     def _check_names(self) -> None:
         _refuse_twice(self.degrees_of_freedom, "degrees_of_freedom has '{}' twice: keep one")
         _refuse_twice(self.force_channels, "generalised_forces has '{}' twice: keep one")
-        thrusters = [t.name for t in self.thrusters]
-        _refuse_twice(thrusters, "two thrusters are called '{}': rename one")
-        for name in CHANNELS.intersection(thrusters):
-            raise UndertowError(f"thruster '{name}' has the name of a measured channel: rename it")
+        kinds: dict[str, Sequence[Thruster | Surface]] = {
+            "thruster": self.thrusters,
+            "surface": self.surfaces,
+        }
+        for kind, parts in kinds.items():
+            names = [part.name for part in parts]
+            _refuse_twice(names, f"two {kind}s are called '{{}}': rename one")
+            for name in (CHANNELS | {*self.inputs}).intersection(names):
+                raise UndertowError(f"{kind} '{name}' has the name of a measured channel: rename it")
+        _refuse_twice(self.actuator_names, "a thruster and a surface are called '{}': rename one")
         _refuse_twice(self._quantities(), "two quantities of the vehicle are called '{}': rename one")
 
     def _quantities(self) -> Iterator[str]:
@@ -124,7 +151,7 @@ class Vehicle:
         for effect in self.effects:
             missing = self.lacks(effect)
             if missing:
-                table = "[[thrusters]]" if missing[0] == Thrusters.id else f"[effects.{missing[0]}]"
+                table = _HARDWARE_TABLES.get(missing[0], f"[effects.{missing[0]}]")
                 raise UndertowError(
                     f"effect '{effect.id}' shares parameters of '{missing[0]}', which vehicle '{self.name}' "
                     f"lacks: add {table} to the vehicle file"
@@ -151,19 +178,57 @@ class Vehicle:
         return tuple(VELOCITY[i] for i in self.dof_indices)
 
     @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Names of the thrusters, then of the control surfaces."""
+        return (*(t.name for t in self.thrusters), *(s.name for s in self.surfaces))
+
+    @property
     def command_names(self) -> tuple[str, ...]:
-        """Log columns that drive the model: thruster commands, then known forces."""
-        return (*(t.name for t in self.thrusters), *self.force_channels)
+        """Log columns that drive the model: thruster commands, angles of surfaces, known forces, inputs."""
+        return (*self.actuator_names, *self.force_channels, *self.inputs)
+
+    @property
+    def command_units(self) -> dict[str, str]:
+        """Unit of each of `command_names`; "command" is the thruster's own."""
+        forces = dict(zip((f"tau_{f}" for f in FORCE), FORCE_UNITS, strict=True))
+        units = {t.name: t.command_unit for t in self.thrusters} | {s.name: "rad" for s in self.surfaces}
+        return units | {n: forces[n] for n in self.force_channels} | dict(self.inputs)
+
+    @property
+    def command_limits(self) -> dict[str, float]:
+        """Largest magnitude of the commands for which a limit is stated."""
+        limits = {t.name: t.limit for t in self.thrusters} | {s.name: s.limit for s in self.surfaces}
+        return {name: float(limit) for name, limit in limits.items() if limit is not None}
 
     @cached_property
     def all_effects(self) -> tuple[Effect, ...]:
         """The effects with those that the hardware brings in."""
-        names = tuple(t.name for t in self.thrusters)
-        hardware: list[Effect] = [Thrusters(names)] if names else []
-        if self.force_channels:
-            hardware.append(GeneralisedForce(names))
-        allocation = self.allocation
-        return tuple(e.placed(allocation) for e in (*self.effects, *hardware))
+        present = {e.id for e in self.effects}
+        geared = SteeringGear.id not in present and any(n in self.values for n in self._gear_names)
+        hardware = {
+            Thrusters: bool(self.thrusters),
+            Propellers: any(isinstance(law, Propeller) for law in self.laws),
+            ControlSurfaces: bool(self.surfaces),
+            SteeringGear: geared,
+            GeneralisedForce: bool(self.force_channels),
+        }
+        effects = (*self.effects, *(self.equipped(cls) for cls, there in hardware.items() if there))
+        allocation, inputs = self.allocation, tuple(self.inputs)
+        return tuple(e.placed(allocation, self.surfaces, inputs, self.laws) for e in effects)
+
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """How the command of each thruster becomes thrust; None where it is in proportion."""
+        return tuple(t.law for t in self.thrusters)
+
+    @property
+    def _gear_names(self) -> tuple[str, ...]:
+        """Parameters of the steering gear, which a file may state with the surfaces themselves."""
+        return tuple(p.name for p in self.equipped(SteeringGear).parameters)
+
+    def equipped(self, cls: type[Effect]) -> Effect:
+        """An effect with the hardware of this vehicle."""
+        return cls(tuple(t.name for t in self.thrusters), self.surfaces, tuple(self.inputs))
 
     @cached_property
     def allocation(self) -> sm.Matrix:
@@ -181,6 +246,8 @@ class Vehicle:
             tuple(t.name for t in self.thrusters),
             tuple(f"tau_{n[-1]}" for n in self.force_channels),
             split,
+            tuple(s.name for s in self.surfaces),
+            tuple(self.inputs),
         )
 
     @cached_property
@@ -292,7 +359,6 @@ class Vehicle:
 
     def with_effect(self, cls: type[Effect], values: Mapping[str, Value]) -> Vehicle:
         """The vehicle with one more effect (or more parameters of one that it has)."""
-        names = tuple(t.name for t in self.thrusters)
         present = any(e.id == cls.id for e in self.effects)
-        effects = self.effects if present else (*self.effects, cls(names))
+        effects = self.effects if present else (*self.effects, self.equipped(cls))
         return replace(self, effects=effects, values=dict(self.values) | dict(values))

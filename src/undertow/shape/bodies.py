@@ -158,7 +158,7 @@ def _rotation(squares: Array, first: Array, i: int) -> float:
     """Added moment of inertia about an axis over a fifth of the displaced mass."""
     j, k = (i + 1) % 3, (i + 2) % 3
     difference, total = squares[j] - squares[k], squares[j] + squares[k]
-    if abs(difference) < 1e-12 * total:
+    if abs(difference) < 1e-9 * total:
         return 0.0  # a circle that turns about its middle moves no fluid
     apart = first[k] - first[j]
     return float(difference**2 * apart / (2.0 * difference - total * apart))

@@ -18,8 +18,9 @@ from undertow.model.catalogue import catalogue
 from undertow.model.effects.added_mass import AddedMass as AddedMassEffect
 from undertow.model.effects.added_mass_coupling import AddedMassCoupling
 from undertow.model.effects.linear_damping import LinearDamping
-from undertow.model.loading import VehicleTable, vehicle_from_table
+from undertow.model.loading import vehicle_from_table
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.model.tables import VehicleTable
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
 
@@ -240,6 +241,7 @@ class HullSpec:
     # what the hull displaces if water gets into it, m^3; what it encloses if None
     volume: float | None = None
     remarks: tuple[str, ...] = ()  # what else a reader of the file should know
+    cg_source: str = "as stated"  # where the centre of gravity is from
 
     @property
     def own(self) -> list[int]:
@@ -256,23 +258,57 @@ class EffectTable:
     comments: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Hardware:
+    """A thruster, rudder or fin of the file."""
+
+    name: str
+    position: tuple[float, float, float]  # m
+    direction: tuple[float, float, float]  # of its force for a positive command
+    source: str
+    at_rest: bool = True  # whether it pushes at rest, a unit per unit of its command
+
+
 def first_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec) -> str:
     """The text of a vehicle file for a hull."""
     _check(hull, spec)
     mesh, added = hull.moved(-spec.origin), added.placed(np.eye(3), -spec.origin)
-    drag = drag_of_hull(mesh, spec.density, cd=spec.cd)
-    tables = [t for t in _tables(mesh, added, drag, spec) if t.entries or t.id.endswith("_coriolis")]
+    return vehicle_text(
+        made_from=f"{spec.mesh} (sha256 {spec.sha256})",
+        about=list(_about(mesh, spec)),
+        name=spec.name,
+        description=f"First model of {spec.name} from its hull ({_size(mesh)}, {spec.mass:g} kg)",
+        source=f"shape of {spec.mesh}, mass as stated; no test yet",
+        degrees_of_freedom=spec.degrees_of_freedom,
+        density=spec.density,
+        tables=list(hull_tables(mesh, added, spec)),
+    )
+
+
+def vehicle_text(
+    *,
+    made_from: str,
+    about: list[str],
+    name: str,
+    description: str,
+    source: str,
+    degrees_of_freedom: tuple[str, ...],
+    density: float,
+    tables: list[EffectTable],
+    hardware: Sequence[Hardware] = (),
+) -> str:
+    """The text of a vehicle file, which is known to be a valid one."""
     text = _template().render(
-        mesh=_plain(spec.mesh),
-        sha256=spec.sha256,
-        about=[part for line in _about(mesh, spec) for part in textwrap.wrap(_plain(line), _WIDTH)],
-        name=_quoted(spec.name),
-        description=_quoted(f"First model of {spec.name} from its hull ({_size(mesh)}, {spec.mass:g} kg)"),
-        source=_quoted(f"shape of {spec.mesh}, mass as stated; no test yet"),
-        degrees_of_freedom=[_quoted(d) for d in spec.degrees_of_freedom],
-        water_density=_quoted(f"{spec.density:g} kg/m^3"),
-        forces=[_quoted(f"tau_{FORCE[i]}") for i in spec.own],
+        made_from=_plain(made_from),
+        about=[part for line in about for part in textwrap.wrap(_plain(line), _WIDTH)],
+        name=_quoted(name),
+        description=_quoted(description),
+        source=_quoted(source),
+        degrees_of_freedom=[_quoted(d) for d in degrees_of_freedom],
+        water_density=_quoted(f"{density:g} kg/m^3"),
+        forces=[_quoted(f"tau_{FORCE[DOFS.index(d)]}") for d in degrees_of_freedom],
         effects=tables,
+        hardware=hardware,
     )
     try:
         vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
@@ -319,6 +355,13 @@ def _size(mesh: Mesh) -> str:
 
 
 # --- effects --------------------------------------------------------------------------------------
+def hull_tables(mesh: Mesh, added: AddedMass, spec: HullSpec) -> Iterator[EffectTable]:
+    """Tables of the effects that a shape gives, about its origin; those without entries are left out."""
+    drag = drag_of_hull(mesh, spec.density, cd=spec.cd)
+    found = _tables(mesh, added, drag, spec)
+    yield from (t for t in found if t.entries or t.id.endswith("_coriolis"))
+
+
 def _tables(mesh: Mesh, added: AddedMass, drag: Drag, spec: HullSpec) -> Iterator[EffectTable]:
     turns = len(spec.own) > 1
     yield EffectTable("rigid_body", list(_rigid_body(mesh, spec)))
@@ -339,10 +382,10 @@ def _tables(mesh: Mesh, added: AddedMass, drag: Drag, spec: HullSpec) -> Iterato
 
 
 def _rigid_body(mesh: Mesh, spec: HullSpec) -> Iterator[str]:
-    yield _entry("m", spec.mass, "kg", source="as stated")
+    yield entry_line("m", spec.mass, "kg", source="as stated")
     for axis, arm in zip("xyz", spec.cg, strict=True):
         if arm:
-            yield _entry(f"{axis}_g", arm, "m", source="as stated")
+            yield entry_line(f"{axis}_g", arm, "m", source=spec.cg_source)
     cg = np.array(spec.cg)
     inertia = mesh.inertia * spec.mass / mesh.volume + spec.mass * (cg @ cg * np.eye(3) - np.outer(cg, cg))
     source = "assumed: mass spread evenly over the hull"
@@ -354,22 +397,22 @@ def _tensor(inertia: Array, suffix: str, spec: HullSpec, source: str) -> Iterato
     for i in turning:
         value = float(inertia[i, i])
         sigma = _RULES.inertia * value
-        yield _entry(f"I_{'xyz'[i]}{suffix}", value, "kg m^2", sigma=sigma, assumed=True, source=source)
+        yield entry_line(f"I_{'xyz'[i]}{suffix}", value, "kg m^2", sigma=sigma, assumed=True, source=source)
     for i, j in ((0, 1), (0, 2), (1, 2)):
         product = -float(inertia[i, j])
         if {i, j} <= set(turning) and abs(product) > _RULES.rounding * np.trace(inertia):
             sigma = _RULES.inertia * float(np.sqrt(inertia[i, i] * inertia[j, j]))
             name = f"I_{'xyz'[i]}{'xyz'[j]}{suffix}"
-            yield _entry(name, product, "kg m^2", sigma=sigma, assumed=True, source=source)
+            yield entry_line(name, product, "kg m^2", sigma=sigma, assumed=True, source=source)
 
 
 def _water(mesh: Mesh, spec: HullSpec, volume: float) -> Iterator[str]:
     mass = spec.density * (mesh.volume - volume)
     source = "assumed: water fills what the hull encloses and does not displace, evenly"
-    yield _entry("m_w", mass, "kg", sigma=_RULES.inertia * mass, assumed=True, source=source)
+    yield entry_line("m_w", mass, "kg", sigma=_RULES.inertia * mass, assumed=True, source=source)
     for axis, arm in zip("xyz", mesh.centroid, strict=True):
         if abs(arm) > _RULES.rounding * mesh.extents.max():
-            yield _entry(f"m{axis}_w", mass * float(arm), "kg m", assumed=True, source=source)
+            yield entry_line(f"m{axis}_w", mass * float(arm), "kg m", assumed=True, source=source)
     centre = mesh.centroid
     about = mesh.inertia / mesh.volume + centre @ centre * np.eye(3) - np.outer(centre, centre)
     yield from _tensor(mass * about, "w", spec, source)
@@ -379,7 +422,7 @@ def _added_mass(added: AddedMass, spec: HullSpec) -> Iterator[str]:
     sigma = sigma_of(added)
     for i in spec.own:
         value, spread = entry(added, i, i), float(sigma[i, i])
-        yield _entry(
+        yield entry_line(
             derivative(i, i), -value, _UNITS["m"][i > 2], sigma=spread, estimate=True, source=added.source
         )
 
@@ -390,7 +433,7 @@ def _couplings(added: AddedMass, spec: HullSpec) -> Iterator[str]:
         if {i, j} <= set(spec.own):
             unit = ("kg", "kg m", "kg m^2")[(i > 2) + (j > 2)]
             value, spread = float(added.matrix[i, j]), float(sigma[i, j])
-            yield _entry(derivative(i, j), -value, unit, sigma=spread, source=added.source)
+            yield entry_line(derivative(i, j), -value, unit, sigma=spread, source=added.source)
 
 
 def _linear_drag(mesh: Mesh, drag: Drag, spec: HullSpec) -> Iterator[str]:
@@ -400,7 +443,9 @@ def _linear_drag(mesh: Mesh, drag: Drag, spec: HullSpec) -> Iterator[str]:
         unit = "m/s" if i < 3 else "rad/s"
         text = f"assumed: as much as the quadratic drag at {even:.2g} {unit}"
         name = f"{FORCE[i]}_{VELOCITY[i]}"
-        yield _entry(name, -value, _UNITS["d"][i > 2], sigma=value, estimate=True, assumed=True, source=text)
+        yield entry_line(
+            name, -value, _UNITS["d"][i > 2], sigma=value, estimate=True, assumed=True, source=text
+        )
 
 
 def _quadratic_drag(drag: Drag, spec: HullSpec) -> Iterator[str]:
@@ -408,7 +453,7 @@ def _quadratic_drag(drag: Drag, spec: HullSpec) -> Iterator[str]:
         value, sigma = float(drag.coefficients[i]), float(drag.sigma[i])
         name = f"{FORCE[i]}_{VELOCITY[i]}abs{VELOCITY[i]}"
         source = drag.sources[i]
-        yield _entry(name, -value, _UNITS["q"][i > 2], sigma=sigma, estimate=True, source=source)
+        yield entry_line(name, -value, _UNITS["q"][i > 2], sigma=sigma, estimate=True, source=source)
 
 
 def _restoring(mesh: Mesh, spec: HullSpec) -> Iterator[str]:
@@ -416,14 +461,14 @@ def _restoring(mesh: Mesh, spec: HullSpec) -> Iterator[str]:
     buoyancy = spec.density * GRAVITY * volume
     text = "volume of the hull" if spec.volume is None else "volume as stated"
     source = f"{text}, {volume:.5g} m^3, times density and gravity"
-    yield _entry("B", buoyancy, "N", sigma=_RULES.buoyancy * buoyancy, estimate=True, source=source)
+    yield entry_line("B", buoyancy, "N", sigma=_RULES.buoyancy * buoyancy, estimate=True, source=source)
     centre = np.where(np.abs(mesh.centroid) > _RULES.rounding * mesh.extents.max(), mesh.centroid, 0.0)
     for axis, arm in zip("xyz", centre, strict=True):
-        yield _entry(f"{axis}_b", float(arm), "m", source="centre of volume of the hull")
+        yield entry_line(f"{axis}_b", float(arm), "m", source="centre of volume of the hull")
 
 
 # --- text -----------------------------------------------------------------------------------------
-def _entry(
+def entry_line(
     name: str,
     value: float,
     unit: str,
@@ -433,6 +478,7 @@ def _entry(
     assumed: bool = False,
     source: str,
 ) -> str:
+    """One parameter of a table, as a line of the file."""
     # What is zero by symmetry, and known to be so, leaves nothing to be estimated.
     open_ = bool(value) or sigma > _RULES.rounding
     fields = [f"value = {_quoted(f'{0.0 + value:.6g} {unit}')}"]

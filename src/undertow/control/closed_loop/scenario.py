@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from undertow.errors import UndertowError, nearest
-from undertow.model.loading import Quantity
 from undertow.model.symbols import FASTEST, FORCE_UNITS, MOTION_UNITS
+from undertow.model.tables import Quantity
 from undertow.model.units import to_si
 
 MOST_SAMPLES = 50_000_000

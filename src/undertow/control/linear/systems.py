@@ -247,7 +247,8 @@ class LawSystem:
         n = len(self.references)
         y = trim.y
         ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.acting)
-        target = self._controller.allocation.acting @ trim.u
+        commands = np.array([trim.commands[n] for n in self._controller.command_names])
+        target = self._controller.allocation.acting @ commands
         for _ in range(20):  # Newton; laws are nearly linear, so that a few would do
             lacking = target - self.outputs(ref, y, z)[2][rows]
             slope = self._slopes(ref, y, z).full()[rows]
@@ -282,9 +283,13 @@ def as_controller(gains: GainSet) -> ct.NonlinearIOSystem:
 
 def forces_of(vehicle: Vehicle) -> tuple[list[str], Array]:
     """Names of the body-frame forces that commands give, and commands for a unit of each, shape (nu, k)."""
-    matrix = Plant(vehicle).thrust_matrix
+    plant = Plant(vehicle)
+    matrix = plant.thrust_matrix
     rows = [i for i, row in enumerate(matrix) if np.any(row)]
-    inverse = np.linalg.pinv(matrix[rows], rcond=1e-10)
+    # Surfaces and inputs of the log have no part in it.
+    places = [vehicle.command_names.index(name) for name in plant.vehicle.command_names]
+    inverse = np.zeros((len(vehicle.command_names), len(rows)))
+    inverse[places] = np.linalg.pinv(matrix[rows], rcond=1e-10)
     return [f"force_{vehicle.degrees_of_freedom[i]}" for i in rows], inverse
 
 
@@ -318,7 +323,13 @@ def close_loop(
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     law = law_for(gains, nominal or vehicle, found.direction)
-    return LinearLoop(linearize(vehicle, found, pade=pade), law, found)
+    plant = linearize(vehicle, found, pade=pade)
+    places = [plant.input_labels.index(n) for n in Plant(vehicle).vehicle.command_names]
+    if len(places) < plant.ninputs:
+        b, d, names = plant.B[:, places], plant.D[:, places], [plant.input_labels[i] for i in places]
+        system = ct.ss(plant.A, b, plant.C, d)
+        plant = named(system, plant.state_labels, names, plant.output_labels, plant.name)
+    return LinearLoop(plant, law, found)
 
 
 def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> LawSystem:

@@ -120,7 +120,7 @@ class Balance:
 
     def bounds(self) -> list[tuple[float | None, float | None]]:
         """Limits of each unknown: what thrusters can give."""
-        limits = {t.name: t.limit for t in self.numeric.vehicle.thrusters} if self._limited else {}
+        limits = self.numeric.vehicle.command_limits if self._limited else {}
         most = [limits.get(self.names[i]) for i in self.unknown]
         return [(None, None) if m is None else (-m, m) for m in most]
 

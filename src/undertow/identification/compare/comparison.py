@@ -291,7 +291,7 @@ def _variables(
                 _principal(forces.pose[:, i]) if UNITS[name] == "rad" else forces.pose[:, i],
             )
     for i, name in enumerate(vehicle.command_names):
-        yield name, UNITS.get(name, "command"), forces.commands[:, i]
+        yield name, vehicle.command_units[name], forces.commands[:, i]
     yield "t", "s", forces.t
 
 

@@ -43,8 +43,9 @@ class Forces:
 
     @property
     def drive(self) -> Array:
-        """Force of thrusters and known forces, shape (K, n)."""
-        parts = [self.wrenches[i] for i in ("thrusters", "generalised_force") if i in self.wrenches]
+        """Force of thrusters, control surfaces and known forces, shape (K, n)."""
+        driving = ("thrusters", "propellers", "control_surfaces", "generalised_force")
+        parts = [self.wrenches[i] for i in driving if i in self.wrenches]
         return np.asarray(sum(parts, np.zeros_like(self.missing)))
 
 

@@ -6,16 +6,19 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from undertow.identification.estimation.data import Segment, WeakData
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import without_gaps
+from undertow.identification.estimation.step import search_prior
 from undertow.identification.logs.run import ACCELERATION
 from undertow.model.symbols import FORCE_UNITS, POSE
 from undertow.typing import Array, Flags, Index
@@ -37,18 +40,21 @@ class ReferenceSettings:
     lags: tuple[float, ...] = (1.0, 4.0, 16.0)
     folds: int = 5  # stretches of the training data, each of which is predicted from the others
     # Weights of the squared coefficients of standardised columns, per row of data.
-    penalties: tuple[float, ...] = tuple(np.logspace(-4, 3, 15))
+    penalties: tuple[float, ...] = tuple(np.logspace(-4, 3, 11))
+    bins: int = 63  # that a signal is divided into for the trees
     # Boosting: trees, their leaves, the fewest rows in a leaf, and the share of each tree that is added.
-    trees: int = 80
+    trees: int = 60
     leaves: int = 6
     fewest_in_leaf: int = 20
     learning_rate: float = 0.1
     most_rows: int = 5000  # rows that are learned from; of longer logs every second, third, ... is
     level: float = 0.95  # of the intervals
     least_share: float = 0.05  # predicted share below which nothing is worth a name
+    most_hidden: float = 0.3  # end of the interval up to which nothing is missing that the signals could show
 
 
 SETTINGS = ReferenceSettings()
+_Fold = tuple[Flags, Index]  # rows to learn from, and those that are held out
 _LAGGED = re.compile(r" filtered over .* s$")
 
 
@@ -67,8 +73,8 @@ def predictable(
 ) -> list[Predictability]:
     """How much of the residual force of every degree of freedom depends on what was logged.
 
-    Ridge regression on the signals and their products, and boosted trees on what that leaves, whichever
-    predicts stretches of the training data better; judged on the validation data. What other values of the
+    Ridge regressions on the signals and their products, and boosted trees on what these leave, as far as they
+    predict held-out stretches of the training data; judged on the validation data. What other values of the
     model's own parameters would predict as well does not count.
 
     Parameters
@@ -92,7 +98,14 @@ def predictable(
     with _one_thread():
         logs = _logs(fit, train, test, settings)
         signals = _Signals.common(logs, variables)
-        return [_Force(logs, signals, i, settings).result() for i in range(len(vehicle.dof_indices))]
+        forces = [_Force(logs, signals, i, settings) for i in range(len(vehicle.dof_indices))]
+        change = _other_values(fit, [f.learned for f in forces])
+        return [f.result(change) for f in forces]
+
+
+def is_disturbance(found: Sequence[Predictability], settings: ReferenceSettings = SETTINGS) -> bool:
+    """Whether the signals predict nothing, and these logs are long enough to say so."""
+    return not any(p.something or p.interval[1] > settings.most_hidden for p in found)
 
 
 def captured(
@@ -121,10 +134,12 @@ def captured(
         logs = _logs(fit, train, test, settings)
         signals = _Signals.common(logs, variables)
         without = ForceRows(base, test)
+        dofs = range(len(fit.model.functions.vehicle.dof_indices))
+        forces = [_Force(logs, signals, i, settings) for i in dofs]
+        change = _other_values(fit, [f.learned for f in forces])
         shares, weights = [], []
-        for dof in range(len(fit.model.functions.vehicle.dof_indices)):
-            force = _Force(logs, signals, dof, settings)
-            left = force.result()
+        for force in forces:
+            left = force.result(change)
             before = force.square_of(without)
             gained = max(before - left.residual_rms**2, 0.0)
             lost = left.interval[0] * left.residual_rms**2
@@ -145,10 +160,10 @@ def _one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Signals:
-    """Columns that are learned from, and which of them are single signals."""
+    """Columns that are learned from, and choices among them; the first are the signals one by one."""
 
     columns: list[Column]
-    single: Index
+    choices: tuple[Index, ...]
 
     @classmethod
     def common(cls, logs: Sequence[_Log], variables: Sequence[str] | None) -> _Signals:
@@ -157,10 +172,18 @@ class _Signals:
         pose = measured_pose(logs[1].rows.data)
         terms = [c for t in terms_of(logs[0].vehicle, pose) for c in t.columns if c and "t" not in c]
         lagged = [_lagged(n, log) for n in logs[0].rows.data.commands for log in logs[0].lags]
-        columns = [*terms, *_angles(further), *((n,) for n in (*further, *lagged))]
+        through_water = [
+            (f"{wave}({angle})", factor)
+            for wave, angle in product(("sin", "cos"), ("psi",) if "psi" in pose else ())
+            for name in logs[0].vehicle.velocity_names
+            for factor in (name, f"|{name}|")
+        ]
+        columns = [*terms, *through_water, *_angles(further), *((n,) for n in (*further, *lagged))]
         allowed = set(variables) if variables is not None else None
         kept = [c for c in columns if _uses(c, allowed)]
-        return cls(kept, np.array([k for k, c in enumerate(kept) if _is_single(c)], dtype=np.intp))
+        smaller = {*kept} - {*through_water}
+        choices = ([_is_single(c) for c in kept], [c in smaller for c in kept], [True] * len(kept))
+        return cls(kept, tuple(np.flatnonzero(c) for c in choices))
 
 
 def _angles(names: Sequence[str]) -> list[Column]:
@@ -288,11 +311,16 @@ class _Force:
         parts = [force for force, _ in rows.row(self._dof).averaged(self._width)]
         return float(np.mean(np.concatenate(parts) ** 2))
 
-    def result(self) -> Predictability:
-        """What can be predicted, on the validation data."""
-        learned, judged = (self._table(*pair) for pair in zip(self._logs, self._rows, strict=True))
-        predict = Learner(self._settings, self._signals.single, self._width).learned(learned)
-        other_values = judged.force - judged.own @ _other_values(learned)
+    @cached_property
+    def learned(self) -> _Table:
+        """The residual force on the training data."""
+        return self._table(self._logs[0], self._rows[0])
+
+    def result(self, change: Array) -> Predictability:
+        """What can be predicted, on the validation data, beyond a change (n_free,) of the parameters."""
+        judged = self._table(self._logs[1], self._rows[1])
+        predict = Learner(self._settings, self._signals.choices, self._width).learned(self.learned)
+        other_values = judged.force - judged.own @ change
         before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
         square = max(judged.square, 1e-300)
         after = judged.force - predict(judged.signals)
@@ -343,50 +371,80 @@ class _Force:
         return {name: lost for name, lost in ordered if lost > 0.01}
 
 
-def _other_values(table: _Table) -> Array:
-    """Change of the model's parameters that suits the training data best in this one equation."""
-    size = np.maximum(np.linalg.norm(table.own, axis=0), 1e-300)
-    return np.asarray(np.linalg.lstsq(table.own / size, table.force, rcond=1e-6)[0] / size)
+def _other_values(fit: Fitted, tables: Sequence[_Table]) -> Array:
+    """Change of the model's parameters, (n_free,), that suits the training data best in all equations.
+
+    Each counts by what is left in it, so that none is left out; priors hold.
+    """
+    centre, weight = search_prior(fit.model)
+    scale = [1.0 / max(np.sqrt(table.square), 1e-300) for table in tables]
+    rows = [table.own * s for table, s in zip(tables, scale, strict=True)]
+    wanted = [table.force * s for table, s in zip(tables, scale, strict=True)]
+    stacked = np.vstack([*rows, np.diag(weight)])
+    size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+    right = np.concatenate([*wanted, weight * (centre - fit.p[list(fit.model.places)])])
+    return np.asarray(np.linalg.lstsq(stacked / size, right, rcond=1e-9)[0] / size)
 
 
 class Learner:
-    """Ridge regression, and boosted trees on what it leaves, as far as they predict held-out stretches."""
+    """Ridge regressions, and boosted trees on what they leave, as far as they predict held-out stretches.
 
-    def __init__(self, settings: ReferenceSettings, single: Index, width: int) -> None:
-        self._settings, self._single, self._gap = settings, single, width + 3
+    The regressions on few columns and on many are mixed with the weights, none negative, with which the
+    held-out stretches are predicted best (stacking; Breiman, Machine Learning 24, 1996, 49-64).
+    """
+
+    def __init__(self, settings: ReferenceSettings, choices: Sequence[Index], width: int) -> None:
+        self._settings, self._choices, self._gap = settings, choices, width + 3
+        self._single = choices[0]
 
     def learned(self, table: _Table) -> Callable[[Array], Array]:
         """Function from signals (K, q) to the force (K,)."""
         step = -(-len(table.force) // self._settings.most_rows)
         y, X = table.force[::step], table.signals[::step]
-        folds = [*self._folds(len(y), -(-self._gap // step))]
         if len(y) < 2 * self._settings.folds * self._settings.fewest_in_leaf or not X.shape[1]:
             mean = float(np.mean(y)) if len(y) else 0.0
             return lambda signals: np.full(len(signals), mean)
-        held_out = [(Ridge(X[kept], y[kept]), kept, out) for kept, out in folds]
-        squares = [
-            sum(np.sum((y[out] - ridge.predict(X[out], a)) ** 2) for ridge, _, out in held_out)
-            for a in self._settings.penalties
-        ]
-        penalty = self._settings.penalties[int(np.argmin(squares))]
-        trees = self._trees(X, y, held_out, penalty)
-        ridge = Ridge(X, y)
-        if not trees:
-            return lambda signals: ridge.predict(signals, penalty)
-        boosted = self._boosted(X[:, self._single], y - ridge.predict(X, penalty), trees)
-        return lambda signals: ridge.predict(signals, penalty) + boosted.predict(signals[:, self._single])
+        folds = [*self._folds(len(y), -(-self._gap // step))]
+        found = [self._ridge(X[:, columns], y, folds) for columns in self._choices]
+        # By stretch that is held out, what the regressions without it say of all rows.
+        said = np.array([each for _, each in found])
+        held_out = np.column_stack([said[:, i, out] for i, (_, out) in enumerate(folds)]).T
+        weights = nnls(held_out, y)[0]
+        trees = self._trees(X, y - np.tensordot(weights, said, 1), folds)
+        regressions = [(w, ridge, c) for w, (ridge, _), c in zip(weights, found, self._choices, strict=True)]
 
-    def _trees(
-        self, X: Array, y: Array, held_out: Sequence[tuple[Ridge, Flags, Index]], penalty: float
-    ) -> int:
-        """Trees with which held-out stretches are predicted best, or none."""
+        def mixed(signals: Array) -> Array:
+            return np.asarray(sum(w * ridge(signals[:, c]) for w, ridge, c in regressions))
+
+        if not trees:
+            return mixed
+        boosted = self._boosted(X[:, self._single], y - mixed(X), trees)
+        return lambda signals: mixed(signals) + boosted.predict(signals[:, self._single])
+
+    def _ridge(self, X: Array, y: Array, folds: Sequence[_Fold]) -> tuple[Callable[[Array], Array], Array]:
+        """Ridge regression with the best penalty, and without each fold what it says of all rows."""
+        without = [Ridge(X[kept], y[kept]) for kept, _ in folds]
+        penalty = min(
+            self._settings.penalties,
+            key=lambda a: sum(
+                float(np.sum((y[out] - ridge.predict(X[out], a)) ** 2))
+                for ridge, (_, out) in zip(without, folds, strict=True)
+            ),
+        )
+        whole = Ridge(X, y)
+        return lambda table: whole.predict(table, penalty), np.array([r.predict(X, penalty) for r in without])
+
+    def _trees(self, X: Array, left: Array, folds: Sequence[_Fold]) -> int:
+        """Trees with which held-out stretches are predicted best, or none.
+
+        `left` (folds, K) is what the regressions leave that did not see the fold.
+        """
         square = np.zeros(self._settings.trees + 1)
-        for ridge, kept, out in held_out:
-            left = y - ridge.predict(X, penalty)
-            boosted = self._boosted(X[kept][:, self._single], left[kept], self._settings.trees)
-            square[0] += np.sum(left[out] ** 2)
+        for y, (kept, out) in zip(left, folds, strict=True):
+            boosted = self._boosted(X[kept][:, self._single], y[kept], self._settings.trees)
             stages = np.array([*boosted.staged_predict(X[out][:, self._single])])
-            square[1:] += np.sum((left[out] - stages) ** 2, axis=1)
+            square[0] += np.sum(y[out] ** 2)
+            square[1:] += np.sum((y[out] - stages) ** 2, axis=1)
         return int(np.argmin(square))
 
     def _boosted(self, X: Array, y: Array, trees: int) -> Any:
@@ -398,10 +456,11 @@ class Learner:
             learning_rate=s.learning_rate,
             max_leaf_nodes=s.leaves,
             min_samples_leaf=s.fewest_in_leaf,
+            max_bins=s.bins,
             early_stopping=False,
         ).fit(X, y)
 
-    def _folds(self, count: int, gap: int) -> Iterator[tuple[Flags, Index]]:
+    def _folds(self, count: int, gap: int) -> Iterator[_Fold]:
         """Rows to learn from and stretch to be predicted, which no average has a part in."""
         edges = np.linspace(0, count, self._settings.folds + 1).astype(int)
         place = np.arange(count)

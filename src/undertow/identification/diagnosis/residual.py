@@ -116,9 +116,14 @@ class ForceRow:
         return (float(np.mean(force**2)), float(np.mean(variance))) if len(force) else (0.0, 0.0)
 
     @cached_property
+    def is_noise(self) -> bool:
+        """Whether the noise of the channels explains it."""
+        return self.ratio < _NOISE_EXPLAINS
+
+    @cached_property
     def disturbance(self) -> float:
         """Intensity that makes the whitened mean square one, N^2 s; zero where noise explains it."""
-        if self.ratio < _NOISE_EXPLAINS:
+        if self.is_noise:
             return 0.0
         level = self.rms**2 * self.weight
         for _ in range(_MATCHING_STEPS):

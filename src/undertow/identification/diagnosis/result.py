@@ -219,6 +219,47 @@ class Predictability(ResultTable):
     of_motion: float
     variables: dict[str, float]
 
+    @property
+    def at_most(self) -> float:
+        """Share that may be predictable: the end of the interval, or all that anything predicted if more."""
+        reached = 1.0 - self.noise_share - (self.disturbance_rms / max(self.residual_rms, 1e-300)) ** 2
+        return max(self.interval[1], reached)
+
+
+class ChannelNoise(ResultTable):
+    """Noise of a measured channel: standard deviation, in its unit, as estimated or as `stated`.
+
+    `cut_off` is the frequency, Hz, above which the channel was filtered before it was logged; its noise is
+    then unknown.
+    """
+
+    channel: str
+    unit: str
+    sigma: float
+    stated: bool
+    cut_off: float | None = None
+
+
+class DisturbanceLevel(ResultTable):
+    """What a model leaves in one force beyond the noise of the sensors, N or N m rms.
+
+    `correlation_time` (s) is that of first-order noise with the same autocorrelation, None where the noise of
+    the sensors explains what is left; `stated` is what the mapping file says is to be expected.
+    """
+
+    degree_of_freedom: str
+    unit: str
+    rms: float
+    correlation_time: float | None
+    stated: float | None = None
+
+
+class Floors(ResultTable):
+    """Noise of the sensors and disturbance of the motion, apart."""
+
+    sensors: list[ChannelNoise]
+    disturbances: list[DisturbanceLevel]
+
 
 class Remaining(ResultTable):
     """What the final model leaves in one degree of freedom on validation data.
@@ -284,6 +325,7 @@ class Diagnosis(ResultTable):
     parameters: list[Estimate]
     false_alarm_rate: float
     noise: dict[str, float]
+    floors: Floors | None = None
     predictable: list[Predictability] = Field(default_factory=list)
     seconds: float
 

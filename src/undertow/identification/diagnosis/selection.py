@@ -317,16 +317,16 @@ class _Selector:
     def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
 
-        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing else is
-        found, candidates are tried under the noise of the sensors alone; what is beyond chance is beyond that
-        of whole blocks of the logs in both.
+        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing at all
+        is found, candidates are tried under the noise of the sensors alone: by chance an effect looks as good
+        in whole blocks of the logs as rarely as before.
         """
         current = self._round(chosen, rounds)
         best = self._best(current, first=not chosen)
-        if best is not None or not np.any(current.bench.base.disturbance):
+        if best is not None or chosen or not np.any(current.bench.base.disturbance):
             return current, best
         slow = try_all(current.bench.without_disturbance(), self._known, self._report)
-        best = self._best(slow, first=not chosen)
+        best = self._best(slow, first=True)
         if best is not None:
             return slow, best
         seen = {f.id for f in current.findings if f.significant}

@@ -498,7 +498,7 @@ def repeats(
 
     A model that has learned the manoeuvre by heart does as well on them as the right one.
     """
-    names = vehicle.command_names
+    names = tuple(n for n in vehicle.command_names if n not in vehicle.inputs)
     pairs = ((kept, fitted) for kept in test for fitted in train)
     return [
         (kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names, settings)

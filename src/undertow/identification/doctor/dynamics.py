@@ -274,7 +274,7 @@ def _six(run: Run, names: tuple[str, ...]) -> Array:
 
 def reversed_commands(vehicle: Vehicle) -> list[Mistake]:
     """One command with the opposite sign, all of them, or all that do not push ahead."""
-    names = vehicle.command_names
+    names = tuple(n for n in vehicle.command_names if n not in vehicle.inputs)
     across = tuple(t.name for t in vehicle.thrusters if not t.wrench[0])
     several = {group for group in (names, across) if len(group) > 1}
     return [_reversed((n,)) for n in names] + [_reversed(group) for group in sorted(several)]

@@ -40,8 +40,13 @@ _INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
 def allocation(vehicle: Vehicle) -> Array:
     """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
     rows = list(vehicle.dof_indices)
-    columns = [np.array(t.wrench)[rows] * t.thrust_per_command.value for t in vehicle.thrusters]
+    # What a propeller by revolutions or a curve gives is not in proportion to the command.
+    gains = [t.thrust_per_command.value if t.law is None else 0.0 for t in vehicle.thrusters]
+    columns = [np.array(t.wrench)[rows] * k for t, k in zip(vehicle.thrusters, gains, strict=True)]
+    # What a surface gives depends on the flow, and an input such as the wind is no force.
+    columns += [np.zeros(len(rows))] * len(vehicle.surfaces)
     columns += [np.eye(6)["XYZKMN".index(channel[-1])][rows] for channel in vehicle.force_channels]
+    columns += [np.zeros(len(rows))] * len(vehicle.inputs)
     return np.array(columns).T.reshape(len(rows), -1)
 
 
@@ -147,7 +152,7 @@ class Responses:
         u = run.matrix(self.vehicle.command_names)
         missing = np.isnan(u)
         actuation = self._chain.along(run.t, without_gaps(u), self._p).value
-        table = np.column_stack([actuation, u[:, len(self.vehicle.thrusters) :]])
+        table = np.column_stack([actuation, u[:, len(self.vehicle.actuator_names) :]])
         table = np.where(missing, np.nan, table)
         return np.einsum("Nc,nc->Nnc", table, allocation(self.vehicle))
 
@@ -350,13 +355,15 @@ class _PlausibilityCheck:
     # --- limits of the commands ------------------------------------------------------------------
     def by_limits(self) -> Explanation | None:
         """Commands far beyond what the vehicle file has as the largest."""
-        limits = {t.name: t.limit for t in self.vehicle.thrusters if t.limit}
+        limits = self.vehicle.command_limits
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
         far = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
         if not far:
             return None
         worst = max(far, key=lambda n: far[n])
         known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
+        angles = tuple(s.name for s in self.vehicle.surfaces if s.name in far)
+        known = known or ([_in_degrees(angles)] if angles else [])
         mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
         value, limit = far[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, and its limit in the vehicle file is {limit:.4g}"
@@ -376,6 +383,13 @@ def _rms(runs: Sequence[Run], name: str) -> float:
 def _brings_within(mistake: Mistake, runs: Sequence[Run], limits: dict[str, float]) -> bool:
     undone = [mistake.undo(run) for run in runs]
     return all(_rms(undone, n) <= 1.5 * limit for n, limit in limits.items())
+
+
+def _in_degrees(names: tuple[str, ...]) -> Mistake:
+    """Angles of control surfaces in degrees."""
+    verb = "is" if len(names) == 1 else "are"
+    clause = f"{', '.join(names)} {verb} in degrees, read as radians"
+    return rescaled("command_unit", clause, dict.fromkeys(names, float(np.radians(1.0))), len(names))
 
 
 def times(names: tuple[str, ...], found: float) -> Mistake:

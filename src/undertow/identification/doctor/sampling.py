@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import welch
 
-from undertow.identification.estimation.data import channel_noise
+from undertow.identification.estimation.data import channel_noise, noise_by_order
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE
@@ -34,6 +35,16 @@ class SamplingSettings:
     alike: float = 0.985
     reversals: int = 2  # changes of direction that dead band and dry friction need
     headings: float = np.radians(60.0)  # span that tells a current from a constant force, rad
+    # Noise by differences of the highest order over that by lower ones below which it is not white: of white
+    # noise all of them agree within a few per cent.
+    not_white: float = 0.5
+    # Noise that no sensor is below, in the unit of its channel: a tenth of that of the best tracking systems
+    # (10^-4 m, 10^-5 rad), Doppler logs (10^-4 m/s) and fibre-optic gyros (10^-6 rad/s).
+    least_noise: tuple[tuple[str, float], ...] = (("m", 1e-5), ("rad", 1e-6), ("m/s", 1e-5), ("rad/s", 1e-7))
+    stretch: int = 256  # samples of a stretch whose spectrum is taken
+    # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
+    steep: float = 0.7
+    repeats: float = 0.3  # share of rows that repeat the one before, from which a channel is held or coarse
 
 
 SETTINGS = SamplingSettings()
@@ -46,6 +57,7 @@ def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) 
     """Everything about the clock of runs."""
     found = [f for run in runs for f in _of_run(run, mapping)]
     slow = [f for name in channels if (f := _held(runs, name, mapping)) is not None]
+    found += _filtered(runs, channels)
     return [*found, *slow, *(f for run in runs if (f := _absent(run, channels)) is not None)]
 
 
@@ -153,6 +165,61 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
     return usual, float(np.median(np.diff(t[at])))
 
 
+# --- filtered before they were logged -----------------------------------------------------------
+def was_filtered(runs: Sequence[Run], names: Sequence[str]) -> dict[str, float]:
+    """Channels that were filtered before they were logged (or computed), with their apparent cut-off, Hz.
+
+    Differences of rising order see ever higher frequencies. On white noise they agree; on a filtered record
+    each finds less than the one before, down to less than any sensor has. Channels that were derived from
+    others, that a mapping file states the noise of, or that repeat their values are not looked at.
+    """
+    found = {}
+    for name in names:
+        own = [r for r in runs if r.has(name) and name not in r.derived and name not in r.sigma]
+        cut_offs = [c for c in (_cut_off(r, name) for r in own) if c is not None]
+        if own and 2 * len(cut_offs) > len(own):
+            found[name] = float(np.median(cut_offs))
+    return found
+
+
+def _cut_off(run: Run, name: str) -> float | None:
+    """Frequency above which the spectrum of a channel falls off, or None where white noise is in it."""
+    stretch = max(run.segments([name]), key=lambda s: s.stop - s.start, default=slice(0))
+    t, y = run.t[stretch], run.channels[name][stretch]
+    noise = noise_by_order(t, y)
+    moving = np.any(np.diff(y)) and np.mean(np.diff(y) == 0.0) < SETTINGS.repeats
+    if len(t) < SETTINGS.stretch or not noise or not moving:
+        return None
+    white = noise[-1] > SETTINGS.not_white * noise[len(noise) // 2]
+    credible = min(noise) > dict(SETTINGS.least_noise).get(UNITS.get(name, ""), 0.0)
+    return None if white and credible else _fall(t, y)
+
+
+def _fall(t: Array, y: Array) -> float:
+    """Lowest frequency, Hz, from which the spectrum of a signal falls nearly as steeply as it ever does."""
+    step = float(np.median(np.diff(t)))
+    # Differences: else the leakage of the slow motion, which is far larger, hides the rest.
+    f, power = welch(np.diff(y), 1 / step, "blackmanharris", SETTINGS.stretch, detrend="linear")
+    level = 10 * np.log10(power[1:] / np.sin(np.pi * f[1:] * step) ** 2 + 1e-300)
+    grid = np.geomspace(f[4], f[-1] / np.sqrt(2), 40)
+    fall = np.interp(grid, f[1:], level) - np.interp(np.sqrt(2) * grid, f[1:], level)
+    return float(grid[np.argmax(fall >= SETTINGS.steep * np.max(fall))])
+
+
+def _filtered(runs: Sequence[Run], channels: Sequence[str]) -> Iterator[Finding]:
+    cut_offs = was_filtered(runs, channels)
+    if cut_offs:
+        shown = ", ".join(f"{n} above {f:.2g} Hz" for n, f in cut_offs.items())
+        yield Finding(
+            id="filtered_record",
+            severity="warning",
+            text=f"no sensor's noise is in {shown}: filtered before it was logged, or computed; an error in "
+            "units of the noise says nothing there: judge by the error of simulation, or state the noise of "
+            'the sensor in the mapping file (noise = "...")',
+            evidence=cut_offs,
+        )
+
+
 @dataclass(frozen=True)
 class _Motion:
     """A velocity of all runs, its noise, the samples of a second, and where it moves."""
@@ -235,7 +302,7 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
     gains = {t.name: t.wrench[row] * t.thrust_per_command.value for t in vehicle.thrusters if t.wrench[row]}
     limits = {t.name: t.limit for t in vehicle.thrusters}
     largest = sum(abs(g) * (limits[n] or np.inf) for n, g in gains.items())
-    if not gains or not np.isfinite(largest):
+    if not gains or not np.isfinite(largest) or any(vehicle.laws):
         return None
     force = np.concatenate([sum(g * r.channels[n] for n, g in gains.items()) for r in runs])
     return float((np.nanmax(force) - np.nanmin(force)) / (2 * largest))

@@ -277,15 +277,15 @@ def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
 def notes(fit: Fitted) -> list[str]:
     """What held a fit where the data do not, in words."""
     lines = [
-        f"no known force in these logs fixes the scale of {', '.join(names)} ({dof}): they are known up to a "
-        "common factor, which is left as stated"
+        f"no known force in these logs fixes the scale of the forces in {dof}: {', '.join(names)} are known "
+        "up to a common factor, which is left as stated"
         for dof, names in unknown_scales(fit).items()
     ]
     held = held_by_size(fit)
     if held:
         lines.append(
-            f"{', '.join(held)}: these logs say so little that a weak prior from the vehicle's mass, inertia "
-            "and length holds them near the stated values"
+            "these logs say so little that a weak prior from the vehicle's mass, inertia and length holds "
+            f"near the stated values: {', '.join(held)}"
         )
     return lines
 

@@ -413,7 +413,7 @@ def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
     Geometric mean over windows of the three `horizons`; infinite where a simulation diverges.
     """
     functions = fits[0].model.functions
-    predictor = Predictor(functions)
+    predictor = Predictor(functions, compiled=False)
     windows = [cut(validation, functions.vehicle, h) for h in horizons(functions.vehicle, validation)]
     errors = [[prediction_error(Prediction(w, predictor.reports(w, fit.p))) for w in windows] for fit in fits]
     return np.asarray(np.exp(np.mean(np.log(errors), axis=1)))

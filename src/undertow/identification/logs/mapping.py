@@ -8,11 +8,13 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 from undertow.typing import Array
+
+from .expressions import Formula
 
 SCHEMA = "undertow/mapping/1"
 CommandPolicy = Literal["refuse", "hold", "gap"]
@@ -37,6 +39,28 @@ class Column(_Strict):
     # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
     # column itself where no other tells: then a value that differs from the row before is new.
     fresh: str | None = Field(default=None, min_length=1)
+    # Standard deviation of the noise of the sensor, "2 cm" or a number in `unit`; None: it is estimated.
+    noise: str | float | None = None
+
+
+class Channel(_Strict):
+    """A channel that is a formula in columns: its value is in `unit`, converted to SI."""
+
+    expression: str  # arithmetic in the cells of columns, see `Formula`
+    unit: str | None = None  # unit of the result; None: the SI unit of the channel
+
+    @field_validator("expression")
+    @classmethod
+    def _is_arithmetic(cls, text: str) -> str:
+        try:
+            return Formula(text).text
+        except UndertowError as error:
+            raise ValueError(str(error)) from error
+
+    @property
+    def formula(self) -> Formula:
+        """The expression, read."""
+        return Formula(self.expression)
 
 
 class Time(_Strict):
@@ -75,6 +99,11 @@ def _named(value: Any) -> Any:
     return {"channel": value} if isinstance(value, str) else value
 
 
+def _spelled(value: Any) -> Any:
+    """Let ``f1 = "(pwm - 1500)/400"`` stand for ``f1 = { expression = "(pwm - 1500)/400" }``."""
+    return {"expression": value} if isinstance(value, str) else value
+
+
 class LogMapping(_Strict):
     """A whole mapping file."""
 
@@ -82,9 +111,13 @@ class LogMapping(_Strict):
     description: str = ""
     # Column name to `Column` (or just to the channel name).
     columns: dict[str, Annotated[Column, BeforeValidator(_named)]] = {}
+    # Channel name to `Channel` (or just to its expression): what is computed from columns.
+    channels: dict[str, Annotated[Channel, BeforeValidator(_spelled)]] = {}
     # time, frames: time base and axes.
     time: Time = Time()
     frames: Frames = Frames()
+    # Disturbance to be expected in each force or moment, rms: X = "0.4 N"; a number is in N or N m.
+    disturbance: dict[Literal["X", "Y", "Z", "K", "M", "N"], str | float] = {}
     # Velocity of the water, where the log has velocities through the water; None: they are over ground.
     water: Water | None = None
     # delimiter, decimal, comment: how the text is written; `comment` is a prefix of lines to skip.
@@ -132,6 +165,7 @@ def _keys_beside(place: list[str]) -> list[str]:
         "frames": Frames,
         "water": Water,
         "columns": Column,
+        "channels": Channel,
     }
     model = LogMapping if len(place) == 1 else sections[place[0]]
     return [field.alias or name for name, field in model.model_fields.items()]
@@ -146,6 +180,12 @@ def _refuse_twins(mapping: LogMapping, path: Path) -> None:
                 f"{column.channel!r}: name one of them under `ignore`"
             )
         seen[column.channel] = name
+    for channel in mapping.channels:
+        if channel in seen:
+            raise UndertowError(
+                f"mapping file {path}: channel {channel!r} is column {seen[channel]!r} and an expression: "
+                "keep one"
+            )
 
 
 Channels = dict[str, Array]

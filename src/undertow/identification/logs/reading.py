@@ -31,13 +31,14 @@ from undertow.identification.logs.table import (
     read_table,
     seconds,
 )
-from undertow.model.symbols import VELOCITY
-from undertow.model.units import scale_offset, si_unit
+from undertow.model.catalogue import catalogue, logged_quantities
+from undertow.model.symbols import FORCE, FORCE_UNITS, MOTION_UNITS, VELOCITY
+from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from . import checks
-from .mapping import Column, CommandPolicy, LogMapping
+from .mapping import Channel, Column, CommandPolicy, LogMapping
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
 
@@ -142,12 +143,15 @@ def run_of_table(
     """
     where = f"log {path}"
     table = table.gather_every(mapping.time.every)
-    there = {c.channel for n, c in mapping.columns.items() if n in table.columns}.union(table.columns)
+    there = {c.channel for n, c in mapping.columns.items() if n in table.columns}
+    there |= {*mapping.channels, *table.columns}
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
+    stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
         read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
+        read |= {name: _computed(table, name, c, mapping, where) for name, c in mapping.channels.items()}
         channels = _turned(read, mapping, where)
     run = Run(
         name=path.name.split(".")[0],
@@ -155,6 +159,7 @@ def run_of_table(
         channels=channels,
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
+        sigma=_stated_noise(sources, mapping, where),
         mapping=mapping,
         dropped=rows - table.height,
     ).slice(*window)
@@ -173,12 +178,15 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
         if column.fresh is not None and name in names:
             must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")
     found = {name: column for name, column in mapping.columns.items() if name in names}
-    taken = {column.channel for column in found.values()}
+    for channel in mapping.channels.values():
+        for name in channel.formula.columns:
+            must_have(name, names, where, f"column of expression {channel.expression!r},")
+    taken = {column.channel for column in found.values()} | {*mapping.channels}
     for name in names:
         by_name = (name in UNITS or name in commands) and name not in taken and name not in mapping.ignore
         if by_name and name not in found and name != mapping.time.column:
             found[name] = Column(channel=name)
-    known = [column.channel for column in found.values()]
+    known = [*(column.channel for column in found.values()), *mapping.channels]
     for name in commands:
         must_have(name, known, where, "command channel", names)
     return found
@@ -249,6 +257,18 @@ def _values(table: pl.DataFrame, name: str, column: Column, mapping: LogMapping,
     return scale * cells + offset
 
 
+def _computed(table: pl.DataFrame, name: str, channel: Channel, mapping: LogMapping, where: str) -> Array:
+    """Values of a channel that is a formula in columns."""
+    formula = channel.formula
+    values = formula.of({n: numbers(table, n, mapping, where) for n in formula.columns})
+    scale, offset = 1.0, 0.0
+    if channel.unit is not None:
+        wanted = UNITS.get(name) or si_unit(channel.unit)
+        scale, offset = scale_offset(channel.unit, wanted, of=f"{where}: unit of channel {name!r}")
+    shape = np.full(table.height, 1.0)  # a formula without columns is the same in every row
+    return scale * values * shape + offset
+
+
 def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
     """Return scale and offset from the cell to the channel."""
     scale, offset = 1.0, 0.0
@@ -258,6 +278,26 @@ def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
             column.unit, wanted, of=f"{where}: unit {column.unit!r} of column {name!r}"
         )
     return scale * column.scale, scale * column.offset + offset
+
+
+def _stated_noise(sources: dict[str, Column], mapping: LogMapping, where: str) -> dict[str, float]:
+    """Standard deviations that the mapping file states, by channel."""
+    found = {}
+    for name, column in sources.items():
+        if column.noise is not None:
+            unit = UNITS.get(column.channel) or si_unit(column.unit or "1")
+            given = (
+                f"{column.noise} {column.unit or unit}" if isinstance(column.noise, float) else column.noise
+            )
+            sigma = magnitude(given, unit, f"{where}: noise of column {name!r}")
+            found[turned_name(column.channel, mapping.frames.position)] = sigma
+    return found
+
+
+def stated_disturbance(mapping: LogMapping, where: str = "mapping file") -> dict[str, float]:
+    """Disturbance, rms in N or N m, that a mapping file states, by force (X, Y, Z, K, M, N)."""
+    units = dict(zip(FORCE, FORCE_UNITS, strict=True))
+    return {n: magnitude(v, units[n], f"{where}: disturbance {n}") for n, v in mapping.disturbance.items()}
 
 
 def _turned(channels: Channels, mapping: LogMapping, where: str) -> Channels:
@@ -305,6 +345,7 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
         for name, (scale, offset) in factors.items()
         if (scale, offset, sources[name].power) != (1.0, 0.0, 1.0)
     ]
+    changed += [f"{n} = {c.expression} {c.unit or ''}".rstrip() for n, c in mapping.channels.items()]
     notes = [f"converted: {', '.join(changed)}"] if changed else []
     spec = mapping.frames
     if "ENU" in (spec.position, _attitude(mapping)) or spec.body == "FLU":
@@ -327,6 +368,7 @@ def _term(name: str, power: float) -> str:
 def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMapping) -> list[str]:
     flags = {column.fresh for column in sources.values()}
     used = {*sources, *mapping.ignore, mapping.time.column, *flags}
+    used.update(n for channel in mapping.channels.values() for n in channel.formula.columns)
     left = [name for name in names if name not in used]
     return [f"columns not used: {', '.join(left)}"] if left else []
 
@@ -342,11 +384,14 @@ def _checked(
     for name, data in run.channels.items():
         check(name, run.t, data, where)
     notes, filled, known = [], dict(run.channels), before or {}
+    sensed = {*logged_quantities(catalogue()), *MOTION_UNITS}
     for name in commands:
         if run.has(name):
-            filled[name], note = checks.fill_commands(
-                name, run.t, filled[name], policy, where, known.get(name, np.nan)
-            )
+            data, rule, earlier = filled[name], policy, known.get(name, np.nan)
+            if name in sensed:  # a sensor reports now and then: its first report holds from the start
+                first = data[np.isfinite(data)][:1]
+                rule, earlier = "hold", known.get(name, float(first.sum()) if first.size else np.nan)
+            filled[name], note = checks.fill_commands(name, run.t, data, rule, where, earlier)
             notes += [note] if note else []
     constant = checks.constant_channels(run)
     if constant:
@@ -375,7 +420,7 @@ def on_the_clock(run: Run, names: Iterable[str]) -> Run:
     channels, sigma, notes = dict(run.channels), dict(run.sigma), []
     for name in names:
         t, reports = _reports(run, name)
-        noise = _noise(reports)
+        noise = sigma.get(name) or _noise(reports)
         channels[name] = _between(run.t, t, reports)
         sigma[name] = noise * float(np.sqrt(len(run.t) / len(t)))
         notes.append(

@@ -329,13 +329,17 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
 
     The key "" stands for all that are not named; a limit of the vehicle file may be lowered, never raised.
     """
+    if vehicle.inputs:
+        raise UndertowError(
+            f"no plan chooses {', '.join(vehicle.inputs)}: plan with a vehicle file whose inputs are empty"
+        )
     for name, value in asked.items():
         if name not in ("", *vehicle.command_names):
             have = ", ".join(vehicle.command_names)
             raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
         if not (value > 0 and np.isfinite(value)):
             raise UndertowError(f"--limit {name or 'of all'} = {value:g} is no limit: give a positive value")
-    stated = {t.name: t.limit for t in vehicle.thrusters if t.limit is not None}
+    stated = vehicle.command_limits
     found = [_limit(n, asked, stated.get(n), runs) for n in vehicle.command_names]
     return CommandLimits(np.array([v for v, _ in found]), tuple(s for _, s in found))
 

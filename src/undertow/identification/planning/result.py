@@ -119,10 +119,8 @@ _DETERMINED = 0.3
 
 def command_unit(vehicle: Vehicle, name: str) -> str:
     """Unit of a command: N (N m) where one unit of it is one of thrust, else "command"."""
-    if name in vehicle.force_channels:
-        return "N" if name[-1] in "XYZ" else "N m"
-    thruster = next(t for t in vehicle.thrusters if t.name == name)
-    return "N" if thruster.thrust_per_command.value == 1.0 else "command"
+    in_newton = {t.name: "N" for t in vehicle.thrusters if t.thrust_per_command.value == 1.0 and not t.law}
+    return in_newton.get(name, vehicle.command_units[name])
 
 
 def commands_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> list[PlannedCommand]:

@@ -11,7 +11,7 @@ from undertow.model.effect import Wrench
 from undertow.model.effects.cubic_damping import CubicDamping
 from undertow.model.effects.linear_damping import LinearDamping
 from undertow.model.effects.quadratic_damping import QuadraticDamping
-from undertow.model.parameter import Parameter
+from undertow.model.parameter import LoggedOnly, Parameter
 from undertow.model.symbols import Signals, symbol
 
 _AHEAD, _GAP = symbol("ahead"), symbol("gap")
@@ -27,7 +27,8 @@ class BoundaryProximity(Wrench):
     narrow tank. The boundary is a plane: it lies in the direction (fade_N, fade_E, fade_D), the rise fades to
     1/e over 1 / |fade| metres, and the NED origin is fade_0 such lengths away from it. A bottom at depth z_b
     is fade_D = 1/L, fade_0 = z_b/L; the surface fade_D = -1/L, fade_0 = 0; a wall at y = y_w to the east
-    fade_E = 1/L, fade_0 = y_w/L. A vehicle that never comes close shows only rise * exp(-fade_0).
+    fade_E = 1/L, fade_0 = y_w/L. A vehicle that never comes close shows only rise * exp(-fade_0). Where the
+    log has the distance from the bottom, the bottom need not be flat, and fade_D = 1/L is all.
     """
 
     id = "boundary_proximity"
@@ -48,8 +49,11 @@ class BoundaryProximity(Wrench):
         linear=False,
         starts=(0, 1),
         neutral=None,
+        without_log="altitude",
     )
-    fade_E = Parameter("1/m", "east part", (-50, 50), linear=False, starts=(0, 1), neutral=None)
+    fade_E = Parameter(
+        "1/m", "east part", (-50, 50), linear=False, starts=(0, 1), neutral=None, without_log="altitude"
+    )
     fade_D = Parameter("1/m", "downward part", (-50, 50), linear=False, starts=(0, 1), neutral=None)
     fade_0 = Parameter(
         "1",
@@ -58,7 +62,9 @@ class BoundaryProximity(Wrench):
         linear=False,
         starts=(1, 10),
         neutral=None,
+        without_log="altitude",
     )
+    altitude = LoggedOnly("m", "distance from the bottom, as an echo sounder has it")
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
@@ -83,6 +89,9 @@ class BoundaryProximity(Wrench):
 
     def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
         fade = sm.Matrix([self.fade_N, self.fade_E, self.fade_D])
+        ahead = self.fade_0 - fade.dot(sm.Matrix(s.eta[:3]))
+        if "altitude" in self.inputs:
+            ahead = self.fade_D * self.altitude
         # Measured positions may lie a little beyond the boundary: the rise stays what it is there.
         gap = (_AHEAD + sm.Abs(_AHEAD)) / 2
-        return {_AHEAD: self.fade_0 - fade.dot(sm.Matrix(s.eta[:3])), _GAP: gap}
+        return {_AHEAD: ahead, _GAP: gap}

@@ -13,14 +13,17 @@ from undertow.model.symbols import Signals
 
 
 class NetBuoyancy(Wrench):
-    """Buoyancy in excess of the weight, upward, through the body origin (bad trim, other water density)."""
+    """Buoyancy in excess of the weight, upward, through the body origin (bad trim, other water density).
+
+    Where the log has what a ballast tank or a buoyancy engine gives, in N, it is an input.
+    """
 
     id = "net_buoyancy"
     family = "statics"
     reference = "Fossen (2021), chapter 4 (hydrostatics of submerged vehicles, W - B)"
     signature = "a steady vertical command is needed to hold depth, turning with roll and pitch"
 
-    B_net = Parameter("N", "buoyancy minus weight, positive up")
+    B_net = Parameter("N", "buoyancy minus weight, positive up", logged=True)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         upward = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, -self.B_net])

@@ -11,14 +11,22 @@ from undertow.model.symbols import FASTEST, Signals
 
 
 class OceanCurrent(Flow):
-    """Water that moves steadily and uniformly over ground."""
+    """Water that moves steadily and uniformly over ground.
+
+    Where the log has the velocity of the water (a current profiler over the bottom), it is that from sample
+    to sample.
+    """
 
     id = "ocean_current"
     reference = "Fossen (2021), chapter 10 (constant irrotational ocean current in NED)"
     signature = "surge and sway errors that turn with the heading, and drift at zero thrust"
 
-    V_N = Parameter("m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,))
-    V_E = Parameter("m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,))
+    V_N = Parameter(
+        "m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,), logged=True
+    )
+    V_E = Parameter(
+        "m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,), logged=True
+    )
 
     def velocity(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([self.V_N, self.V_E, 0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sympy as sm
 
 from undertow.model.effect import Wrench
-from undertow.model.effects.thrusters import Thrusters
+from undertow.model.effects.propellers import thrust_of
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals
 
@@ -29,7 +29,7 @@ class PropellerWalk(Wrench):
     N_walk_back = Parameter("m", "additional yaw moment per thrust, astern only", (-100, 100))
 
     def wrench(self, s: Signals) -> sm.Matrix:
-        thrust = s.actuation.multiply_elementwise(Thrusters(self.thrusters).thrust)
+        thrust = thrust_of(self, s)
         along = (self.allocation[0, :] * thrust)[0]
         astern = (along - sm.Abs(along)) / 2
         side = self.Y_walk * along + self.Y_walk_back * astern

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sympy as sm
 
 from undertow.model.effect import Wrench
-from undertow.model.effects.thrusters import Thrusters
+from undertow.model.effects.propellers import thrust_of
 from undertow.model.parameter import Parameter, PerThruster
 from undertow.model.symbols import Signals
 
@@ -27,7 +27,7 @@ class ReactionTorque(Wrench):
     hand = PerThruster("1", "sense of rotation, 1 or -1", (-1, 1), linear=False, default=1.0, neutral=None)
 
     def wrench(self, s: Signals) -> sm.Matrix:
-        thrust = s.actuation.multiply_elementwise(Thrusters(self.thrusters).thrust)
+        thrust = thrust_of(self, s)
         axes = self.allocation[:3, :]
         moment = self.d_reaction * axes * thrust.multiply_elementwise(self.hand)
         return sm.Matrix([0, 0, 0, *moment])

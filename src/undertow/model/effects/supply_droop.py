@@ -5,24 +5,43 @@ from __future__ import annotations
 import sympy as sm
 
 from undertow.model.effect import Actuation
-from undertow.model.parameter import Parameter
+from undertow.model.parameter import LoggedOnly, Parameter
 from undertow.model.symbols import Signals
 
 
 class SupplyDroop(Actuation):
-    """All thrusters fade linearly with time since the start of the run, which a charged battery begins.
+    """All thrusters fade with their supply: with its voltage where the log has it, else linearly in time.
 
-    It is there because the voltage of a battery falls while it is discharged, and thrust with its square.
+    It is there because the voltage of a battery falls while it is discharged, and thrust with its square,
+    which is an exponent of 2. Without the voltage, a charged battery begins every run.
     """
 
     id = "supply_droop"
-    reference = (
-        "first-order expansion in time of thrust that falls with the supply voltage; no model of a battery"
-    )
+    reference = "first-order expansion of the thrust in the supply voltage, or in time; no model of a battery"
     signature = "the same command gives less and less towards the end of a run"
     stage = 35
 
-    droop_rate = Parameter("1/s", "share of the thrust that is lost per second", (-0.1, 0.1))
+    droop_rate = Parameter(
+        "1/s", "share of the thrust that is lost per second", (-0.1, 0.1), without_log="voltage"
+    )
+    voltage = LoggedOnly("V", "voltage of the supply")
+    voltage_exponent = Parameter(
+        "1",
+        "relative change of the thrust over that of the voltage",
+        (-10, 10),
+        with_log="voltage",
+    )
+    voltage_nominal = Parameter(
+        "V",
+        "voltage at which thrust is as stated",
+        (0.1, 1e5),
+        linear=False,
+        starts=(12.0, 24.0, 48.0),
+        neutral=None,
+        with_log="voltage",
+    )
 
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        if "voltage" in self.inputs:
+            return upstream + self.voltage_exponent * (self.voltage / self.voltage_nominal - 1) * upstream
         return upstream - self.droop_rate * s.t * upstream

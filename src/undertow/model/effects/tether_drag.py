@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import sympy as sm
 
 from undertow.model.effect import Wrench
-from undertow.model.parameter import Parameter, Place
+from undertow.model.parameter import LoggedOnly, Parameter, Place
 from undertow.model.symbols import Signals, column, symbol
 
 _DRAG, _SPEED = column(["drag_x", "drag_y", "drag_z"]), column(["tail_u", "tail_v", "tail_w"])
@@ -22,6 +22,7 @@ class TetherDrag(Wrench):
     the winch, so that no hull coefficient can stand for it. It acts where the tether is attached, against the
     velocity of that place through the water; what counts is the share of its length that follows the vehicle.
     A length that is paid out wherever the vehicle goes drags alike everywhere, which `c_paid_out` is for.
+    Where the log has the length that is out, nothing is asked about the winch.
     """
 
     id = "tether_drag"
@@ -35,10 +36,17 @@ class TetherDrag(Wrench):
         "N/(m/s)^2", "drag of what is paid out wherever the vehicle is, per speed squared", (0, math.inf)
     )
     # Of one that is farther away all but its direction is in what is paid out anyway.
-    winch = Place("winch", "where the tether comes from", "ned", 1e3)
+    winch = Place("winch", "where the tether comes from", "ned", 1e3, without_log="tether_length")
+    tether_length = LoggedOnly("m", "length of the tether that is out", (0, math.inf))
     tail = Place("tail", "attachment on the vehicle", "body", 200)
     length_least = Parameter(
-        "m", "tether that is out at the winch", (1e-9, 1e3), linear=False, default=1e-6, neutral=None
+        "m",
+        "tether that is out at the winch",
+        (1e-9, 1e3),
+        linear=False,
+        default=1e-6,
+        neutral=None,
+        without_log="tether_length",
     )
     speed_least = Parameter(
         "m/s", "speed below which the drag fades", (1e-9, 1.0), linear=False, default=1e-6, neutral=None
@@ -63,11 +71,16 @@ class TetherDrag(Wrench):
         return sm.Matrix([*_DRAG, *self.tail.cross(_DRAG)])
 
     def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
-        away = sm.Matrix(s.eta[:3]) - self.winch
         velocity = sm.Matrix(s.nu_r[:3]) + sm.Matrix(s.nu_r[3:]).cross(self.tail)
         # Neither root has a derivative at zero, hence the small length and the small speed under them.
-        length = sm.sqrt(away.dot(away) + self.length_least**2)
         coefficient = self.c_paid_out + self.c_tether * _LENGTH
         drag = -_COEFFICIENT * sm.sqrt(_SPEED.dot(_SPEED) + self.speed_least**2) * _SPEED
         names = [*_SPEED, _LENGTH, _COEFFICIENT, *_DRAG]
-        return dict(zip(names, [*velocity, length, coefficient, *drag], strict=True))
+        return dict(zip(names, [*velocity, self._length(s), coefficient, *drag], strict=True))
+
+    def _length(self, s: Signals) -> sm.Expr:
+        """Tether that is out, as logged or as far as the vehicle is from the winch, m."""
+        if "tether_length" in self.inputs:
+            return self.tether_length
+        away = sm.Matrix(s.eta[:3]) - self.winch
+        return sm.sqrt(away.dot(away) + self.length_least**2)

@@ -7,7 +7,7 @@ from math import inf
 import sympy as sm
 
 from undertow.model.effect import Wrench
-from undertow.model.effects.thrusters import Thrusters
+from undertow.model.effects.thrusters import at_rest
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals, column
 
@@ -45,8 +45,7 @@ class ThrustLoss(Wrench):
         return -self.inflow_length * self.allocation * self._lost
 
     def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
-        at_rest = s.actuation.multiply_elementwise(Thrusters(self.thrusters).thrust)
-        roots = at_rest.applyfunc(lambda force: sm.sqrt(s.rho) * self._root(force))
+        roots = at_rest(self, s).applyfunc(lambda force: sm.sqrt(s.rho) * self._root(force))
         speeds = [self._speed(column, s.nu_r) for column in self.allocation.T.tolist()]
         return {x: root * speed for x, root, speed in zip(self._lost, roots, speeds, strict=True)}
 

@@ -1,24 +1,30 @@
-"""Steady wind on what stands out of the water."""
+"""Wind on what stands out of the water."""
 
 from __future__ import annotations
+
+from math import atan2, hypot, inf
 
 import sympy as sm
 
 from undertow.model.effect import Wrench
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter
+from undertow.model.parameter import LoggedOnly, Parameter
 from undertow.model.symbols import Signals, column
 
-_AHEAD, _ACROSS = column(["wind_x", "wind_y"])
+_AIR_X, _AIR_Y = column(["air_x", "air_y"])
+_HALF = sm.Rational(1, 2)
+_SPEED, _DENSITY = 10.0, 1.225
 
 
 class Wind(Wrench):
-    """Force of a steady wind on a surface vessel, fixed over ground, so that it turns with the heading.
+    """Force of the wind on the frontal and the lateral area of a surface vessel.
 
     Beside the list of the design because no log of a surface vessel outdoors is without it, and a current
-    does not look the same: wind pushes, while a current carries and its force fades with the drag. The beam
-    wind's force is `wind_aspect` times the bow wind's (lateral over frontal area). It acts x_wind ahead of
-    the origin and z_wind below it (above: negative).
+    does not look the same: wind pushes, while a current carries and its force fades with the drag. Areas
+    contain their drag coefficients. Where the log holds the wind, over ground or as it is felt aboard, they
+    are all that has to be found. Without it the wind is steady, and only the products of areas and pressure
+    show: the areas are then those for `wind_speed`, and the vessel's own speed counts as little beside it. It
+    acts x_wind ahead of the origin and z_wind below it (above: negative).
     """
 
     id = "wind"
@@ -26,12 +32,46 @@ class Wind(Wrench):
     reference = (
         "Fossen (2021), chapter 10 (wind forces, C_X with the cosine and C_Y with the sine of the angle)"
     )
+    former_keys = ("W_N", "W_E", "wind_aspect")
     signature = "a force on surface vessels that points to one side of the world, at all speeds alike"
 
-    W_N = Parameter("N", "force to the north on the vessel heading north or south")
-    W_E = Parameter("N", "force to the east on the vessel heading east or west")
-    wind_aspect = Parameter(
-        "1", "beam wind over bow wind", (0.05, 50), linear=False, starts=(1, 4), neutral=None
+    area_frontal = Parameter("m^2", "frontal area times its drag coefficient", (0, inf))
+    area_lateral = Parameter("m^2", "lateral area times its drag coefficient", (0, inf))
+    wind_from = Parameter(
+        "rad",
+        "where the wind comes from, from north clockwise",
+        (-7, 7),
+        linear=False,
+        starts=(0.0, 1.6, 3.1, -1.6),
+        neutral=None,
+        logged=True,
+        without_log="apparent_wind_speed",
+    )
+    wind_speed = Parameter(
+        "m/s",
+        "speed of the wind over ground",
+        (0, 100),
+        linear=False,
+        default=_SPEED,
+        neutral=None,
+        logged=True,
+        without_log="apparent_wind_speed",
+    )
+    apparent_wind_speed = LoggedOnly("m/s", "speed of the wind as it is felt aboard", (0, 100))
+    apparent_wind_angle = LoggedOnly(
+        "rad", "where the wind seems to come from, from the bow to starboard", with_log="apparent_wind_speed"
+    )
+    air_density = Parameter(
+        "kg/m^3", "density of the air", (0.5, 2), linear=False, default=_DENSITY, neutral=None
+    )
+    wind_least = Parameter(
+        "m/s",
+        "speed below which the force fades",
+        (1e-9, 1.0),
+        linear=False,
+        default=1e-3,
+        neutral=None,
+        with_log="wind_speed",
     )
     x_wind = Parameter(
         "m", "where it acts, forward", (-200, 200), linear=False, starts=(0,), neutral=None, arm_of="1"
@@ -45,11 +85,45 @@ class Wind(Wrench):
         # Without yaw it cannot be told from a constant force.
         return "heave" not in dofs and "yaw" in dofs and bool({"surge", "sway"} & set(dofs))
 
+    @classmethod
+    def file_units(cls) -> dict[str, str]:
+        return {"W_N": "N", "W_E": "N", "wind_aspect": "1"}
+
+    @classmethod
+    def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
+        if not cls.file_units().keys() & entries.keys():
+            return entries
+        kept = {n: v for n, v in entries.items() if n not in cls.file_units()}
+        north, east = entries.get("W_N", 0.0), entries.get("W_E", 0.0)
+        density, speed = entries.get("air_density", _DENSITY), entries.get("wind_speed", _SPEED)
+        area = hypot(north, east) / (density * speed**2 / 2)
+        lateral = area * entries.get("wind_aspect", 1.0)
+        return kept | {
+            "area_frontal": area,
+            "area_lateral": lateral,
+            "wind_from": atan2(-east, -north) if area else 0.0,
+        }
+
     def wrench(self, s: Signals) -> sm.Matrix:
-        return sm.Matrix(
-            [_AHEAD, _ACROSS, 0, -self.z_wind * _ACROSS, self.z_wind * _AHEAD, self.x_wind * _ACROSS]
-        )
+        pressure = _HALF * self.air_density * self._speed
+        ahead, across = pressure * self.area_frontal * _AIR_X, pressure * self.area_lateral * _AIR_Y
+        return sm.Matrix([ahead, across, 0, -self.z_wind * across, self.z_wind * ahead, self.x_wind * across])
+
+    @property
+    def _speed(self) -> sm.Expr:
+        """Speed of the air past the vessel, m/s."""
+        if "apparent_wind_speed" in self.inputs:
+            return self.apparent_wind_speed
+        if "wind_speed" in self.inputs:
+            return sm.sqrt(_AIR_X**2 + _AIR_Y**2 + self.wind_least**2)
+        return self.wind_speed
 
     def abbreviations(self, s: Signals) -> dict[sm.Symbol, sm.Expr]:
-        ahead, across, _ = rotation(sm.Matrix([0, 0, s.eta[5]])).T * sm.Matrix([self.W_N, self.W_E, 0])
-        return {_AHEAD: ahead, _ACROSS: self.wind_aspect * across}
+        if "apparent_wind_speed" in self.inputs:
+            speed, angle = self.apparent_wind_speed, self.apparent_wind_angle
+            return {_AIR_X: -speed * sm.cos(angle), _AIR_Y: -speed * sm.sin(angle)}
+        over_ground = -self.wind_speed * sm.Matrix([sm.cos(self.wind_from), sm.sin(self.wind_from), 0])
+        air = rotation(sm.Matrix([0, 0, s.eta[5]])).T * over_ground
+        if "wind_speed" in self.inputs:
+            air -= sm.Matrix(s.nu[:3])
+        return {_AIR_X: air[0], _AIR_Y: air[1]}

@@ -1,0 +1,139 @@
+"""Two floors: the noise of the sensors, and the disturbance of the motion that no sensor's noise explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from undertow.identification.doctor.sampling import was_filtered
+from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.test_functions import DEGREE
+from undertow.identification.logs.reading import stated_disturbance
+from undertow.identification.logs.run import UNITS
+from undertow.model.symbols import FORCE, FORCE_UNITS
+from undertow.typing import Array
+
+from .associations import Clock
+from .residual import ForceRow, ForceRows
+from .result import ChannelNoise, DisturbanceLevel, Floors, Predictability
+
+
+@dataclass(frozen=True)
+class FloorSettings:
+    """Numbers of the estimate of a disturbance from its autocorrelation."""
+
+    most_lags: int = 240  # test functions up to which it is looked at
+    share_of_log: float = 0.25  # of the longest stretch, up to which pairs are many enough
+    shortest: float = 0.2  # correlation times tried, from this many distances of test functions
+    noise_known_to: float = 0.1  # share to which the variance of the sensors' noise is known
+    steps: int = 60  # up to as many as there are lags, evenly on a logarithmic scale
+
+
+SETTINGS = FloorSettings()
+
+
+def noise_floors(fit: Fitted, data: WeakData) -> Floors:
+    """Noise of every measured channel and disturbance in every force equation of a fit, from logs.
+
+    The disturbance is first-order noise whose autocorrelation is that of the residual force less that of the
+    sensors' noise in it, which is known.
+    """
+    vehicle, rows = fit.model.functions.vehicle, ForceRows(fit, data)
+    stated = [stated_disturbance(run.mapping) for run in data.runs if run.mapping is not None]
+    disturbances = []
+    for i, place in enumerate(vehicle.dof_indices):
+        rms, seconds = disturbance_of(rows.row(i), Clock.of(data).step)
+        expected = [s[FORCE[place]] for s in stated if FORCE[place] in s]
+        disturbances.append(
+            DisturbanceLevel(
+                degree_of_freedom=vehicle.degrees_of_freedom[i],
+                unit=FORCE_UNITS[place],
+                rms=rms,
+                correlation_time=seconds,
+                stated=max(expected) if expected else None,
+            )
+        )
+    return Floors(sensors=_sensors(data), disturbances=disturbances)
+
+
+def _sensors(data: WeakData) -> list[ChannelNoise]:
+    measured = [n for n in data.names if all(r.has(n) for r in data.runs)]
+    cut_offs = was_filtered(data.runs, measured)
+    return [
+        ChannelNoise(
+            channel=n,
+            unit=UNITS[n],
+            sigma=float(sigma),
+            stated=any(n in r.sigma and n not in r.derived for r in data.runs),
+            cut_off=cut_offs.get(n),
+        )
+        for n, sigma in zip(data.names, data.sigma, strict=True)
+        if n in measured
+    ]
+
+
+def disturbance_of(row: ForceRow, step: float) -> tuple[float, float | None]:
+    """Rms, N, and correlation time, s, of what is left in a force beyond noise; `step` is between rows, s."""
+    if row.is_noise:
+        return 0.0, None
+    found, certainty = _autocovariance(row)
+    times = np.geomspace(SETTINGS.shortest, max(len(found), 2), SETTINGS.steps)
+    seen = np.array([_seen(len(found), time) for time in times])
+    square = np.maximum((seen * certainty) @ found / np.sum(certainty * seen**2, axis=1), 0.0)
+    misfit = np.sum(certainty * (found - square[:, None] * seen) ** 2, axis=1)
+    best = int(np.argmin(misfit))
+    return float(np.sqrt(square[best])), float(times[best]) * step
+
+
+def _autocovariance(row: ForceRow) -> tuple[Array, Array]:
+    """That of the force beyond the sensors' noise, N^2, by lag in rows, and the inverse of its variance."""
+    longest = max(len(p.r) for p in row.parts)
+    lags = int(np.clip(SETTINGS.share_of_log * longest, 1, SETTINGS.most_lags))
+    total, noise, pairs = np.zeros((3, lags))
+    for part, sensors in zip(row.parts, row.sensor_noise, strict=True):
+        for lag in range(min(lags, len(part.r))):
+            count = len(part.r) - lag
+            total[lag] += part.r[:count] @ part.r[lag:]
+            noise[lag] += np.sum(sensors.covariance.diagonal(lag))
+            pairs[lag] += count
+    total, noise = (a / np.maximum(pairs, 1.0) / row.weight**2 for a in (total, noise))
+    variance = total[0] ** 2 / np.maximum(pairs, 1.0) + (SETTINGS.noise_known_to * noise) ** 2
+    return total - noise, 1.0 / np.maximum(variance, 1e-300)
+
+
+def _seen(lags: int, time: float) -> Array:
+    """Autocovariance of averages under test functions, of first-order noise of unit variance.
+
+    `time` is its correlation time in distances of test functions.
+    """
+    knots = np.arange(2 * DEGREE + 3) - (DEGREE + 1.0)  # the product of two splines, shifted: a spline again
+    places = np.linspace(knots[0], knots[-1], 40 * (2 * DEGREE + 2) + 1)
+    weight = BSpline.basis_element(knots)(places)
+    apart = np.abs(np.arange(lags)[:, None] + places)
+    return np.asarray(np.exp(-apart / time) @ (weight / np.sum(weight)))
+
+
+def in_words(left: float, found: Sequence[Predictability]) -> str:
+    """How much of what a model leaves can be predicted, as a sentence; `left` is its share of the motion."""
+    shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.something]
+    rest = [
+        f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
+    ]
+    head = (
+        f"the model leaves {100 * left:.0f} %; of that at most {_listed(shares)} can be predicted from the "
+        "logged signals"
+        if shares
+        else f"the model leaves {100 * left:.0f} %, and the logged signals predict no more of it than chance"
+    )
+    return f"{head}; what is beyond that is " + (
+        f"disturbance: {_listed(rest)}" if rest else "the noise of the sensors"
+    )
+
+
+def _listed(parts: Sequence[str]) -> str:
+    *others, last = parts or [""]
+    return f"{', '.join(others)} and {last}" if others else last

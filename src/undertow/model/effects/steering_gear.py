@@ -1,0 +1,46 @@
+"""Rudders and fins that need time to turn."""
+
+from __future__ import annotations
+
+import sympy as sm
+
+from undertow.model.effect import Actuation
+from undertow.model.parameter import PerSurface
+from undertow.model.symbols import Signals
+
+
+class SteeringGear(Actuation):
+    """A control surface follows its command with a lag, and no faster than its gear turns it.
+
+    It is there because a log mostly holds the angle that was asked for: the gear of a ship turns the rudder
+    by a few degrees a second, the servo of a small vehicle takes a tenth of a second.
+    """
+
+    id = "steering_gear"
+    reference = "Fossen (2021), chapter 9 (steering machine: first order, with a limit of the rate)"
+    signature = "the turning answers a step of the rudder late, the more so the larger the step"
+    stage = 40
+    of_surfaces = True
+    requires = ("control_surfaces",)
+
+    lag = PerSurface(
+        "s", "time constant", (0.005, 60.0), linear=False, default=0.1, starts=(0.2, 1.0), neutral=None
+    )
+    rate = PerSurface(
+        "rad/s", "largest rate of turn", (1e-4, 100.0), linear=False, default=10.0, neutral=None
+    )
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return tuple(f"angle_{n}" for n in self.surface_names)
+
+    def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        return self.state_symbols
+
+    def rates(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
+        wanted = (upstream - self.state_symbols).multiply_elementwise(self.lag.applyfunc(lambda T: 1 / T))
+        rows = zip(wanted, self.rate, strict=True)
+        return sm.Matrix(len(wanted), 1, [sm.Max(-most, sm.Min(v, most)) for v, most in rows])
+
+    def rest_state(self, upstream: sm.Matrix) -> sm.Matrix:
+        return upstream

@@ -1,0 +1,200 @@
+"""Hardware as effects see it: control surfaces, and how the commands of thrusters become thrust."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import sympy as sm
+
+from undertow.errors import UndertowError
+
+from .symbols import symbol
+
+Number = Any  # a float, or a symbol on a specimen
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A rudder, a fin or a plane that is turned about an axis.
+
+    Attributes
+    ----------
+    name : str
+        Name, and log column of its angle in rad.
+    position : tuple of three numbers
+        Centre of pressure in body axes, m.
+    axis : tuple of three numbers
+        Unit vector about which a positive angle turns it by the right hand, across the x axis: at zero the
+        chord points ahead.
+    area : number
+        m^2.
+    limit : number, optional
+        Largest magnitude of the angle, rad.
+    propeller : str
+        Name of the thruster in whose slipstream it stands; empty without one.
+    diameter : number
+        Diameter of that propeller, m.
+    """
+
+    name: str
+    position: tuple[Number, Number, Number]
+    axis: tuple[Number, Number, Number]
+    area: Number
+    limit: Number | None = None
+    propeller: str = ""
+    diameter: Number = 0.0
+
+    @classmethod
+    def specimen(cls, name: str, propeller: str) -> Surface:
+        """One whose numbers are symbols, but for its axis, which is upright as that of a rudder."""
+        place, other = [symbol(f"place_{a}_{name}") for a in "xyz"], f"diameter_{propeller}"
+        upright = (sm.Integer(0), sm.Integer(0), sm.Integer(-1))
+        return cls(name, (*place,), upright, symbol(f"area_{name}"), None, propeller, symbol(other))
+
+    @property
+    def place(self) -> sm.Matrix:
+        """The position as a column, shape (3, 1), m."""
+        return sm.Matrix([_exact(v) for v in self.position])
+
+    @property
+    def turned_about(self) -> sm.Matrix:
+        """The axis as a column, shape (3, 1)."""
+        return sm.Matrix([_exact(v) for v in self.axis])
+
+    @property
+    def symbols(self) -> dict[sm.Symbol, str]:
+        """Symbols among its numbers, with their units."""
+        stated = [*((v, "m") for v in (*self.position, self.diameter)), (self.area, "m^2")]
+        return {v: unit for v, unit in stated if isinstance(v, sm.Symbol)}
+
+
+@dataclass(frozen=True)
+class Propeller:
+    """A propeller whose command is its speed of revolution.
+
+    Attributes
+    ----------
+    diameter : number
+        m.
+    per_command : number
+        Revolutions per second and unit of command.
+    """
+
+    diameter: Number
+    per_command: Number
+
+    @classmethod
+    def specimen(cls, name: str) -> Propeller:
+        """One whose numbers are symbols."""
+        return cls(symbol(f"diameter_{name}"), symbol(f"turns_{name}"))
+
+    @property
+    def symbols(self) -> dict[sm.Symbol, str]:
+        """Symbols among its numbers, with their units."""
+        stated = ((self.diameter, "m"), (self.per_command, "1/(s command)"))
+        return {v: unit for v, unit in stated if isinstance(v, sm.Symbol)}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Thrust at rest over the command: cubic pieces that join with one slope, level beyond the ends.
+
+    Attributes
+    ----------
+    start : float
+        Thrust at the first command and below, N.
+    pieces : tuple of (begin, end, coefficients)
+        Commands between which a piece holds, and what it adds to the thrust at its begin: coefficients of the
+        first, second ... power of the command beyond the begin, N.
+    """
+
+    start: float
+    pieces: tuple[tuple[float, float, tuple[float, ...]], ...]
+
+    @classmethod
+    def through(cls, points: Sequence[tuple[float, float]]) -> Curve:
+        """The curve through points in the order of their commands, which rises and falls only as they do.
+
+        Slopes are those of Fritsch and Carlson (1980) and Butland: a harmonic mean on either side, zero at
+        a turning point.
+        """
+        steps = [(b[0] - a[0], (b[1] - a[1]) / (b[0] - a[0])) for a, b in pairwise(points)]
+        inner = (_between(*one, *other) for one, other in pairwise(steps))
+        slopes = [steps[0][1], *inner, steps[-1][1]]
+        pieces = []
+        for (x, _), (end, _), (h, rise), a, b in zip(
+            points, points[1:], steps, slopes, slopes[1:], strict=False
+        ):
+            pieces.append((x, end, (a, (3 * rise - 2 * a - b) / h, (a + b - 2 * rise) / h**2)))
+        return cls(points[0][1], tuple(pieces))
+
+    @classmethod
+    def polynomial(cls, coefficients: Sequence[float], limit: float) -> Curve:
+        """Coefficients of the first, second ... power of a command up to a limit, N; none at zero."""
+        shifted = [
+            sum(math.comb(n, k) * c * (-limit) ** (n - k) for n, c in enumerate(coefficients, 1) if n >= k)
+            for k in range(len(coefficients) + 1)
+        ]
+        return cls(shifted[0], ((-limit, limit, tuple(shifted[1:])),))
+
+    def thrust(self, command: sm.Expr) -> sm.Expr:
+        """Thrust at a command, N: what every piece adds up to there."""
+        total = sm.Float(self.start)
+        for begin, end, coefficients in self.pieces:
+            beyond = sm.Max(sm.Float(begin), sm.Min(command, sm.Float(end))) - sm.Float(begin)
+            powers = sm.Integer(0)
+            for c in reversed(coefficients):
+                powers = (powers + sm.Float(c)) * beyond
+            total += powers
+        return total
+
+    def at(self, command: float) -> float:
+        """The same for a number."""
+        clipped = ((max(b, min(command, e)) - b, c) for b, e, c in self.pieces)
+        return self.start + sum(c * x**n for x, cs in clipped for n, c in enumerate(cs, 1))
+
+    def inverse(self, thrust: float) -> float:
+        """The command that gives a thrust, N, or the nearest one that the curve has.
+
+        Raises
+        ------
+        UndertowError
+            If the curve falls somewhere: then several commands give the same thrust.
+        """
+        low, high = self.pieces[0][0], self.pieces[-1][1]
+        grid = [low + (high - low) * k / _GRID for k in range(_GRID + 1)]
+        if any(
+            self.at(b) < self.at(a) - _FALL * abs(self.at(high) - self.at(low)) for a, b in pairwise(grid)
+        ):
+            raise UndertowError("the thrust falls with the command somewhere: no command belongs to a thrust")
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            low, high = (low, middle) if self.at(middle) >= thrust else (middle, high)
+        return (low + high) / 2
+
+
+# Commands at which a curve is tried for a fall, the share of its rise that is rounding, and halvings of the
+# range that leave nothing of it.
+_GRID, _FALL, _HALVINGS = 400, 1e-9, 60
+
+
+def _between(h: float, rise: float, after: float, next_rise: float) -> float:
+    """Slope at a point between two steps, of lengths h and `after`."""
+    if rise * next_rise <= 0:
+        return 0.0
+    share = (h + 2 * after) / (3 * (h + after))
+    return rise * next_rise / (share * next_rise + (1 - share) * rise)
+
+
+Law = Propeller | Curve | None
+
+
+def _exact(number: Number) -> sm.Expr:
+    """A whole number without a decimal point, so that zeros and ones vanish from products."""
+    if isinstance(number, sm.Basic):
+        return number
+    return sm.Float(number) if number % 1 else sm.Integer(int(number))

@@ -1,0 +1,133 @@
+"""Forces of hulls and rudders in manoeuvres, against the formulae that they are published with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from undertow.identification.diagnosis.candidates import candidates
+from undertow.model.catalogue import catalogue
+from undertow.model.symbols import VELOCITY, symbol
+from undertow.model.vehicle import Thruster, Value, Vehicle
+
+SHIP = ("surge", "sway", "yaw")
+PROPELLER = Thruster("screw", (1.0, 0, 0, 0, 0, 0))
+RUDDER = Thruster("rudder", (0, -1.0, 0, 0, 0, 3.5))
+
+
+def force(
+    effect_id: str, values: dict[str, float], nu: dict[str, float], **commands: float
+) -> dict[str, float]:
+    """Wrench of one effect on a vehicle with a propeller and a rudder."""
+    names = ("screw", "rudder")
+    ids = [*catalogue()[effect_id].requires, effect_id]
+    effects = tuple(catalogue()[i](names) for i in ids)
+    vehicle = Vehicle(
+        "hull",
+        ("surge", "sway", "heave", "roll", "pitch", "yaw"),
+        effects,
+        {n: Value(v) for n, v in values.items()},
+        (PROPELLER, RUDDER),
+    )
+    wrench = next(w for e, w in vehicle.composition.wrenches.items() if e.id == effect_id)
+    known = {symbol(n): vehicle.value_of(n).value for n in vehicle.parameter_names}
+    known |= {symbol("rho"): 1000.0} | {symbol(n): nu.get(n, 0.0) for n in VELOCITY}
+    known |= {symbol(f"actuation_{n}"): commands.get(n, 0.0) for n in names}
+    known |= {symbol(n): commands.get(n, 0.0) for n in names}
+    return dict(zip("XYZKMN", (float(x) for x in wrench.xreplace(known)), strict=True))
+
+
+def test_a_rudder_drags_to_either_side_and_a_propeller_does_not() -> None:
+    """MMG standard: X = -(1 - t_R) F_N sin(delta), with F_N = f u^2 delta and a small delta."""
+    f, t_r, u, delta = 30.0, 0.387, 1.2, 0.05
+    values = {"rudder_drag_rudder": (1 - t_r) * f, "rudder_drag_screw": 1e3}
+    expected = -(1 - t_r) * f * u**2 * delta * np.sin(delta)
+    for side in (1, -1):
+        found = force("rudder_drag", values, {"u": u}, rudder=side * delta, screw=40.0)
+        assert found["X"] == pytest.approx(expected, rel=1e-3)
+        assert [found[c] for c in "YZKMN"] == [0] * 5
+    assert force("rudder_drag", values, {"u": -u}, rudder=delta)["X"] > 0, "astern it brakes as well"
+
+
+def test_rudder_drag_is_sought_only_where_there_is_a_rudder_across_the_hull() -> None:
+    names = ("screw", "rudder")
+    effects = tuple(catalogue()[i](names) for i in ("rigid_body", "rudder_force"))
+    ship = Vehicle("ship", SHIP, effects, {"m": Value(10.0)}, (PROPELLER, RUDDER))
+    (found,) = candidates(ship, {"rudder_drag": catalogue()["rudder_drag"]})
+    assert [p.name for p in found.parameters] == ["rudder_drag_rudder"]
+    without = Vehicle("ship", SHIP, effects[:1], {"m": Value(10.0)}, (PROPELLER, RUDDER))
+    assert not candidates(without, {"rudder_drag": catalogue()["rudder_drag"]})
+
+
+# Nondimensional derivatives of a full ship: the size of those of KVLCC2, every one with its sign.
+PRIMED = {
+    "Y": {"v": -0.315, "r": 0.083, "vvv": -1.607, "vvr": 0.379, "vrr": -0.391, "rrr": 0.008},
+    "N": {"v": -0.137, "r": -0.049, "vvv": -0.030, "vvr": -0.294, "vrr": 0.055, "rrr": -0.013},
+}
+X_PRIMED = {"0": -0.022, "vv": -0.040, "vr": 0.002, "rr": 0.011, "vvvv": 0.771}
+RHO, LENGTH, DRAUGHT = 1000.0, 7.0, 0.455
+
+
+def published(u: float, v: float, r: float) -> dict[str, float]:
+    """Hull forces of the MMG standard method: the polynomials, times rho/2 L d U^2."""
+    speed = np.hypot(u, v)
+    drift, turning = v / speed, r * LENGTH / speed
+    scale = RHO / 2 * LENGTH * DRAUGHT * speed**2
+    found = {
+        axis: sum(c * drift ** n.count("v") * turning ** n.count("r") for n, c in terms.items())
+        for axis, terms in PRIMED.items()
+    }
+    surge = sum(c * drift ** n.count("v") * turning ** n.count("r") for n, c in X_PRIMED.items())
+    return {"X": scale * surge, "Y": scale * found["Y"], "N": scale * LENGTH * found["N"]}
+
+
+def stated(u: float, v: float, r: float) -> dict[str, float]:
+    """The same hull by effects of the catalogue, with the coefficients converted as hull_cubic says."""
+    scale = RHO / 2 * LENGTH * DRAUGHT
+    cubic: dict[str, float] = {"U_fade": 1e-3, "X_vvvv_per_UU": scale * X_PRIMED["vvvv"]}
+    lift: dict[str, float] = {}
+    for axis, terms in PRIMED.items():
+        size = scale * (LENGTH if axis == "N" else 1.0)
+        lift |= {f"{axis}_uv": size * terms["v"], f"{axis}_ur": size * LENGTH * terms["r"]}
+        halves = {"vvv": terms["v"] / 2, "vvr": terms["r"] / 2}
+        for n in ("vvv", "vvr", "vrr", "rrr"):
+            value = size * LENGTH ** n.count("r") * (terms[n] + halves.get(n, 0.0))
+            cubic[f"{axis}_{n}_per_U"] = value
+    drag = {"X_vv": scale * (X_PRIMED["vv"] + X_PRIMED["0"])}
+    drag |= {"X_vr": scale * LENGTH * X_PRIMED["vr"], "X_rr": scale * LENGTH**2 * X_PRIMED["rr"]}
+    parts = {"lift": lift, "hull_cubic": cubic, "manoeuvring_drag": drag}
+    parts["quadratic_damping"] = {"X_uabsu": scale * X_PRIMED["0"]}
+    found = [force(i, values, {"u": u, "v": v, "r": r}) for i, values in parts.items()]
+    return {axis: sum(f[axis] for f in found) for axis in "XYN"}
+
+
+@pytest.mark.parametrize(("v", "r"), [(0.1, 0.02), (-0.25, 0.06), (0.3, -0.09), (-0.4, -0.05)])
+def test_a_ship_of_the_mmg_standard_is_the_sum_of_four_effects(v: float, r: float) -> None:
+    expected, found = published(1.1, v, r), stated(1.1, v, r)
+    for axis in "XYN":
+        # The conversion from U to u leaves out terms of fifth order in the drift.
+        left_out = RHO / 2 * LENGTH * DRAUGHT * LENGTH * 0.4 * abs(v / 1.1) ** 5 * 1.1**2
+        assert found[axis] == pytest.approx(expected[axis], rel=2e-3, abs=left_out)
+
+
+def test_terms_of_high_order_fade_at_rest() -> None:
+    values = {"N_rrr_per_U": -100.0, "Y_vvv_per_U": -100.0, "U_fade": 0.1}
+    assert force("hull_cubic", values, {"r": 0.2})["N"] == pytest.approx(-100 * 0.2**3 / 0.1)
+    assert force("hull_cubic", values, {})["Y"] == 0
+
+
+def test_a_hull_of_one_section_drifting_while_it_turns_slowly() -> None:
+    """Strip theory: the yaw moment per |v| r is -rho T L^3 / 12, the sway force per |v| v is -rho/2 T L."""
+    length, height, v, r = 7.0, 0.4, 0.5, 0.01
+    hull = {"T_cross": height, "B_cross": 0.0, "L_cross": length, "x_cross": 0.0}
+    strips = force("crossflow_drag", hull, {"v": v, "r": r})
+    terms = {"N_rabsv": -1000.0 * height * length**3 / 12}
+    assert force("quadratic_damping_coupling", terms, {"v": v, "r": r})["N"] == pytest.approx(strips["N"])
+    assert force("quadratic_damping_coupling", {"M_wabsw": 3.18}, {"w": -2.0})["M"] == pytest.approx(-12.72)
+
+
+def test_a_hull_that_is_not_straight_pulls_with_the_square_of_the_speed() -> None:
+    values = {"N_uabsu": 0.7, "Z_uabsu": -2.0}
+    once, twice = (force("zero_angle_lift", values, {"u": u, "v": 0.3}) for u in (1.0, 2.0))
+    assert (once["N"], once["Z"], once["X"]) == (0.7, -2.0, 0)
+    assert twice["N"] == pytest.approx(4 * once["N"])

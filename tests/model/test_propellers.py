@@ -1,0 +1,152 @@
+"""Propellers by their revolutions, and thrust over the command by a curve from a test bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import PchipInterpolator
+
+import undertow as ut
+from undertow.codegen.functions import Functions
+from undertow.model.hardware import Curve, Propeller
+from undertow.model.loading import load_vehicle
+from undertow.model.saving import save_vehicle
+from undertow.model.vehicle import Value, Vehicle
+
+BODY = """
+schema = "undertow/vehicle/1"
+name = "craft"
+degrees_of_freedom = ["surge", "sway", "yaw"]
+signs = "sname"
+
+[effects.rigid_body]
+m = "100 kg"
+I_z = "20 kg m^2"
+
+[effects.linear_damping]
+X_u = "-10 kg/s"
+Y_v = "-50 kg/s"
+N_r = "-20 kg m^2/s"
+
+[[thrusters]]
+name = "prop"
+position = ["-1 m", "0.2 m", "0 m"]
+direction = [1, 0, 0]
+"""
+PROPELLER = """
+[thrusters.propeller]
+diameter = "20 cm"
+K_T0 = { value = 0.45, estimate = true }
+K_T1 = -0.4
+wake_fraction = 0.2
+thrust_deduction = 0.1
+revolutions = "rpm"
+"""
+# A T200 at 16 V, by its data sheet, thinned: pulse width in us over thrust in N.
+T200 = [(1100, -40.0), (1200, -26.6), (1300, -14.2), (1400, -4.6), (1472, 0.0), (1528, 0.0)]
+T200 += [(1600, 5.9), (1700, 18.1), (1800, 34.0), (1900, 51.5)]
+
+
+def _load(folder: Path, text: str) -> Vehicle:
+    file = folder / "craft.toml"
+    file.write_text(BODY + text)
+    return load_vehicle(file)
+
+
+def _thrust(vehicle: Vehicle, command: float, nu: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Force and moment of the thrusters: the residual less that without a command."""
+    f = Functions(vehicle)
+    x = np.concatenate([np.zeros(3), nu])
+    given, idle = (f.residual_function(x, np.zeros(3), [u], f.values(), 0.0) for u in (command, 0.0))
+    return np.array(given - idle, dtype=float)[:, 0]
+
+
+@pytest.mark.parametrize(("rpm", "u", "r"), [(600.0, 0.0, 0.0), (600.0, 1.5, 0.3), (-400.0, 0.5, 0.0)])
+def test_thrust_follows_revolutions_and_advance(tmp_path: Path, rpm: float, u: float, r: float) -> None:
+    vehicle, n = _load(tmp_path, PROPELLER), rpm / 60
+    advance = 0.8 * (u - 0.2 * r)
+    thrust = 0.9 * 1000.0 * 0.2**4 * (0.45 * abs(n) * n - 0.4 * abs(n) * advance / 0.2)
+    found = _thrust(vehicle, rpm, (u, 0.0, r))
+    np.testing.assert_allclose(found, [thrust, 0.0, -0.2 * thrust], rtol=1e-9, atol=1e-9)
+    assert vehicle.command_units == {"prop": "rpm"}
+    assert "thrust_prop" not in vehicle.parameter_names
+
+
+def test_a_fitted_thrust_coefficient_goes_back_into_its_table(tmp_path: Path) -> None:
+    vehicle = _load(tmp_path, PROPELLER).with_values({"K_T0_prop": Value(0.5, estimate=True, sigma=0.01)})
+    save_vehicle(vehicle, tmp_path / "craft.toml", tmp_path / "out.toml")
+    again = load_vehicle(tmp_path / "out.toml")
+    assert again.value_of("K_T0_prop").value == 0.5
+    assert again.laws == (Propeller(0.2, 1 / 60),)
+
+
+def test_a_curve_is_that_of_fritsch_and_carlson() -> None:
+    curve, ours = Curve.through(T200), PchipInterpolator(*zip(*T200, strict=True))
+    pulses = np.linspace(1200, 1800, 301)  # their rule for the end points is another one
+    np.testing.assert_allclose([curve.at(p) for p in pulses], ours(pulses), rtol=1e-9, atol=1e-9)
+    assert (curve.at(1000), curve.at(2000)) == (-40.0, pytest.approx(51.5)), "level beyond the ends"
+
+
+def test_the_inverse_gives_the_command_of_a_thrust() -> None:
+    curve = Curve.through(T200)
+    for thrust in (-30.0, -1.0, 2.0, 45.0):
+        assert curve.at(curve.inverse(thrust)) == pytest.approx(thrust, abs=1e-6)
+    assert curve.inverse(1e3) == pytest.approx(1900)
+    with pytest.raises(ut.UndertowError, match="falls with the command"):
+        Curve.through([(0, 0), (1, 2), (2, 1)]).inverse(1.5)
+
+
+def test_a_curve_beside_the_vehicle_file_is_in_the_model_and_its_slopes(tmp_path: Path) -> None:
+    rows = "\n".join(f"{p},{f}" for p, f in T200)
+    (tmp_path / "t200.csv").write_text(f"# bench\npwm_us,thrust_N\n{rows}\n")
+    vehicle = _load(tmp_path, 'curve = "t200.csv"\n')
+    curve = Curve.through(T200)
+    f = Functions(vehicle)
+    for pulse in (1150.0, 1500.0, 1650.0, 1900.0):
+        x_dot, _, slope, _ = f.jacobians(np.zeros(6), [pulse], f.values(), 0.0)
+        assert float(x_dot[3]) * 100 == pytest.approx(curve.at(pulse), abs=0.15)
+        rise = (curve.at(pulse + 0.01) - curve.at(pulse - 0.01)) / 0.02
+        assert float(slope[3]) * 100 == pytest.approx(rise, abs=0.03) or pulse == 1900.0
+    (tmp_path / "other").mkdir()
+    save_vehicle(vehicle, tmp_path / "craft.toml", tmp_path / "other" / "out.toml")
+    assert load_vehicle(tmp_path / "other" / "out.toml").laws == vehicle.laws
+
+
+def test_a_polynomial_holds_up_to_the_limit(tmp_path: Path) -> None:
+    vehicle = _load(tmp_path, "curve = [2.0, 0.5, 3.0]\nlimit = 2\n")
+    for command in (-1.5, 0.3, 2.0):
+        expected = 2 * command + 0.5 * command**2 + 3 * command**3
+        assert _thrust(vehicle, command)[0] == pytest.approx(expected, abs=1e-9)
+    assert _thrust(vehicle, 5.0)[0] == pytest.approx(2 * 2 + 0.5 * 4 + 3 * 8)
+
+
+def test_a_table_of_two_hundred_rows_keeps_few_points(tmp_path: Path) -> None:
+    pulses = np.arange(1100, 1901, 4)
+    table = PchipInterpolator(*zip(*T200, strict=True))(pulses)
+    (tmp_path / "t200.csv").write_text("\n".join(f"{p} {f:.6g}" for p, f in zip(pulses, table, strict=True)))
+    (curve,) = _load(tmp_path, 'curve = "t200.csv"\n').laws
+    assert isinstance(curve, Curve)
+    assert len(curve.pieces) < 30
+    assert max(abs(curve.at(p) - f) for p, f in zip(pulses, table, strict=True)) < 0.003 * 91.5 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('curve = "none.csv"\n', "cannot be read"),
+        ("curve = [1.0]\n", "a curve of coefficients needs a 'limit'"),
+        ('curve = "bad.csv"\n', "do not rise from row to row"),
+        (
+            "thrust_per_command = 2\n" + PROPELLER,
+            "says twice how it pushes, by propeller and thrust_per_command",
+        ),
+        (PROPELLER.replace('"20 cm"', '"20 kg"'), "diameter"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "bad.csv").write_text("1,2\n0,1\n3,4\n")
+    with pytest.raises(ut.UndertowError) as caught:
+        _load(tmp_path, text)
+    assert complaint in str(caught.value)
