@@ -47,7 +47,6 @@ class Wind(Wrench):
         logged=True,
         per_run=True,
         without_log="apparent_wind_speed",
-        per_run=True,
     )
     wind_speed = Parameter(
         "m/s",
@@ -59,7 +58,6 @@ class Wind(Wrench):
         logged=True,
         per_run=True,
         without_log="apparent_wind_speed",
-        per_run=True,
     )
     apparent_wind_speed = LoggedOnly("m/s", "speed of the wind as it is felt aboard", (0, 100))
     apparent_wind_angle = LoggedOnly(
