@@ -182,7 +182,7 @@ def scale(run: Run, error: float, commands: Commands) -> Run:
     return _with(run, dict(zip(VELOCITY[:3], (1.0 + error) * _rows(run, VELOCITY[:3]), strict=True)))
 
 
-@_injected("sensor-delay", "sensor_delay", sizes=(0.4, 1.0, 2.0), scale="time")
+@_injected("sensor-delay", "sensor_delay", sizes=(0.4, 0.8, 1.6), scale="time")
 def sensor_delay(run: Run, delay: float, commands: Commands) -> Run:
     """The velocities are those of a while ago, a whole number of samples: u(t - d)."""
     late = _samples(run, delay)
@@ -224,7 +224,7 @@ def droop(run: Run, rate: float, commands: Commands) -> Run:
     return _distorted(run, commands, lambda c: c / (1.0 - rate * middle))
 
 
-@_injected("command-delay", "actuation_delay", sizes=(0.2, 0.5, 1.0), scale="time")
+@_injected("command-delay", "actuation_delay", sizes=(0.2, 0.6, 1.0), scale="time")
 def command_delay(run: Run, delay: float, commands: Commands) -> Run:
     """Commands act late, by a whole number of samples: c(t + d) had been given."""
     ahead = _samples(run, delay)

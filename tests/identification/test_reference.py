@@ -121,7 +121,7 @@ def _predictability(motion: str, **found: object) -> Predictability:
         "unit": "N",
         "averaged_over": 1.0,
         "residual_rms": 1.0,
-        "noise_share": 0.1,
+        "noise_share": 0.64,
         "disturbance_rms": 0.4,
     }
     given = {"degree_of_freedom": motion, "of_motion": 0.1, "variables": {}, **size, **found}

@@ -211,11 +211,6 @@ class Refit:
             schema_overrides=dict.fromkeys(("standard_error", "bound", "before"), pl.Float64),
         )
 
-    @property
-    def by_run(self) -> list[ValuesByRun]:
-        """Parameters with a value in every run: these values, their mean and spread, in the file's signs."""
-        return values_by_run(self.fit, self.stated)
-
     def result(self) -> FitResult:
         """The fit as it is written to JSON, with what it does to the error in a sentence."""
         before, after = (finite(error) for error in self.errors)
@@ -232,6 +227,11 @@ class Refit:
             by_run=self.by_run,
             condition=finite(self.fit.condition),
         )
+
+    @property
+    def by_run(self) -> list[ValuesByRun]:
+        """Parameters with a value in every run: these values, their mean and spread, in the file's signs."""
+        return values_by_run(self.fit, self.stated)
 
     def summary(self) -> str:
         """Parameters with standard errors, and the error on validation data before and after, as text."""

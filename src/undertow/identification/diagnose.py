@@ -284,7 +284,7 @@ class ResultBuilder:
         return Step(
             added=added,
             error=self._normalised(fit),
-            prediction=ahead.get(f"{self.settings.short_windows:g} s", ahead["free run"]),
+            prediction=self.validator.prediction(fit),
             simulation=simulation if math.isfinite(simulation) else None,
             ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
             freed=list(freed),

@@ -23,10 +23,8 @@ from undertow.identification.estimation.by_run import origins, plain
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
-from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
-from undertow.identification.estimation.windows import prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -53,17 +51,6 @@ class AdditionSetup:
     test: list[Run]
     bench: Bench
     validator: SimulationValidator
-
-    def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
-        """Velocity error of predictions on validation data by horizon, in shares of the motion."""
-        return self.validator.ahead(model)
-
-    def prediction(self, model: Fitted | Vehicle) -> float:
-        """The same over short windows."""
-        vehicles, windows = self.validator.in_each_run(model), self.validator.windows
-        return float(
-            prediction_error(predict_each(vehicles, windows, Predictor(vehicles[0], compiled=False)))
-        )
 
 
 @dataclass(frozen=True)
@@ -212,10 +199,10 @@ def _step(
     noise: list[Whitening],
 ) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
-    r, ahead = whitened(at, noise).r, setup.ahead(model)
+    ahead = setup.validator.ahead(model)
     return Step(
         added=added,
-        error=error_of(mean_square(r, setup.bench.test)),
-        prediction=setup.prediction(model),
+        error=error_of(mean_square(whitened(at, noise).r, setup.bench.test)),
+        prediction=setup.validator.prediction(model),
         ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )

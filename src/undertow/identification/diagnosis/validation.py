@@ -242,22 +242,27 @@ class SimulationValidator:
         lengths = (*self.horizons, None)
         return {h: cut(self.test, self._vehicle, h, sigma=self._sigma) for h in lengths}
 
-    def in_each_run(self, model: Fitted | Vehicle) -> list[Vehicle]:
-        """A model as it is in every validation run."""
+    def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
+        """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
+        return {
+            "free run" if h is None else f"{h:g} s": self._error(model, windows)
+            for h, windows in self._ahead.items()
+        }
+
+    def prediction(self, model: Fitted | Vehicle) -> float:
+        """The same over the short windows that decide."""
+        return self._error(model, self.windows)
+
+    def _error(self, model: Fitted | Vehicle, windows: Windows) -> float:
+        vehicles = self._vehicles(model)
+        predictor = Predictor(vehicles[0], compiled=False)
+        return float(prediction_error(predict_each(vehicles, windows, predictor)))
+
+    def _vehicles(self, model: Fitted | Vehicle) -> list[Vehicle]:
+        """The model as it is in each validation run."""
         if isinstance(model, Vehicle):
             return [adapted(model, run)[0] for run in self.test]
         return in_runs(model, self.test)[0]
-
-    def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
-        """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
-        vehicles = self.in_each_run(model)
-        predictor = Predictor(vehicles[0], compiled=False)
-        return {
-            "free run" if h is None else f"{h:g} s": prediction_error(
-                predict_each(vehicles, windows, predictor)
-            )
-            for h, windows in self._ahead.items()
-        }
 
     def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
         """Mean square of the error of predicted velocities by horizon, window and velocity, (b, n).

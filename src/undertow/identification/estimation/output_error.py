@@ -43,6 +43,7 @@ class OutputErrorSettings:
     damping: float = 1e-3
     least_damping: float = 1e-9
     most_damping: float = 1e9
+    little_left: float = 4.0  # mean square over noise up to which longer windows say more, not less
     # Share by which a fit may predict validation data worse than another and still be as good: what the
     # noise at the starts of windows makes of it.
     no_worse: float = 0.01
@@ -388,9 +389,10 @@ def final_fit(
     """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
 
     Windows are a quarter of the slowest time constant at first, then one (see `horizons`): a fit over long
-    windows alone, begun far away, ends in a local minimum. The longest windows are not fitted to, since there
-    disturbances add up that no parameter explains. What is returned is the last of the fits whose
-    `horizon_error` on validation data is no worse than the least of all.
+    windows alone, begun far away, ends in a local minimum. Where little more than noise is left the longest
+    ones come last, in which fewest starts have to be estimated; where more is left, disturbances add up in
+    them that no parameter explains. What is returned is the last of the fits whose `horizon_error` on
+    validation data is no worse than the least of all.
 
     Parameters
     ----------
@@ -403,8 +405,11 @@ def final_fit(
     """
     model = weak.model
     fits: list[WeakFit | OutputErrorFit] = [weak]
-    for k, horizon in enumerate(horizons(model.functions.vehicle, runs)[:2]):
-        progress((1 + k) / 3, f"output error over {horizon:.3g} s")
+    *shorter, longest = horizons(model.functions.vehicle, runs)
+    for horizon in (*shorter, longest):
+        if horizon == longest and not _little_left(fits[-1]):
+            break
+        progress(0.25 * len(fits), f"output error over {horizon:.3g} s")
         try:
             fits.append(_descended(model, runs, horizon, fits[-1].values, loss))
         except UndertowError:  # the simulation of a poor model may diverge
@@ -416,6 +421,11 @@ def final_fit(
     return next((fit for fit, error in zip(fits[::-1], errors[::-1], strict=True) if error <= limit), weak)
 
 
+def _little_left(fit: Fitted) -> bool:
+    """Whether simulations leave little more than the noise of every channel."""
+    return isinstance(fit, OutputErrorFit) and bool(np.max(fit.dispersion) < SETTINGS.little_left)
+
+
 def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
     """Error of predicted velocities of fits of one model, (k,), as shares of the motion.
 
@@ -423,8 +433,7 @@ def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
     by what is left of them once they have taught what belongs to them (see `adaptation.in_run`).
     """
     functions = fits[0].model.functions
-    predictor = Predictor(functions, compiled=False)
-    judged = [in_runs(fit, validation) for fit in fits]
+    predictor, judged = Predictor(functions, compiled=False), [in_runs(fit, validation) for fit in fits]
     rest = judged[0][1]
     windows = [cut(rest, functions.vehicle, h) for h in horizons(functions.vehicle, rest)]
     errors = [

@@ -47,6 +47,7 @@ class Wind(Wrench):
         logged=True,
         per_run=True,
         without_log="apparent_wind_speed",
+        per_run=True,
     )
     wind_speed = Parameter(
         "m/s",
@@ -58,6 +59,7 @@ class Wind(Wrench):
         logged=True,
         per_run=True,
         without_log="apparent_wind_speed",
+        per_run=True,
     )
     apparent_wind_speed = LoggedOnly("m/s", "speed of the wind as it is felt aboard", (0, 100))
     apparent_wind_angle = LoggedOnly(
