@@ -45,7 +45,6 @@ class Wind(Wrench):
         starts=(0.0, 1.6, 3.1, -1.6),
         neutral=None,
         logged=True,
-        per_run=True,
         without_log="apparent_wind_speed",
         per_run=True,
     )
@@ -57,7 +56,6 @@ class Wind(Wrench):
         default=_SPEED,
         neutral=None,
         logged=True,
-        per_run=True,
         without_log="apparent_wind_speed",
         per_run=True,
     )
