@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -34,7 +35,7 @@ from .estimation.residual import without_spikes
 from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
-from .estimation.windows import Prediction, cut, prediction_error
+from .estimation.windows import Prediction, cut, horizons, prediction_error
 from .logs.checks import check_fit
 from .logs.mapping import LogMapping, read_mapping
 from .logs.reading import read_log as read
@@ -181,6 +182,18 @@ class Refit:
         """Velocity error ahead before and after, as a share of the motion."""
         return prediction_error(self.before), prediction_error(self.after)
 
+    @cached_property
+    def ahead(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Velocity errors over the vehicle's own horizons, before and after, as shares of the motion."""
+        refitted, rest = in_runs(self.fit, self.test)
+        as_given = [adapted(self.stated, run)[0] for run in self.test]
+        lengths = [float(f"{h:.2g}") for h in horizons(self.stated, rest)]
+        parts, names = [cut(rest, self.stated, h) for h in lengths], [f"{h:g} s" for h in lengths]
+        before, after = (
+            [prediction_error(predict_each(each, p)) for p in parts] for each in (as_given, refitted)
+        )
+        return dict(zip(names, before, strict=True)), dict(zip(names, after, strict=True))
+
     @property
     def vehicle(self) -> Vehicle:
         """The refitted model."""
@@ -222,6 +235,8 @@ class Refit:
             horizon=self.before.windows.horizon or 0.0,
             error_before=before,
             error_after=after,
+            ahead_before={h: finite(e) for h, e in self.ahead[0].items()},
+            ahead_after={h: finite(e) for h, e in self.ahead[1].items()},
             channels=channel_errors(self.before.relative, self.after.relative),
             parameters=[FittedParameter(**row) for row in self.parameters.iter_rows(named=True)],
             by_run=self.by_run,

@@ -46,7 +46,6 @@ class Wind(Wrench):
         neutral=None,
         logged=True,
         without_log="apparent_wind_speed",
-        per_run=True,
     )
     wind_speed = Parameter(
         "m/s",
@@ -57,7 +56,6 @@ class Wind(Wrench):
         neutral=None,
         logged=True,
         without_log="apparent_wind_speed",
-        per_run=True,
     )
     apparent_wind_speed = LoggedOnly("m/s", "speed of the wind as it is felt aboard", (0, 100))
     apparent_wind_angle = LoggedOnly(
