@@ -113,7 +113,7 @@ _ABOUT = {
     "ThrusterTable.direction": "in which direction, of any length",
     "ThrusterTable.wrench": "force and moment of one newton of it, in place of position and direction",
     "ThrusterTable.thrust_per_command": "N for one unit of the command",
-    "ThrusterTable.curve": "thrust in N against command: a file with two columns, or coefficients of a polynomial",
+    "ThrusterTable.curve": "thrust in N against command: a file with two columns, or coefficients",
     "ThrusterTable.propeller": "where the command is a speed of revolution",
     "ThrusterTable.limit": "largest magnitude of the command",
     "ThrusterTable.source": "where the numbers come from",
