@@ -88,7 +88,11 @@ def _described(case: Case, logs: LogSet) -> Record:
 def measured(given: Material, horizons: Sequence[float]) -> Record:
     """What the diagnosis says of a case, and the errors of the models about it."""
     began, worked = time.perf_counter(), time.process_time()
-    facts = {"motions": list(given.vehicle.degrees_of_freedom), "value": given.value, "truth": given.right}
+    facts: Record = {
+        "motions": list(given.vehicle.degrees_of_freedom),
+        "value": given.value,
+        "truth": given.right,
+    }
     try:
         outcome = diagnose(given.vehicle, given.train, given.test)
     except UndertowError as error:
@@ -101,21 +105,28 @@ def measured(given: Material, horizons: Sequence[float]) -> Record:
     windows = cut_all(given.vehicle, outcome.test, horizons)
     models = {"stated": given.vehicle, "refitted": outcome.before, "found": outcome.after}
     errors = {name: ahead(vehicle, windows) for name, vehicle in models.items()}
-    errors |= {"true": with_truth(given, outcome, windows)} if given.right else {}
+    if given.right:
+        errors["true"], facts["not_added"] = with_truth(given, outcome, windows)
     said = answer_of(outcome.diagnosis).as_dict()
     return facts | {"answer": said, "headline": outcome.diagnosis.headline, "errors": errors} | spent
 
 
-def with_truth(given: Material, outcome: DiagnosisResult, windows: Sequence[Windows]) -> Errors:
-    """Errors of the model with what is true added and refitted; of several names the best far ahead."""
-    found = []
+def with_truth(
+    given: Material, outcome: DiagnosisResult, windows: Sequence[Windows]
+) -> tuple[Errors, list[str]]:
+    """Errors of the model with what is true added and refitted; of several names the best far ahead.
+
+    Also why what could not be added could not.
+    """
+    found, refused = [], []
     for effect in given.right[: given.known]:
         try:
             added = try_effect(given.vehicle, effect, outcome.train, outcome.test)[1]
-        except UndertowError:
+        except UndertowError as error:
+            refused.append(f"{effect}: {error}")
             continue
         found.append(ahead(added.fit.vehicle, windows))
-    return min(found, key=_last, default=[None] * len(windows))
+    return min(found, key=_last, default=[None] * len(windows)), refused
 
 
 def _last(errors: Errors) -> float:

@@ -215,7 +215,14 @@ def why(case: Graded) -> str:
 def _not_run(records: Sequence[Record]) -> str:
     lost = [r for r in records if "failure" in r]
     lines = "".join(f"- `{r['id']}`: {r['failure']}\n" for r in lost)
-    return f"\nCases that did not run:\n\n{lines}" if lost else ""
+    told = f"\nCases that did not run:\n\n{lines}" if lost else ""
+    refused = [r for r in records if r.get("not_added")]
+    lines = "".join(f"- `{r['id']}`: {'; '.join(r['not_added'])}\n" for r in refused)
+    return told + (
+        f"\nTrue effects that could not be added, so that nothing is measured by them:\n\n{lines}"
+        if lines
+        else ""
+    )
 
 
 def seconds(records: Iterable[Record]) -> str:
