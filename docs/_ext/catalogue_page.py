@@ -88,7 +88,8 @@ def _parameters(d: Description) -> Iterator[str]:
 
 def _row(p: ParameterNote) -> str:
     low, high = ("" if x is None else f"{x:.4g}" for x in (p.low, p.high))
-    kind = ("linear" if p.linear else "shape") + (", required" if p.required else "")
+    kind = ("linear" if p.linear else "shape") + (", per run" if p.per_run else "")
+    kind += ", required" if p.required else ""
     return f"| `{p.name}` | {p.unit} | {low} | {high} | {kind} | {p.about.replace('|', chr(92) + '|')} |"
 
 

@@ -100,7 +100,7 @@ _ABOUT = {
     "ParameterTable.forward": "value for motion ahead, in place of `value` where the two differ",
     "ParameterTable.backward": "value for motion astern",
     "ParameterTable.estimate": "whether a fit may change it",
-    "ParameterTable.per_run": "whether it has a value of its own in every run (current, wind, trim)",
+    "ParameterTable.per_run": "whether it has a value of its own in every run; else as the runs show",
     "ParameterTable.sigma": "standard deviation of the stated value; a fit takes it five times as wide",
     "ParameterTable.sigma_forward": "the same of `forward` alone",
     "ParameterTable.sigma_backward": "the same of `backward` alone",

@@ -242,7 +242,7 @@ class Way:
     @cached_property
     def without(self) -> float:
         """Velocity error ahead of the model of inertia and drag."""
-        return self.ground.prediction(self.plain)
+        return self.ground.validator.prediction(self.plain)
 
     def ahead(self, effect: str) -> float:
         """Velocity error ahead with an effect in the model."""

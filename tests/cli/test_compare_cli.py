@@ -197,7 +197,7 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
     after = load_vehicle("new.toml")
     assert after.value_of("Y_vdot").value == pytest.approx(1.5 * after.value_of("X_udot").value, rel=1e-6)
     told = tomllib.loads(Path("new.toml").read_text())["history"][0]
-    assert told["command"] == 'undertow fit --method weak --equal "Y_vdot = 1.5 X_udot" --dissipative'
+    assert told["command"] == 'undertow fit --method default --equal "Y_vdot = 1.5 X_udot" --dissipative'
     assert "Y_vdot" not in told["covariance"]["parameters"]
     assert main(["fit", *LOG, "--equal", "Y_vdot = 1.5 Q_x"]) == 2
     assert "'Q_x' is not a parameter in the equations of 'usv'" in capsys.readouterr().err
@@ -238,9 +238,11 @@ def test_a_fit_that_predicts_worse_is_not_written_without_force(
     written = json.loads(Path("fit.json").read_text())
     assert written["schema_id"] == "undertow/fit/1"
     assert written["error_after"] > 1.2 * written["error_before"]
-    percent = [f"{100 * written[f'error_{when}']:.0f}" for when in ("before", "after")]
-    said = f"Refitting raises the 5-s error from {percent[0]} to {percent[1]} % on the validation data."
-    assert out.splitlines()[0] == said
+    longest = list(written["ahead_before"])[-1]
+    percent = [f"{100 * written[f'ahead_{when}'][longest]:.0f}" for when in ("before", "after")]
+    said = out.splitlines()[0]
+    assert said.startswith("Refitting raises the ")
+    assert f"{longest.replace(' ', '-')} error from {percent[0]} to {percent[1]} %" in said
     assert err == f"{said} No vehicle file was written; --force writes it\n"
     assert main([*words, "--out", "new.toml", "--force"]) == 0
     value = load_vehicle("new.toml").value_of("X_udot").value

@@ -172,3 +172,67 @@ def test_cybership_with_the_table_of_its_comment_is_the_whole_published_model(tm
     for nu in ([0.4, 0.1, -0.2], [0.3, -0.2, 0.1]):
         found = acceleration(str(whole), np.array(nu), {})
         assert found[1:] == pytest.approx(cybership(np.array(nu)), rel=1e-9)
+
+
+# --- KVLCC2 ---------------------------------------------------------------------------------------
+LENGTH, HULL = 7.0, 500 * 7.0 * 0.455  # m, and rho/2 L d in kg/m
+PASSING, DIAMETER, REVOLUTIONS = 0.6, 0.216, 11.8  # 1 - w_P0; m; 1/s, which keep 1.18 m/s
+
+
+def thrust_of(u: Array) -> Array:
+    """Thrust of the propeller of KVLCC2 at constant revolutions, N."""
+    advance = PASSING * u / (REVOLUTIONS * DIAMETER)
+    k_t = 0.2931 - 0.2753 * advance - 0.1385 * advance**2
+    return np.asarray(1000 * REVOLUTIONS**2 * DIAMETER**4 * k_t)
+
+
+def mmg(state: Array, delta: float, straightening: tuple[float, float] = (0.395, 0.640)) -> Array:
+    """Equations of the MMG standard method (Yasukawa and Yoshimura 2015) with the numbers of KVLCC2."""
+    u, v, r, psi = state[:4]
+    speed = np.hypot(u, v)
+    vp, rp = v / speed, r * LENGTH / speed
+    thrust = float(thrust_of(u))
+    ahead = PASSING * u
+    jet = np.sqrt(ahead**2 + 8 * thrust / (1000 * np.pi * DIAMETER**2)) - ahead
+    flow = 1.09 * np.sqrt(0.626 * (ahead + 0.5 * jet) ** 2 + 0.374 * ahead**2)
+    inflow = np.arctan2(-v, u) + 0.710 * rp
+    across = speed * straightening[int(inflow > 0)] * inflow
+    normal = 500 * 0.0539 * 2.747 * (flow**2 + across**2) * np.sin(delta - np.arctan2(across, flow))
+    surge = -0.022 - 0.040 * vp**2 + 0.002 * vp * rp + 0.011 * rp**2 + 0.771 * vp**4
+    sway = -0.315 * vp + 0.083 * rp - 1.607 * vp**3 + 0.379 * vp**2 * rp - 0.391 * vp * rp**2 + 0.008 * rp**3
+    yaw = -0.137 * vp - 0.049 * rp - 0.030 * vp**3 - 0.294 * vp**2 * rp + 0.055 * vp * rp**2 - 0.013 * rp**3
+    x = HULL * speed**2 * surge - (1 - 0.387) * normal * np.sin(delta) + 0.78 * thrust
+    y = HULL * speed**2 * sway - 1.312 * normal * np.cos(delta)
+    n = HULL * LENGTH * speed**2 * yaw + (3.5 + 0.312 * 3.248) * normal * np.cos(delta)
+    m, x_g = 3270.0, 0.25
+    m_x, m_y, j_z = 0.022 * HULL * LENGTH, 0.223 * HULL * LENGTH, 0.011 * HULL * LENGTH**3
+    inertia = m * (0.25 * LENGTH) ** 2 + m * x_g**2 + j_z
+    mass = np.array([[m + m_y, x_g * m], [x_g * m, inertia]])
+    v_dot, r_dot = np.linalg.solve(mass, [y - (m + m_x) * u * r, n - x_g * m * u * r])
+    u_dot = (x + (m + m_y) * v * r + x_g * m * r**2) / (m + m_x)
+    c, s = np.cos(psi), np.sin(psi)
+    return np.array([u_dot, v_dot, r_dot, r, u * c - v * s, u * s + v * c])
+
+
+def turn(x: Array, y: Array, psi: Array) -> tuple[float, float]:
+    """Advance and tactical diameter of a turning circle, over the length."""
+    quarter, half = (np.argmax(np.abs(psi) >= angle) for angle in (np.pi / 2, np.pi))
+    return float(x[quarter]) / LENGTH, abs(float(y[half])) / LENGTH
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_kvlcc2_turns_as_the_mmg_standard_method_says(side: int) -> None:
+    """Rudder at 35 degrees: advance and tactical diameter, and the speed that is left."""
+    delta, step, steps = side * np.radians(35), 0.1, 1500
+    published = [np.array([1.18, 0, 0, 0, 0, 0])]
+    for _ in range(steps):
+        state = published[-1]
+        middle = state + step / 2 * mmg(state, delta)
+        published.append(state + step * mmg(middle, delta))
+    u, _, r, psi, x, y = np.array(published).T
+    found = manoeuvre("kvlcc2", {"propeller": REVOLUTIONS, "rudder": delta}, steps * step, step, u=1.18)
+    assert turn(found["x"], found["y"], found["psi"]) == pytest.approx(turn(x, y, psi), rel=0.06)
+    assert found["u"][-1] == pytest.approx(u[-1], rel=0.1)
+    assert found["r"][-1] == pytest.approx(r[-1], rel=0.1)
+    # What IMO asks of a ship (MSC.137(76)): advance below 4.5 and tactical diameter below 5 lengths.
+    assert turn(found["x"], found["y"], found["psi"]) < (4.5, 5.0)

@@ -122,6 +122,8 @@ def show(outcome: DiagnosisResult) -> None:
         console.print(f"run: [bold]{escape(diagnosis.command)}[/bold]", highlight=False, soft_wrap=True)
     console.print(_ranking(diagnosis))
     console.print(_steps(diagnosis))
+    for values in diagnosis.by_run:
+        console.print(escape(str(values)), highlight=False)
     for equals in diagnosis.indistinguishable:
         if equals.separated_by:
             console.print(f"to tell {' and '.join(equals.effects)} apart: {escape(equals.separated_by)}")

@@ -192,7 +192,7 @@ def _number(value: float | None) -> str:
 
 
 def _role(p: ParameterNote) -> str:
-    role = "linear" if p.linear else "shape"
+    role = ("linear" if p.linear else "shape") + (", per run" if p.per_run else "")
     if p.required:
         return f"{role}, required"
     return role if p.default is None else f"{role}, else {p.default:g}"

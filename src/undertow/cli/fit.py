@@ -132,6 +132,8 @@ def show(done: Refit, given: CommandLine) -> None:
         say(f"  {line}")
     for line in [*notes(done.fit), *_combined(done.fit, given)]:
         say(f"  {line}", "yellow")
+    for values in done.by_run:
+        say(f"  {values}")
     for name, said in remarks(done.fit, done.stated).items():
         if said:
             say(f"  {name}: {'; '.join(said)}", "yellow")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -21,19 +22,20 @@ from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.result import Role, RunInfo, run_info
-from .diagnosis.verdict import estimates
+from .diagnosis.result import Role, RunInfo, ValuesByRun, run_info
+from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
+from .estimation.adaptation import adapted, in_runs
 from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
 from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
-from .estimation.predictor import predict
+from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
 from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
-from .estimation.weak_form import fit_instrumental, fit_weak, free_parameters
-from .estimation.windows import Prediction, cut, prediction_error
+from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
+from .estimation.windows import Prediction, cut, horizons, prediction_error
 from .logs.checks import check_fit
 from .logs.mapping import LogMapping, read_mapping
 from .logs.reading import read_log as read
@@ -119,7 +121,7 @@ class Estimator:
             data = data if self.loss == "gaussian" else without_spikes(data)
             model = self.constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
             require_equations(model, data, self.method)
-            weak = fit_weak(model, data)
+            weak = fit_weak_by_run(model, data)
             if self.method != "default":
                 return weak
             return final_fit(weak, runs, validation or runs, loss=self.loss, progress=progress)
@@ -180,6 +182,18 @@ class Refit:
         """Velocity error ahead before and after, as a share of the motion."""
         return prediction_error(self.before), prediction_error(self.after)
 
+    @cached_property
+    def ahead(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Velocity errors over the vehicle's own horizons, before and after, as shares of the motion."""
+        refitted, rest = in_runs(self.fit, self.test)
+        as_given = [adapted(self.stated, run)[0] for run in self.test]
+        lengths = [float(f"{h:.2g}") for h in horizons(self.stated, rest)]
+        parts, names = [cut(rest, self.stated, h) for h in lengths], [f"{h:g} s" for h in lengths]
+        before, after = (
+            [prediction_error(predict_each(each, p)) for p in parts] for each in (as_given, refitted)
+        )
+        return dict(zip(names, before, strict=True)), dict(zip(names, after, strict=True))
+
     @property
     def vehicle(self) -> Vehicle:
         """The refitted model."""
@@ -221,16 +235,24 @@ class Refit:
             horizon=self.before.windows.horizon or 0.0,
             error_before=before,
             error_after=after,
+            ahead_before={h: finite(e) for h, e in self.ahead[0].items()},
+            ahead_after={h: finite(e) for h, e in self.ahead[1].items()},
             channels=channel_errors(self.before.relative, self.after.relative),
             parameters=[FittedParameter(**row) for row in self.parameters.iter_rows(named=True)],
+            by_run=self.by_run,
             condition=finite(self.fit.condition),
         )
+
+    @property
+    def by_run(self) -> list[ValuesByRun]:
+        """Parameters with a value in every run: these values, their mean and spread, in the file's signs."""
+        return values_by_run(self.fit, self.stated)
 
     def summary(self) -> str:
         """Parameters with standard errors, and the error on validation data before and after, as text."""
         rows = self.parameters.iter_rows(named=True)
         lines = [f"{r['parameter']:16} {r['value']:.5g}{_spread(r)} {r['unit']}".rstrip() for r in rows]
-        return "\n".join([self._headline, *lines])
+        return "\n".join([self._headline, *lines, *map(str, self.by_run)])
 
     @property
     def _headline(self) -> str:
@@ -281,6 +303,8 @@ def _history(
     **more: object,
 ) -> dict[str, object]:
     """How the values of a vehicle file came about."""
+    names, covariance = fit.vehicle_covariance
+    by_run = values_by_run(fit, fit.model.functions.vehicle)
     return {
         "command": command,
         "date": date.today().isoformat(),
@@ -288,8 +312,16 @@ def _history(
         "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
         "error_before": errors[0],
         "error_after": errors[1],
-        "covariance": {"parameters": list(fit.model.free), "matrix": fit.covariance.tolist()},
+        **({"by_run": list(map(_history_of, by_run))} if by_run else {}),
+        "covariance": {"parameters": list(names), "matrix": covariance.tolist()},
     }
+
+
+def _history_of(table: ValuesByRun) -> dict[str, object]:
+    """Values by run for a vehicle file."""
+    errors = table.standard_errors
+    runs = [{"run": run, "value": value, "sigma": errors[run]} for run, value in table.values.items()]
+    return {"parameter": table.parameter, "runs": runs, "spread": table.spread, "q": table.q}
 
 
 def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
@@ -331,9 +363,11 @@ def refit(
         trust_log=True,
     )
     report(0.8, "predicting validation data")
-    longest = max(float(r.t[-1] - r.t[0]) for r in test)
-    windows = cut(test, vehicle, min(horizon, 0.9 * longest))
-    before, after = (predict(v, windows) for v in (vehicle, fit.vehicle))
+    refitted, rest = in_runs(fit, test)
+    longest = max(float(r.t[-1] - r.t[0]) for r in rest)
+    windows = cut(rest, vehicle, min(horizon, 0.9 * longest))
+    as_given = [adapted(vehicle, run)[0] for run in test]
+    before, after = (predict_each(each, windows) for each in (as_given, refitted))
     return Refit(vehicle, fit, estimator, train, test, before, after)
 
 

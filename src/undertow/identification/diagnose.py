@@ -18,6 +18,7 @@ from undertow.identification.diagnosis.parallel import in_background
 from undertow.identification.diagnosis.validation import repeats, training_and_validation, with_velocities
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
+from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.logs.run import Run
@@ -67,6 +68,7 @@ from .diagnosis.verdict import (
     only_disturbance,
     reliefs,
     unique_ids,
+    values_by_run,
     with_values,
 )
 from .report.data import ReportData
@@ -186,6 +188,7 @@ class ResultBuilder:
             remaining=self._left,
             predictable=self._predictable,
             parameters=estimates(self.after, self.vehicle),
+            by_run=values_by_run(self.after, self.vehicle),
             false_alarm_rate=self.settings.false_alarm_rate,
             noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
             floors=noise_floors(self.after, self.bench.train),
@@ -212,7 +215,8 @@ class ResultBuilder:
         if self.judgement.verdict != "adequate":
             return []
         derived = bench.train.velocities_derived
-        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived))
+        runs = origins(bench.train.runs)
+        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived, runs=runs))
 
     def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
         nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
@@ -275,12 +279,12 @@ class ResultBuilder:
         return [*first, *steps]
 
     def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
-        ahead = self.validator.ahead(fit.vehicle)
+        ahead = self.validator.ahead(fit)
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(
             added=added,
             error=self._normalised(fit),
-            prediction=ahead.get(f"{self.settings.short_windows:g} s", ahead["free run"]),
+            prediction=self.validator.prediction(fit),
             simulation=simulation if math.isfinite(simulation) else None,
             ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
             freed=list(freed),

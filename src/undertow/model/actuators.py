@@ -129,7 +129,7 @@ def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
     if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
         raise UndertowError(f"{place} = {value:g} N cannot be: give a positive thrust and turn the direction")
     sigma = None if spec.sigma is None else positive(f"{place} sigma", spec.sigma, "N/command")
-    return Value(value, spec.estimate, sigma, spec.source, spec.assumed)
+    return Value(value, spec.estimate, sigma, spec.source, spec.assumed, spec.per_run)
 
 
 def _limit(place: str, limit: Any) -> float | None:

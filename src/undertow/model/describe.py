@@ -44,6 +44,7 @@ class ParameterNote:
     required: bool
     default: float | None  # value where a vehicle file is silent
     directional: bool
+    per_run: bool  # whether nature changes it between runs
     about: str
 
 
@@ -119,6 +120,7 @@ def _note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
         required=p.must_be_given and p.name not in stated_elsewhere,
         default=p.default,
         directional=p.motion is not None,
+        per_run=p.per_run,
         about=p.about + _where(p),
     )
 

@@ -92,6 +92,9 @@ class Parameter:
         True for a derivative that tables print as a positive magnitude (added mass and damping).
     alone : bool
         False for a parameter that is no evidence of the effect without the others (a constant part).
+    per_run : bool
+        True for what nature changes from one run to the next (a current, a trim): its value may differ
+        between runs unless a vehicle file says ``per_run = false``.
     arm_of : str
         For a place aboard, from the body origin: "1" where the parameter is a length, the name of a mass or
         force where it is that times a length; empty for all others.
@@ -117,6 +120,7 @@ class Parameter:
     neutral: float | None = 0.0
     on_left_side: bool = False
     alone: bool = True
+    per_run: bool = False
     arm_of: str = ""
     logged: bool = False
     with_log: str = ""

@@ -91,7 +91,7 @@ def array_of_tables(document: Any, key: str) -> Any:
 # Ten significant digits are written, which is half of this at worst.
 _SAME = 1e-9
 _ORDER = (
-    *("value", "forward", "backward", "assumed", "estimate"),
+    *("value", "forward", "backward", "assumed", "estimate", "per_run"),
     *("sigma", "sigma_forward", "sigma_backward", "allow_sign", "override", "source"),
 )
 # Files say "kg m^2" where an effect declares "N m/((rad/s)^2)".
@@ -108,6 +108,7 @@ class Entry:
     unit: str  # SI unit of the parameter
     estimate: bool = False
     assumed: bool = False
+    per_run: bool | None = None  # whether it has a value in every run; None: the file need not say
     override: bool = False  # whether it has to say that another table states something else
     source: str = ""
 
@@ -138,6 +139,8 @@ def update_entry(raw: Any, wanted: Entry, place: str) -> Any:
     fields = _changed_fields(old, wanted, place) if changed else {}
     if wanted.estimate != bool(old.get("estimate", False)):
         fields["estimate"] = wanted.estimate or None
+    if wanted.per_run != old.get("per_run"):
+        fields["per_run"] = wanted.per_run
     if raw is not None and not fields:
         return None
     if isinstance(raw, Mapping):
@@ -220,11 +223,15 @@ _NO_COVARIANCE = (
 )
 
 
-def fit_source(history: Mapping[str, object] | None, before: str) -> str:
-    """What a fitted value gives as its source: logs and date, and where the value before came from."""
+def fit_source(history: Mapping[str, object] | None, before: str, *, mean: bool = False) -> str:
+    """What a fitted value gives as its source: logs and date, and where the value before came from.
+
+    `mean` says that it is the mean of values by run, which stand in the history.
+    """
     text = "fitted"
     if history and history.get("logs"):
-        text = f"fit to {_log_names(history)} on {history.get('date', 'an unknown date')}"
+        whole = " (mean of the runs)" if mean else ""
+        text = f"fit to {_log_names(history)}{whole} on {history.get('date', 'an unknown date')}"
     return f"{text}{_BEFORE}{before}" if before else text
 
 
@@ -474,6 +481,7 @@ def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> En
         unit=parameter.unit,
         estimate=any(v.estimate for v in values.values()),
         assumed=any(v.assumed for v in values.values()),
+        per_run=next((v.per_run for v in values.values()), None),
         source="; ".join(dict.fromkeys(v.source for v in values.values() if v.source)),
     )
 
@@ -481,7 +489,8 @@ def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> En
 def _write(table: Any, key: str, wanted: Entry, place: str, history: Mapping[str, object] | None) -> None:
     fitted = history is None or "logs" in history
     if fitted and wanted.estimate and wanted.differs(table.get(key), place):
-        wanted = wanted.fitted(fit_source(history, source_before(wanted.source)))
+        before = source_before(wanted.source)
+        wanted = wanted.fitted(fit_source(history, before, mean=bool(wanted.per_run)))
     entry = update_entry(table.get(key), wanted, place)
     if entry is None:
         return
@@ -530,7 +539,13 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
         value = thruster.thrust_per_command
         sigmas = _sigmas({"value": value})
         wanted = Entry(
-            {"value": value.value}, sigmas, "N/command", value.estimate, value.assumed, source=value.source
+            {"value": value.value},
+            sigmas,
+            "N/command",
+            value.estimate,
+            value.assumed,
+            per_run=value.per_run,
+            source=value.source,
         )
         place = f"thruster '{thruster.name}' thrust_per_command"
         if "thrust_per_command" in tables[thruster.name] or wanted.differs(1.0, place):

@@ -63,6 +63,7 @@ class ParameterTable(FileTable):
     assumed: StrictBool = False
     allow_sign: StrictBool = False
     override: StrictBool = False
+    per_run: StrictBool | None = None
 
     def one_way(self, way: str) -> ParameterTable:
         """What the table says about the value `forward` or `backward`; its sigma may be its own."""
@@ -183,7 +184,7 @@ def _value(owner: str, parameter: Parameter, name: str, raw: Any, table: Paramet
     sigma = None if table.sigma is None else positive(f"{place} sigma", table.sigma, parameter.unit)
     number = printed(parameter, stated, signs)
     _check_bounds(place, parameter, number, stated, table, signs)
-    return Value(number, table.estimate, sigma, table.source, table.assumed)
+    return Value(number, table.estimate, sigma, table.source, table.assumed, table.per_run)
 
 
 def _check_bounds(

@@ -33,6 +33,8 @@ class Value:
     sigma: float | None = None  # standard deviation of the number as stated (prior) or as fitted
     source: str = ""  # where it comes from
     assumed: bool = False  # true where no source gives the number
+    # true: it has a value of its own in every run; false: never; None: as runs and effect show
+    per_run: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -299,6 +301,11 @@ class Vehicle:
         if name in self.environment:
             return Value(self.environment[name])
         return Value(self.declared_parameters[name].unsaid)
+
+    def differs_between_runs(self, name: str) -> bool:
+        """Whether a parameter may have another value in every run: by its file, or else by its effect."""
+        stated, parameter = self.value_of(name).per_run, self.parameter_of(name)
+        return stated if stated is not None else parameter is not None and parameter.per_run
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:

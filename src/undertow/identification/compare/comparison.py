@@ -14,8 +14,9 @@ from scipy.special import chdtrc
 from undertow.codegen.functions import Functions
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.doctor.findings import ResultTable
+from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import WeakData, prepare
-from undertow.identification.estimation.predictor import Predictor, predict
+from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.windows import Prediction, cut, prediction_error
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE_UNITS
@@ -344,6 +345,9 @@ def compare(
 ) -> Comparison:
     """Compare a model, as it is, with logs.
 
+    What belongs to each run (``per_run = true``) is estimated from its first third, and the model is compared
+    with the rest.
+
     Parameters
     ----------
     vehicle : Vehicle
@@ -359,13 +363,14 @@ def compare(
     refuse_impossible(vehicle, runs, trust_log=trust_log)
     functions = Functions(vehicle)
     progress(0.0, "residual force")
+    vehicles, runs = zip(*(adapted(vehicle, run) for run in runs), strict=True)
     data = prepare(runs, vehicle)
-    forces = residual_forces(functions, runs, data)
+    forces = residual_forces(functions, runs, data, vehicles)
     progress(0.4, "simulating")
     predictor = Predictor(functions, compiled=compiled)
     horizon = _possible(horizon, data)
-    ahead = predict(predictor, cut(runs, vehicle, horizon))
-    free_run = predict(predictor, cut(runs, vehicle, None))
+    ahead = predict_each(vehicles, cut(runs, vehicle, horizon), predictor)
+    free_run = predict_each(vehicles, cut(runs, vehicle, None), predictor)
     progress(0.9, "error map")
     pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
     cells = _cells(forces, vehicle, data.sigma)

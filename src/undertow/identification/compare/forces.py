@@ -13,6 +13,8 @@ from scipy.sparse import bsr_array, csr_array
 
 from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
+from undertow.identification.estimation.adaptation import of_each_run
+from undertow.identification.estimation.by_run import in_run
 from undertow.identification.estimation.data import Segment, WeakData, prepare
 from undertow.identification.estimation.inputs import ActuatorStates, Memory
 from undertow.identification.estimation.pointwise import Pointwise
@@ -49,21 +51,36 @@ class Forces:
         return np.asarray(sum(parts, np.zeros_like(self.missing)))
 
 
-def residual_forces(model: Vehicle | Functions, runs: Sequence[Run], data: WeakData | None = None) -> Forces:
-    """Forces that logs show and a model lacks; `data` are the same logs if they are prepared already."""
+def residual_forces(
+    model: Vehicle | Functions,
+    runs: Sequence[Run],
+    data: WeakData | None = None,
+    vehicles: Sequence[Vehicle] | None = None,
+) -> Forces:
+    """Forces that logs show and a model lacks.
+
+    `data` are the same logs if they are prepared already; `vehicles` the model with its values in each run,
+    where these differ.
+    """
     functions = model if isinstance(model, Functions) else Functions(model)
     data = prepare(runs, functions.vehicle) if data is None else data
-    return _Evaluation(functions, data).forces()
+    return _Evaluation(functions, data, vehicles or [functions.vehicle] * len(data.runs)).forces()
 
 
 class _Evaluation:
     """One model along prepared logs."""
 
-    def __init__(self, functions: Functions, data: WeakData) -> None:
+    def __init__(self, functions: Functions, data: WeakData, vehicles: Sequence[Vehicle]) -> None:
         self.functions, self.data = functions, data
         self.size = len(functions.vehicle.dof_indices)
         self.p = np.array(functions.values(), dtype=float)
-        self._weak = WeakModel(functions, ())
+        known = {
+            in_run(name, run.origin): vehicle.value_of(name).value
+            for run, vehicle in zip(data.runs, vehicles, strict=True)
+            for name in of_each_run(vehicle)
+        }
+        self._weak = WeakModel(functions, (), known=known)
+        self._own = [self._weak.values.own(self.p, run) for run in data.runs]
         self._points = Pointwise(functions, ())
         self._chain = ActuatorStates(functions, ())
         self._sensor_delay = SensorDelay(functions)
@@ -76,12 +93,14 @@ class _Evaluation:
         white = self._by_segment(-whitened(parts, noise).r)
         commands = [r.matrix(self.data.commands) for r in self.data.runs]
         actuation = [
-            self._chain.along(r.t, u, self.p).value for r, u in zip(self.data.runs, commands, strict=True)
+            self._chain.along(r.t, u, p).value
+            for r, u, p in zip(self.data.runs, commands, self._own, strict=True)
         ]
         pieces = []
         for i, reported in enumerate(self.data.segments):
-            s = self._sensor_delay.in_time(reported, self.p)
-            mass, along = self._along(s, actuation[s.run][s.samples])
+            p = self._own[reported.run]
+            s = self._sensor_delay.in_time(reported, p)
+            mass, along = self._along(s, actuation[s.run][s.samples], p)
             # The weak residual is the acceleration of the model minus the measured one.
             acceleration = -self._table(parts[i].r) / _weight(s)[:, None]
             along["missing"] = np.einsum("kij,kj->ki", mass, acceleration)
@@ -105,15 +124,15 @@ class _Evaluation:
         variance = (to_force @ covariance).multiply(to_force).sum(axis=1)
         return np.sqrt(np.asarray(variance).reshape(-1, self.size))
 
-    def _along(self, s: Segment, actuation: Array) -> tuple[Array, dict[str, Any]]:
+    def _along(self, s: Segment, actuation: Array, p: Array) -> tuple[Array, dict[str, Any]]:
         """Mass matrix at every test function, shape (K, n, n), and averages of all else."""
-        memory = self._memory.along(s.t, s.measured, actuation, s.u, self.p).value
-        (motion,) = mapped(self._points.true_motion_at, [s.measured, actuation, memory, s.u], self.p, s.t)
+        memory = self._memory.along(s.t, s.measured, actuation, s.u, p).value
+        (motion,) = mapped(self._points.true_motion_at, [s.measured, actuation, memory, s.u], p, s.t)
         smooth, held = (_rows_to_one(w) for w in (s.functions.value, s.functions.held))
         mean = smooth @ motion[:, :, 0]
         rate = -(s.functions.rate @ motion[:, self.size :, 0]) / _weight(s)[:, None]
         columns = [mean, rate, held @ actuation, smooth @ memory, held @ s.u]
-        mass, *values = mapped(self._wrenches, columns, self.p, s.functions.centre)
+        mass, *values = mapped(self._wrenches, columns, p, s.functions.centre)
         measured = smooth @ s.measured
         return mass, {
             "pose": measured[:, : self.size],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,13 +19,12 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     try_candidate,
 )
+from undertow.identification.estimation.by_run import origins, plain
 from undertow.identification.estimation.data import Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
-from undertow.identification.estimation.predictor import predict
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
-from undertow.identification.estimation.windows import prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -52,14 +51,6 @@ class AdditionSetup:
     test: list[Run]
     bench: Bench
     validator: SimulationValidator
-
-    def ahead(self, vehicle: Vehicle) -> dict[str, float]:
-        """Velocity error of predictions on validation data by horizon, in shares of the motion."""
-        return self.validator.ahead(vehicle)
-
-    def prediction(self, vehicle: Vehicle) -> float:
-        """The same over short windows."""
-        return float(prediction_error(predict(vehicle, self.validator.windows, compiled=False)))
 
 
 @dataclass(frozen=True)
@@ -115,7 +106,8 @@ def set_up_addition(
 
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
     """Put an effect into the model, refit all, and judge it on validation data."""
-    candidate = _candidate(effect, setup.bench.base.model.functions.vehicle)
+    base = setup.bench.base.model.functions.vehicle
+    candidate = replace(_candidate(effect, base), runs=origins(setup.bench.train.runs))
     screened = screen(candidate, setup.bench)
     if not _visible(candidate, screened[0].start):
         raise UndertowError(
@@ -152,14 +144,14 @@ def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
 def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]]:
     """Effects that could be added to the model and that these logs could show."""
     bench = setup.bench
-    possible = candidates(bench.base.model.functions.vehicle, known)
+    possible = candidates(bench.base.model.functions.vehicle, known, runs=origins(bench.train.runs))
     return [c.effect for c in possible if _visible(c, screen(c, bench)[0].start)]
 
 
 def _visible(candidate: Candidate, start: WeakFit) -> bool:
     """Whether its parameters change anything: a delay of commands that a vehicle lacks never could."""
-    influence = dict(zip(start.model.free, np.diag(start.gram), strict=True))
-    return not candidate.parameters or any(influence[p.name] > 0.0 for p in candidate.parameters)
+    felt = {plain(n) for n, own in zip(start.model.free, np.diag(start.gram), strict=True) if own > 0.0}
+    return not candidate.parameters or any(p.name in felt for p in candidate.parameters)
 
 
 def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all: bool) -> Trial:
@@ -168,7 +160,7 @@ def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all
 
 def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
     """The candidate with all of its parameters."""
-    fit = bench.fit(candidate.model(), start=start)
+    fit = bench.fit(candidate.model_from(start), start=start)
     return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
 
 
@@ -177,7 +169,7 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
     fit, base = (setup.validator.final(f)[0] for f in (weak, setup.bench.base))
     without, with_it = (float(horizon_error([f], setup.test)[0]) for f in (base, fit))
     own = tuple(p.name for p in candidate.parameters)
-    kept = tuple(n for n in own if n in fit.model.free)
+    kept = tuple(n for n in own if n in fit.model.values.names)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
     given = Functions(setup.vehicle)
     p = np.array(given.values(), dtype=float)
@@ -196,17 +188,21 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
 
 def _fitted(setup: AdditionSetup, added: list[str], fit: Fitted, noise: list[Whitening]) -> Step:
     at = fit.model.linearise(setup.bench.test, np.asarray(fit.p))
-    return _step(setup, added, fit.vehicle, at, noise)
+    return _step(setup, added, fit, at, noise)
 
 
 def _step(
-    setup: AdditionSetup, added: list[str], vehicle: Vehicle, at: list[Linearised], noise: list[Whitening]
+    setup: AdditionSetup,
+    added: list[str],
+    model: Fitted | Vehicle,
+    at: list[Linearised],
+    noise: list[Whitening],
 ) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
-    r, ahead = whitened(at, noise).r, setup.ahead(vehicle)
+    ahead = setup.validator.ahead(model)
     return Step(
         added=added,
-        error=error_of(mean_square(r, setup.bench.test)),
-        prediction=setup.prediction(vehicle),
+        error=error_of(mean_square(whitened(at, noise).r, setup.bench.test)),
+        prediction=setup.validator.prediction(model),
         ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )

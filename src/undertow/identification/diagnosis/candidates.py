@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from undertow.codegen.functions import Functions
+from undertow.identification.estimation.between_runs import stated_by_run
+from undertow.identification.estimation.by_run import plain, run_of, with_values_by_run
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import free_parameters
@@ -28,10 +30,12 @@ class Candidate:
 
     effect: the effect.
     base: the model without it.
+    runs: names of the runs that it is fitted to, for what has a value in each.
     """
 
     effect: type[Effect]
     base: Vehicle
+    runs: tuple[str, ...] = ()
 
     @property
     def id(self) -> str:
@@ -80,7 +84,9 @@ class Candidate:
 
     def free(self) -> tuple[str, ...]:
         """What a fit of the model with the effect may change."""
-        return (*free_parameters(self.base), *(p.name for p in self.parameters))
+        own = free_parameters(self.base)
+        base = with_values_by_run(own, stated_by_run(self.base, own), self.runs)
+        return (*base, *(p.name for p in self.parameters))
 
     @cached_property
     def _functions(self) -> Functions:
@@ -97,9 +103,15 @@ class Candidate:
             self._models[names] = WeakModel(self._functions, names)
         return self._models[names]
 
+    def model_from(self, start: Mapping[str, float]) -> WeakModel:
+        """The model with all free parameters, with values by run of those that the start has by run."""
+        own = {p.name for p in self.parameters}
+        names = {plain(n) for n in start if run_of(n)} & own
+        return self.model(with_values_by_run(self.free(), sorted(names), self.runs))
+
     def on(self, base: Vehicle) -> Candidate:
         """The same effect as a candidate for another model."""
-        return Candidate(self.effect, base)
+        return replace(self, base=base)
 
     def starts(
         self, command_scale: float, seen: Mapping[str, tuple[float, float]] | None = None
@@ -119,7 +131,12 @@ class Candidate:
 
     def adopted(self, values: Mapping[str, float]) -> Vehicle:
         """The model with the effect in it for good: what was found of its parameters, all else as stated."""
-        found = {p.name: Value(values[p.name], estimate=True) for p in self.parameters if p.name in values}
+        by_run = {plain(n) for n in values if run_of(n)}
+        found = {
+            p.name: Value(values[p.name], estimate=True, per_run=True if p.name in by_run else None)
+            for p in self.parameters
+            if p.name in values
+        }
         return self.base.with_effect(self.effect, found)
 
 
@@ -127,16 +144,20 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
     return start * command_scale if parameter.unit == "command" else start
 
 
-def candidates(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> list[Candidate]:
+def candidates(
+    vehicle: Vehicle, known: Catalogue, *, derived: bool = False, runs: tuple[str, ...] = ()
+) -> list[Candidate]:
     """All effects of the catalogue that would add something to a vehicle (see `possible`)."""
-    return [c for c in possible(vehicle, known, derived=derived) if not c.adds_nothing]
+    return [c for c in possible(vehicle, known, derived=derived, runs=runs) if not c.adds_nothing]
 
 
-def possible(vehicle: Vehicle, known: Catalogue, *, derived: bool = False) -> list[Candidate]:
+def possible(
+    vehicle: Vehicle, known: Catalogue, *, derived: bool = False, runs: tuple[str, ...] = ()
+) -> list[Candidate]:
     """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it."""
     fitting = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
-    return [Candidate(c, vehicle) for c in fitting if not (derived and _of_velocity_sensor(c))]
+    return [Candidate(c, vehicle, runs) for c in fitting if not (derived and _of_velocity_sensor(c))]
 
 
 def _of_velocity_sensor(effect: type[Effect]) -> bool:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import Linearised
 from undertow.identification.estimation.step import inverse_of, prior_of
@@ -102,7 +103,7 @@ class FoundEffect:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Parameters that its fit brings into the model."""
-        free = self.trial.fit.model.free
+        free = {plain(n) for n in self.trial.fit.model.free}
         return tuple(p.name for p in self.trial.candidate.parameters if p.name in free)
 
     @property

@@ -201,12 +201,18 @@ class ForceRows:
     @cached_property
     def along(self) -> list[tuple[Segment, Along, Array]]:
         """Every segment with motion and commands at its samples, and its mass matrix (N, n, n)."""
-        functions, p, data = self._fit.model.functions, self._fit.p, self.data
-        actuators, motion, late = ActuatorStates(functions, ()), self._motion, SensorDelay(functions)
-        driven = [actuators.along(r.t, without_gaps(r.matrix(data.commands)), p).value for r in data.runs]
+        model, data = self._fit.model, self.data
+        own = [model.values.own(self._fit.p, run) for run in data.runs]
+        actuators, motion = ActuatorStates(model.functions, ()), self._motion
+        late, commands = (
+            SensorDelay(model.functions),
+            [without_gaps(r.matrix(data.commands)) for r in data.runs],
+        )
+        each = zip(data.runs, commands, own, strict=True)
+        driven = [actuators.along(r.t, u, p).value for r, u, p in each]
         found = []
-        for s in (late.in_time(s, p) for s in data.segments):
-            pose, velocity, mass = mapped(motion, [s.measured], p, s.t)
+        for s in (late.in_time(s, own[s.run]) for s in data.segments):
+            pose, velocity, mass = mapped(motion, [s.measured], own[s.run], s.t)
             actuation = driven[s.run][s.samples]
             reached = np.column_stack([actuation, s.u[:, actuation.shape[1] :]])
             found.append((s, self._values(s.t, pose[:, :, 0], velocity[:, :, 0], reached), mass))

@@ -61,6 +61,28 @@ class Estimate(ResultTable):
     prior_sigma: float | None = None
 
 
+class ValuesByRun(ResultTable):
+    """A parameter with a value in every run, in the sign convention of the vehicle file.
+
+    `mean` is weighted by how well each run knows it; `spread` is the standard deviation between the runs
+    beyond the errors; `chance` is that of so large a difference (Cochran's `q`) if all runs agree.
+    """
+
+    parameter: str
+    unit: str
+    values: dict[str, float]
+    standard_errors: dict[str, float]
+    mean: float
+    spread: float
+    q: float
+    chance: float
+
+    def __str__(self) -> str:
+        shown = (f"{v:.3g} ± {self.standard_errors[run]:.1g} in {run}" for run, v in self.values.items())
+        summary = f"mean {self.mean:.3g}, spread {self.spread:.2g} {self.unit}".rstrip()
+        return f"{self.parameter}: {', '.join(shown)}; {summary}; chance if all agree {self.chance:.1g}"
+
+
 class Ranked(ResultTable):
     """A candidate: what it would add and what that does to the error on validation data.
 
@@ -323,6 +345,7 @@ class Diagnosis(ResultTable):
     doctor: list[Finding] = Field(default_factory=list)
     remaining: list[Remaining]
     parameters: list[Estimate]
+    by_run: list[ValuesByRun] = Field(default_factory=list)
     false_alarm_rate: float
     noise: dict[str, float]
     floors: Floors | None = None

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import (
     PRIOR_WIDTH,
@@ -78,7 +79,9 @@ class Round:
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     """Try every candidate on top of a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-    screened = _screened(possible(vehicle, known, derived=bench.train.velocities_derived), bench, report)
+    runs = origins(bench.train.runs)
+    listed = possible(vehicle, known, derived=bench.train.velocities_derived, runs=runs)
+    screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
     by_chance = null_distribution([s.linear for s in screened], settings)
     worth = [s for s in screened if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]
@@ -269,7 +272,7 @@ def other_values(bench: Bench) -> OtherValues | None:
     alike = _wanted(bench)
     if not alike:
         return None
-    model = WeakModel(bench.base.model.functions, (*bench.base.model.free, *alike))
+    model = bench.base.model.with_free((*bench.base.model.free, *alike))
     fit = bench.fit(model, start=bench.base.values)
     return OtherValues(alike, fit, bench.judge(fit))
 
@@ -306,7 +309,7 @@ def _held(bench: Bench) -> tuple[str, ...]:
     model = bench.base.model
     names = model.functions.parameter_names
     vehicle = model.functions.vehicle
-    held = (n for n in names if n not in model.free and vehicle.parameter_of(n) is not None)
+    held = (n for n in names if n not in model.values.names and vehicle.parameter_of(n) is not None)
     return tuple(n for n in held if np.isfinite(bench.base.p[names.index(n)]))
 
 
@@ -340,8 +343,9 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
 def _normal(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Information and slope of the model's own parameters and of these values, in their order."""
     base = bench.base
-    held = WeakModel(base.model.functions, names)
-    at = whitened(held.linearise(bench.train, base.p), bench.train_whitening)
+    by_run = {n: base.values[n] for n in base.model.values.split}
+    held, p = WeakModel(base.model.functions, names, known=by_run), base.p[: base.model.values.size]
+    at = whitened(held.linearise(bench.train, p), bench.train_whitening)
     both = Linearised(base.at.r, np.hstack([base.at.J, at.J]), at.start)
     prior = prior_of(WeakModel(base.model.functions, (*base.model.free, *names)))
     return normal_equations(both, base.p[[*base.model.places, *held.places]], prior)

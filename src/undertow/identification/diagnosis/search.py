@@ -10,8 +10,9 @@ from itertools import combinations
 
 import numpy as np
 
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.residual import WeakModel, whitened
+from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.step import inverse_of
 from undertow.identification.estimation.weak_form import (
     WeakFit,
@@ -111,7 +112,7 @@ def _columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Array]:
     fit = finding.trial.full
     at = whitened(fit.model.linearise(bench.train, fit.p), bench.train_whitening)
     own = {p.name for p in finding.trial.candidate.parameters}
-    chosen = [k for k, n in enumerate(fit.model.free) if n in own]
+    chosen = [k for k, n in enumerate(fit.model.free) if plain(n) in own]
     return at.r - bench.base.at.r, at.J[:, chosen]
 
 
@@ -170,6 +171,7 @@ def search(
     """Look for missing effects until the noise floor or until nothing helps."""
     report(0.0, "fitting the model as it is")
     opened = open_bench(vehicle, train, test, settings)
+    vehicle = opened.base.model.functions.vehicle
     steps = _stepwise(vehicle, opened, known, report, residual_is_noise, values_to_free)
     if names := steps.freed:
         _log.info("fixed values that explain more than any effect: %s", ", ".join(names))
@@ -391,7 +393,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
     fit = with_reestimated_noise(fit)
     names = fit.model.functions.parameter_names
     removable = {n for c in candidates for n in c.removable if n in names}
-    left_out = removable - set(fit.model.free)
+    left_out = removable - set(fit.model.values.names)
     if not left_out:
         return fit
     whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))
@@ -403,7 +405,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
 def _refitted(fit: WeakFit, free: Collection[str]) -> WeakFit:
     start = {n: v for n, v in fit.values.items() if n in free}
     return fit_weak(
-        WeakModel(fit.model.functions, tuple(free)),
+        fit.model.with_free(tuple(free)),
         fit.data,
         start=start,
         whitening=fit.whitening,

@@ -8,8 +8,19 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from undertow.identification.estimation.data import WeakData, Whitening
+from undertow.codegen.functions import Functions
+from undertow.identification.estimation.adaptation import (
+    factor_of_the_rest,
+    first_part,
+    learned_from,
+    values_in,
+)
+from undertow.identification.estimation.between_runs import SETTINGS as BETWEEN_RUNS
+from undertow.identification.estimation.between_runs import least_differing, may_differ, stated_by_run
+from undertow.identification.estimation.by_run import origins, plain, with_values_by_run
+from undertow.identification.estimation.data import WeakData, Whitening, numbered
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import (
@@ -24,8 +35,11 @@ from undertow.identification.estimation.step import (
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
+    fit_weak_by_run,
+    free_parameters,
     mean_square,
     predicted_cost,
+    separated,
     start_fit,
     with_process_noise,
     with_reestimated_noise,
@@ -118,7 +132,7 @@ class Bench:
     @cached_property
     def base_score(self) -> Score:
         """How the model without any candidate does on the validation data."""
-        return scored(self.base, self.test, self.test_whitening)
+        return self.judge(self.base)
 
     @cached_property
     def base_on_test(self) -> Linearised:
@@ -135,7 +149,7 @@ class Bench:
         model = self.base.model
         if not np.any(moved(model, self.base.p) > self.settings.moved):
             return {}
-        values = {n: model.functions.vehicle.value_of(n).value for n in model.free}
+        values = {n: model.functions.vehicle.value_of(plain(n)).value for n in model.free}
         return {n: v for n, v in values.items() if np.isfinite(v)}
 
     def work_out(self) -> None:
@@ -145,7 +159,32 @@ class Bench:
 
     def judge(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the validation data."""
-        return scored(fit, self.test, self.test_whitening, self.base_score.r)
+        beside = None if fit is self.base else self.base_score.r
+        score = scored(fit, self.test, self.test_whitening, beside)
+        if not fit.model.values.known:
+            return score
+        r = self._by_the_rest(fit, score.r)
+        return Score(r, mean_square(r, self.test), score.open)
+
+    def _by_the_rest(self, fit: WeakFit, r: Array) -> Array:
+        """A residual that is no smaller where a fit learned of a run than in the rest of that run."""
+        data = self.test
+        first = learned_from(fit, data.runs, data.run_of, data.time)
+        return r * np.sqrt(factor_of_the_rest(r**2, first, numbered(data.run_of, data.equation)))
+
+    @cached_property
+    def _first_parts(self) -> list[WeakData]:
+        """First parts of the validation runs that are no stretches of what is fitted."""
+        fitted, vehicle = origins(self.train.runs), self.base.model.functions.vehicle
+        others = (r for r in self.test.runs if r.origin not in fitted)
+        parts = (first_part(r, vehicle, self.train.sigma) for r in others)
+        return [part for part in parts if part is not None]
+
+    def in_all_runs(self, fit: WeakFit) -> WeakFit:
+        """A fit with values in the validation runs of what has a value in every run."""
+        if not fit.model.values.split:
+            return fit
+        return replace(fit, model=fit.model.knowing(values_in(fit, self._first_parts)))
 
     def on_train(self, fit: WeakFit) -> Linearised:
         """A fitted model on the data for the fit, under the noise model of the bench."""
@@ -156,7 +195,8 @@ class Bench:
     def on_test(self, fit: WeakFit) -> Linearised:
         """A fitted model on the validation data, where unknown first states win nothing over the base."""
         parts = fit.model.linearise(self.test, fit.p)
-        return whitened(parts, self.test_whitening, self.base_score.r)
+        at = whitened(parts, self.test_whitening, self.base_score.r)
+        return replace(at, r=self._by_the_rest(fit, at.r)) if fit.model.values.known else at
 
     def fit(
         self,
@@ -167,7 +207,10 @@ class Bench:
         enough: float = 0.0,
     ) -> WeakFit:
         """Fit a model to the training data under the noise model of the base."""
-        return fit_weak(
+        if isinstance(model, Vehicle):
+            names = free_parameters(model) if free is None else free
+            free = with_values_by_run(names, stated_by_run(model, names), origins(self.train.runs))
+        fit = fit_weak(
             model,
             self.train,
             free,
@@ -176,6 +219,7 @@ class Bench:
             disturbance=self.base.disturbance,
             enough=enough,
         )
+        return self.in_all_runs(fit)
 
     @cached_property
     def noise_level(self) -> Array:
@@ -230,10 +274,20 @@ class Bench:
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
     """Fit the model as it is and take its noise model for both parts of the data."""
-    base = fit_weak(vehicle, train)
+    base = _marked(fit_weak_by_run(vehicle, train))
     sensor_noise = base.model.whitening(test, base.p)
     noise = base.whitening, with_process_noise(sensor_noise, base.disturbance, test)
-    return Bench(train, test, *noise, base, settings)
+    bench = Bench(train, test, *noise, base, settings)
+    return replace(bench, base=bench.in_all_runs(base))
+
+
+def _marked(fit: WeakFit) -> WeakFit:
+    """The fit of a vehicle that says which of its parameters were found to have a value in every run."""
+    if not fit.model.values.split:
+        return fit
+    vehicle = fit.model.functions.vehicle
+    by_run = {n: replace(vehicle.value_of(n), per_run=True) for n in fit.model.values.by_run}
+    return replace(fit, model=WeakModel(Functions(vehicle.with_values(by_run)), fit.model.free))
 
 
 def noise_ratio(fit: Fitted, data: WeakData) -> Array:
@@ -268,16 +322,31 @@ def try_candidate(
     """Fit a candidate, drop the parameters that do not matter, and judge it."""
     settings = bench.settings
     enough = settings.rough_step if enough is None else enough
-    fit = bench.fit(candidate.model(), start=start, enough=enough)
+    fit = bench.fit(candidate.model_from(start), start=start, enough=enough)
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
     if fit.cost < settings.finer_noise_share * len(fit.at.r):
         fit = with_reestimated_noise(fit, most=1)
-    kept = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
+    fit = _by_run_if_need_be(candidate, fit, bench, enough)
+    matter = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
+    # What differs between runs beyond chance is not zero in all of them.
+    kept = tuple(n for n in candidate.removable if n in matter or n in fit.model.values.by_run)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
     thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
     return Trial(candidate, fit, thin, kept, bench.judge(thin))
+
+
+def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough: float) -> WeakFit:
+    """The fit with values by run of what differs between the runs beyond chance, and of nothing else."""
+    own = [p.name for p in candidate.parameters]
+    split = [n for n in own if n in fit.model.values.by_run]
+    if split:
+        values = fit.p[list(fit.model.places)]
+        if least_differing(fit.model, values, fit.covariance, [split])[1] < BETWEEN_RUNS.chance:
+            return bench.in_all_runs(with_reestimated_noise(fit))
+        fit = bench.fit(candidate.model(), start=fit.values, enough=enough)
+    return bench.in_all_runs(separated(fit, own))
 
 
 def rejected(candidate: Candidate, bench: Bench) -> Trial:
@@ -292,7 +361,7 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
     start = {n: v for n, v in fit.values.items() if n not in dropped}
     free = tuple(n for n in fit.model.free if n not in dropped)
     return fit_weak(
-        candidate.model(free),
+        candidate.model(free).knowing(fit.model.values.known),
         fit.data,
         start=start,
         whitening=fit.whitening,
@@ -309,7 +378,8 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
     shapes = {p.name for p in candidate.parameters if p.starts and p.bounds[0] <= p.unsaid <= p.bounds[1]}
     if not shapes:
         return set()
-    without = np.where(np.isin(fit.model.functions.parameter_names, list(dropped)), 0.0, fit.p)
+    without, places = fit.p.copy(), fit.model.functions.parameter_names.index
+    without[[places(n) for n in dropped]] = 0.0
     used = np.any([np.any(part.J, axis=0) for part in fit.model.linearise(fit.data, without)], axis=0)
     lost = np.any(fit.at.J, axis=0) & ~used
     return {n for n, idle in zip(fit.model.free, lost, strict=True) if n in shapes and idle}
@@ -359,11 +429,19 @@ class Screened:
     ) -> None:
         self._candidate, self._bench, self._values = candidate, bench, start
         known = (bench.base.at, bench.train, bench.train_whitening)
-        at = None if steps else self._beside(*known)
+        model = candidate.model_from(start)
+        at = None if steps or model.values.split != bench.base.model.values.split else self._beside(*known)
         noise = (bench.train_whitening, bench.base.disturbance)
         begin = bench.base.values | dict(start)
-        self.start = start_fit(candidate.model(), bench.train, begin, *noise, at=at, steps=steps)
+        self.start = start_fit(model, bench.train, begin, *noise, at=at, steps=steps)
         self.cost, after = predicted_cost(self.start)
+        if names := _better_by_run(self.start.model, self.start.at, self.cost, candidate, bench.train):
+            free = with_values_by_run(self.start.model.free, names, candidate.runs)
+            split, at = self.start.model.with_free(free), None
+            self.start = start_fit(split, bench.train, self.start.values, *noise, steps=steps)
+            self.cost, after = predicted_cost(self.start)
+        own = [n for n in self.start.model.values.by_run if n not in bench.base.model.values.by_run]
+        self.cost += _by_chance(own, candidate.runs)
         self.values = self.start.values if steps else after
         self._changes_nothing = at is not None
 
@@ -390,6 +468,31 @@ class Screened:
         return Linearised(known.r, np.hstack([known.J, at.J]), at.start)
 
 
+def _better_by_run(
+    model: WeakModel, at: Linearised, cost: float, candidate: Candidate, data: WeakData
+) -> list[str]:
+    """Parameters of a candidate that promise more than chance with a value in every run; or none."""
+    own = [p.name for p in candidate.parameters]
+    names = [n for group in may_differ(model, data.runs, own) for n in group]
+    return names if names and _cost_by_run(model, at, names, data) < cost else []
+
+
+def _cost_by_run(model: WeakModel, at: Linearised, names: Sequence[str], data: WeakData) -> float:
+    """Sum of squares predicted if some parameters have a value in every run, and what chance gives them."""
+    runs = origins(data.runs)
+    place = np.array([runs.index(r.origin) for r in data.runs])[data.run_of]
+    chosen = [k for k, n in enumerate(model.free) if n in names]
+    split = [at.J[:, chosen] * (place == i)[:, None] for i in range(len(runs))]
+    J = np.hstack([np.delete(at.J, chosen, axis=1), *split])
+    slope = J.T @ at.r
+    return float(at.r @ at.r - slope @ inverse_of(J.T @ J) @ slope) + _by_chance(names, runs)
+
+
+def _by_chance(names: Sequence[str], runs: Sequence[str]) -> float:
+    """Fall of the sum of squares that chance gives values by run for which runs agree, at the most."""
+    return float(chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))) if names else 0.0
+
+
 def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     """What a candidate promises from its best start, and from the next best one where there are several.
 
@@ -414,7 +517,7 @@ def best_start(
     """Where the better one of several fits ends: which start leads there, a few steps cannot show."""
     if len(starts) == 1:
         return starts[0]
-    fits = [bench.fit(candidate.model(), start=start, enough=enough) for start in starts]
+    fits = [bench.fit(candidate.model_from(start), start=start, enough=enough) for start in starts]
     return min(fits, key=lambda fit: fit.cost).values
 
 
@@ -422,7 +525,9 @@ def _own_columns(
     candidate: Candidate, bench: Bench, start: Mapping[str, float], data: WeakData
 ) -> list[Linearised]:
     """The model with a candidate at a start, differentiated in the candidate's own parameters only."""
-    model = candidate.model(tuple(p.name for p in candidate.parameters))
+    base = bench.base.model.values
+    by_run = {n: bench.base.values[n] for n in base.split} | base.known
+    model = candidate.model(tuple(p.name for p in candidate.parameters)).knowing(by_run)
     names = model.functions.parameter_names
     stated = {n: model.functions.vehicle.value_of(n).value for n in names}
     values = stated | bench.base.values | dict(start)
@@ -443,9 +548,12 @@ def _promising(
         at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
         beside = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
         values = bench.base.values | start
-        now = np.array([values.get(n, model.functions.vehicle.value_of(n).value) for n in model.free])
+        stated = model.functions.vehicle.value_of
+        now = np.array([values[n] if n in values else stated(plain(n)).value for n in model.free])
         step = bounded_step(beside, now, within_limits(bounds, now, reach), prior)
-        costs.append(float(np.sum((beside.r + beside.J @ step) ** 2)))
+        cost = float(np.sum((beside.r + beside.J @ step) ** 2))
+        names = _better_by_run(model, beside, cost, candidate, bench.train)
+        costs.append(_cost_by_run(model, beside, names, bench.train) if names else cost)
     return [starts[i] for i in np.argsort(costs)[: bench.settings.best_starts]]
 
 
@@ -454,6 +562,7 @@ class _PackedFit:
     """A fit without its model; no whitening where it is the bench's."""
 
     free: tuple[str, ...]
+    known: dict[str, float]
     p: Array
     whitening: list[Whitening] | None
     at: Linearised
@@ -481,7 +590,8 @@ def packed(trial: Trial, bench: Bench) -> PackedTrial:
 
 def _packed_fit(fit: WeakFit, bench: Bench) -> _PackedFit:
     whitening = None if fit.whitening is bench.train_whitening else fit.whitening
-    return _PackedFit(fit.model.free, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
+    known = fit.model.values.known
+    return _PackedFit(fit.model.free, known, fit.p, whitening, fit.at, fit.disturbance, fit.iterations)
 
 
 def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
@@ -493,5 +603,5 @@ def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
 
 def _unpacked_fit(bare: _PackedFit, candidate: Candidate, bench: Bench) -> WeakFit:
     whitening = bench.train_whitening if bare.whitening is None else bare.whitening
-    model = candidate.model(bare.free)
+    model = candidate.model(bare.free).knowing(bare.known)
     return WeakFit(model, bare.p, bench.train, whitening, bare.at, bare.disturbance, bare.iterations)

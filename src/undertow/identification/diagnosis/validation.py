@@ -14,6 +14,13 @@ from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
+from undertow.identification.estimation.adaptation import (
+    adapted,
+    factor_of_the_rest,
+    in_runs,
+    learned_from,
+)
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import (
@@ -22,7 +29,7 @@ from undertow.identification.estimation.output_error import (
     final_fit,
     fit_output_error,
 )
-from undertow.identification.estimation.predictor import Predictor, predict
+from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
@@ -207,7 +214,9 @@ class SimulationValidator:
 
     def _squares(self, fit: Fitted, horizon: float | None = None) -> Array:
         shooting, starts = self._shot(fit, horizon or self.settings.short_windows)
-        return shooting.mean_squares(np.asarray(fit.p), starts)
+        squares, windows = shooting.mean_squares(np.asarray(fit.p), starts), shooting.windows
+        first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
+        return squares * factor_of_the_rest(squares, first, windows.run)
 
     def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         """A model in the windows of a length, and the best start of each."""
@@ -219,7 +228,8 @@ class SimulationValidator:
 
     def _shooting(self, fit: Fitted, horizon: float, free: Sequence[str] = ()) -> Shooting:
         windows = self.windows if horizon == self.settings.short_windows else self._long_windows
-        return Shooting(fit.model.functions, windows, free, channel_weights(windows), compiled=False)
+        weights = channel_weights(windows)
+        return Shooting(fit.model.functions, windows, free, weights, compiled=False, values=fit.model.values)
 
     @cached_property
     def horizons(self) -> tuple[float, ...]:
@@ -232,13 +242,27 @@ class SimulationValidator:
         lengths = (*self.horizons, None)
         return {h: cut(self.test, self._vehicle, h, sigma=self._sigma) for h in lengths}
 
-    def ahead(self, vehicle: Vehicle) -> dict[str, float]:
+    def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
-        predictor = Predictor(vehicle, compiled=False)
         return {
-            "free run" if h is None else f"{h:g} s": prediction_error(predict(predictor, windows))
+            "free run" if h is None else f"{h:g} s": self._error(model, windows)
             for h, windows in self._ahead.items()
         }
+
+    def prediction(self, model: Fitted | Vehicle) -> float:
+        """The same over the short windows that decide."""
+        return self._error(model, self.windows)
+
+    def _error(self, model: Fitted | Vehicle, windows: Windows) -> float:
+        vehicles = self._vehicles(model)
+        predictor = Predictor(vehicles[0], compiled=False)
+        return float(prediction_error(predict_each(vehicles, windows, predictor)))
+
+    def _vehicles(self, model: Fitted | Vehicle) -> list[Vehicle]:
+        """The model as it is in each validation run."""
+        if isinstance(model, Vehicle):
+            return [adapted(model, run)[0] for run in self.test]
+        return in_runs(model, self.test)[0]
 
     def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
         """Mean square of the error of predicted velocities by horizon, window and velocity, (b, n).
@@ -248,12 +272,14 @@ class SimulationValidator:
         return self._once("ahead", fit, self._squares_ahead)
 
     def _squares_ahead(self, fit: Fitted) -> dict[float, Array]:
-        predictor = Predictor(fit.vehicle, compiled=False)
-        return {
-            h: relative_squares(predict(predictor, windows))
-            for h, windows in self._ahead.items()
-            if h is not None
-        }
+        vehicles, predictor = in_runs(fit, self.test)[0], Predictor(fit.vehicle, compiled=False)
+        found = {}
+        for h, windows in self._ahead.items():
+            if h is not None:
+                squares = relative_squares(predict_each(vehicles, windows, predictor))
+                first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
+                found[h] = squares * factor_of_the_rest(squares, first, windows.run)
+        return found
 
     def contender(self, effect_set: EffectSet) -> Contender:
         """A effect_set fitted by output error from where the weak form left it, and judged."""
@@ -401,7 +427,8 @@ class SimulationValidator:
             )
         except UndertowError:  # the simulation of a poor model may diverge
             return weak
-        return refined
+        # What is known of the validation runs themselves stays what it is.
+        return replace(refined, model=refined.model.knowing(weak.model.values.known))
 
 
 def _freedom(effect_set: EffectSet) -> int:
@@ -474,7 +501,7 @@ def sizes(
     p = np.asarray(fit.p)
     at = whitened(fit.model.linearise(data, p), noise)
     names = {q.name for q in own if q.linear}
-    chosen = [k for k, n in enumerate(fit.model.free) if n in names]
+    chosen = [k for k, n in enumerate(fit.model.free) if plain(n) in names]
     whole = at.J[:, chosen] @ p[[fit.model.places[k] for k in chosen]]
     stretch = _stretches(data, settings.size_stretches)
     power, slope = (np.bincount(stretch, weights=whole * other) for other in (whole, at.r))
@@ -568,7 +595,11 @@ def _pieces(run: Run, settings: Settings) -> list[Run]:
     edges = [start + i * length for i in range(count + 1)]
     gap = min(settings.piece_gap, 0.1 * length)
     return [
-        replace(run.slice(a, b if i == count - 1 else b - gap), name=f"{run.name} [{a:.0f}-{b:.0f} s]")
+        replace(
+            run.slice(a, b if i == count - 1 else b - gap),
+            name=f"{run.name} [{a:.0f}-{b:.0f} s]",
+            part_of=run.origin,
+        )
         for i, (a, b) in enumerate(pairwise(edges))
     ]
 

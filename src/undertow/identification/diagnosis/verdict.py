@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.estimation.between_runs import BetweenRuns
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.step import (
     NOTHING_SAID,
@@ -26,7 +28,7 @@ from undertow.typing import Array
 
 from .candidates import Candidate
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
-from .result import Equivalent, Estimate, Indistinguishable, Predictability, Verdict
+from .result import Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
 from .rounds import other_values
 from .search import Search
 from .selection import Graded, Selection
@@ -206,8 +208,8 @@ def estimates(fit: Fitted, stated: Vehicle) -> list[Estimate]:
 def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
     """One free parameter of a fit; `stated` is the vehicle as the user gave it."""
     vehicle = fit.model.functions.vehicle
-    parameter = vehicle.declaration(name)
-    prior = stated.values.get(name)
+    parameter = vehicle.declaration(plain(name))
+    prior = stated.values.get(plain(name))
     return Estimate(
         name=name,
         effect=_owner(vehicle, parameter.name),
@@ -217,6 +219,26 @@ def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
         about=parameter.about,
         prior=None if prior is None else printed(parameter, prior.value, stated.signs),
         prior_sigma=None if prior is None else prior.sigma,
+    )
+
+
+def values_by_run(fit: Fitted, stated: Vehicle) -> list[ValuesByRun]:
+    """What has a value in every run, in the signs of the vehicle as the user gave it."""
+    return [
+        _by_run(t, fit.model.functions.vehicle.declaration(t.parameter), stated) for t in fit.between_runs
+    ]
+
+
+def _by_run(table: BetweenRuns, parameter: Parameter, stated: Vehicle) -> ValuesByRun:
+    return ValuesByRun(
+        parameter=table.parameter,
+        unit=_unit(parameter),
+        values={run: printed(parameter, value, stated.signs) for run, value in table.values.items()},
+        standard_errors=table.standard_errors,
+        mean=printed(parameter, table.mean, stated.signs),
+        spread=table.spread,
+        q=table.q,
+        chance=table.p_value,
     )
 
 
@@ -301,8 +323,8 @@ def _instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[E
 def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT) -> dict[str, float]:
     """Change of the parameters that a fit moved far, in standard deviations of prior and fit."""
     changes = {}
-    for name, value in fit.values.items():
-        prior = stated.value_of(name)
+    for name in (n for n in fit.model.values.names if n in fit.model.free):
+        value, prior = fit.values[name], stated.value_of(name)
         if prior.sigma is not None:
             spread = float(np.hypot(prior.sigma, fit.standard_errors[name]))
             if abs(value - prior.value) > settings.moved * spread:
@@ -414,7 +436,8 @@ def absorbing(
 
 def _pushed(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_Pushed]:
     errors, found = fit.standard_errors, []
-    for name, value in fit.values.items():
+    for name in fit.model.values.names:
+        value = fit.values[name]
         stated, bound = vehicle.value_of(name), _bound(vehicle, name, value)
         if (
             stated.sigma is None

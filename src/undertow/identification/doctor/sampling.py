@@ -11,6 +11,7 @@ from scipy.signal import welch
 from undertow.identification.estimation.data import channel_noise, noise_by_order
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import UNITS, Run
+from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -347,6 +348,7 @@ def excitation_findings(
             )
     yield from _headings(vehicle, runs)
     yield from _still_commands(rows, vehicle, runs)
+    yield from _unused_inputs(vehicle, runs)
 
 
 def _still_commands(
@@ -375,6 +377,21 @@ def _still_commands(
         "column?",
         evidence={"commands": float(len(still))},
     )
+
+
+def _unused_inputs(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Quantities that the mapping file names, that effects can take, and that the vehicle file does not."""
+    known = (n for n in logged_quantities(catalogue()) if n not in vehicle.inputs)
+    names = [n for n in known if all(r.has(n) for r in runs)]
+    if names:
+        listed = ", ".join(f'"{n}"' for n in (*vehicle.inputs, *names))
+        yield Finding(
+            id="unused_inputs",
+            severity="note",
+            text=f"the log holds {', '.join(names)}, which effects can take: inputs = [{listed}] in the "
+            "vehicle file",
+            evidence={"inputs": float(len(names))},
+        )
 
 
 def _still(data: Array) -> bool:

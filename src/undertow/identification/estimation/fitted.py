@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 
+from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
+from .between_runs import BetweenRuns, of_the_vehicle, table_of
+from .by_run import plain
 from .residual import WeakModel
 from .scales import scale_directions
 from .step import at_bounds, default_weights, estimated, follower_errors, followers, inverse_of, prior_of
@@ -170,20 +173,67 @@ class Fitted(ABC):
 
     @property
     def vehicle(self) -> Vehicle:
-        """The vehicle with fitted values and standard errors, those of tied parameters included."""
-        values, errors = self.values, self.standard_errors
+        """The vehicle with fitted values and standard errors, those of tied parameters included.
+
+        What differs between runs has its mean, and as error how far another run may be from that.
+        """
+        names, covariance = self.vehicle_covariance
+        values = {n: self.values[n] for n in names}
+        errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
         tied = followers(self.model, values), follower_errors(self.model, errors)
-        return estimated(self.model.functions.vehicle, values | tied[0], errors | tied[1])
+        found = estimated(self.model.functions.vehicle, values | tied[0], errors | tied[1])
+        split = {t.parameter: replace(found.value_of(t.parameter), per_run=True) for t in self.between_runs}
+        return found.with_values(split) if split else found
+
+    @cached_property
+    def between_runs(self) -> tuple[BetweenRuns, ...]:
+        """Values by run with their mean and spread, of every parameter that has them."""
+        if not self.model.values.split:
+            return ()
+        return table_of(self.model, self.p[list(self.model.places)], self.covariance)
+
+    @property
+    def vehicle_covariance(self) -> tuple[tuple[str, ...], Array]:
+        """Names and covariance of what the vehicle has for the free parameters.
+
+        Where values by run are averaged, their spread counts as error.
+        """
+        names, table = self.model.values.names, self.between_runs
+        if not table:
+            return names, self.covariance
+        average = of_the_vehicle(self.model, table)
+        spread = {t.parameter: t.spread**2 for t in table}
+        return names, average @ self.covariance @ average.T + np.diag([spread.get(n, 0.0) for n in names])
+
+    @property
+    def runs_with_values(self) -> set[str]:
+        """Names of the runs that have values of their own."""
+        return {run for table in self.between_runs for run in table.values}
+
+    def vehicle_in(self, run: Run) -> Vehicle:
+        """The vehicle with the values of one run that was fitted; of another run, with the means."""
+        own = self.model.values.own(self.p, run)
+        place, vehicle = self.model.functions.parameter_names.index, self.vehicle
+        split = (t.parameter for t in self.between_runs)
+        return vehicle.with_values(
+            {n: replace(vehicle.value_of(n), value=float(own[place(n)])) for n in split}
+        )
 
     @property
     def values(self) -> dict[str, float]:
-        """Fitted values of the free parameters, SI and SNAME signs."""
-        return {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
+        """Fitted values of the free parameters, SI and SNAME signs; of values by run the mean as well."""
+        own = {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
+        return own | {t.parameter: t.mean for t in self.between_runs}
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Standard error of every free parameter."""
-        return dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        """Standard error of every one of these values."""
+        own = dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        if not self.between_runs:
+            return own
+        average = of_the_vehicle(self.model, self.between_runs)
+        errors = np.sqrt(np.diag(average @ self.covariance @ average.T)).tolist()
+        return own | dict(zip(self.model.values.names, errors, strict=True))
 
     @property
     def condition(self) -> float:
@@ -266,9 +316,10 @@ def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
 
     The logs show ratios of these only; their scale stays as stated.
     """
-    free = fit.model.free
+    free, values = fit.model.free, fit.model.values
     found = {}
-    for dof, direction in scale_directions(fit.model.functions, free, np.asarray(fit.p)).items():
+    for dof, local in scale_directions(fit.model.functions, values.names, fit.p[: values.size]).items():
+        direction = local[values.behind]
         if direction @ fit.gram @ direction < SETTINGS.scale**-2:
             found[dof] = [n for n, change in zip(free, direction, strict=True) if change]
     return found
@@ -311,8 +362,8 @@ def _bound(fit: Fitted) -> dict[str, str]:
 
 def _moved(fit: Fitted, stated: Vehicle) -> dict[str, str]:
     found = {}
-    for name, value in fit.values.items():
-        prior = stated.value_of(name)
+    for name in fit.model.free:
+        value, prior = fit.values[name], stated.value_of(plain(name))
         if prior.sigma:
             distance = abs(value - prior.value) / np.hypot(prior.sigma, fit.standard_errors[name])
             if distance > SETTINGS.far:

@@ -14,14 +14,15 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
+from .adaptation import in_runs
 from .data import NOISE, prepare
 from .fitted import Fitted
-from .predictor import Predictor
+from .predictor import Predictor, predict_each
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
 from .step import Constraints, SearchSpace, clustered
-from .weak_form import WeakFit, fit_weak, free_parameters
-from .windows import Prediction, Windows, cut, horizons, prediction_error
+from .weak_form import WeakFit, fit_weak_by_run, free_parameters
+from .windows import Windows, cut, horizons, prediction_error
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class OutputErrorSettings:
     damping: float = 1e-3
     least_damping: float = 1e-9
     most_damping: float = 1e9
+    little_left: float = 4.0  # mean square over noise up to which longer windows say more, not less
     # Share by which a fit may predict validation data worse than another and still be as good: what the
     # noise at the starts of windows makes of it.
     no_worse: float = 0.01
@@ -79,7 +81,14 @@ class OutputErrorFit(Fitted):
     def noise_gram(self) -> Array:
         """J' J in units of the noise of the sensors alone, the starts eliminated."""
         weight = channel_weights(self.windows)
-        shooting = Shooting(self.model.functions, self.windows, self.model.free, weight, compiled=False)
+        shooting = Shooting(
+            self.model.functions,
+            self.windows,
+            self.model.free,
+            weight,
+            compiled=False,
+            values=self.model.values,
+        )
         J = shooting.linearise(self.p, self.starts).J
         return np.asarray(J.T @ J)
 
@@ -130,7 +139,9 @@ class Descent:
         self._enough = enough
         self.model, self.windows = model, windows
         self._weight = channel_weights(windows)
-        self._shooting = Shooting(model.functions, windows, model.free, self._weight, compiled=compiled)
+        self._shooting = Shooting(
+            model.functions, windows, model.free, self._weight, compiled=compiled, values=model.values
+        )
         self._space = SearchSpace(model)
         self._progress = progress
         self._steps = 0
@@ -348,8 +359,7 @@ def fit_output_error(
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
-    model = constraints.model(vehicle, names)
-    begin = weak_start(model, runs) if start is None else start
+    model, begin = weak_start(constraints.model(vehicle, names), runs, start)
     return _descended(model, runs, horizon, begin, loss, compiled, progress)
 
 
@@ -379,9 +389,10 @@ def final_fit(
     """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
 
     Windows are a quarter of the slowest time constant at first, then one (see `horizons`): a fit over long
-    windows alone, begun far away, ends in a local minimum. The longest windows are not fitted to, since there
-    disturbances add up that no parameter explains. What is returned is the last of the fits whose
-    `horizon_error` on validation data is no worse than the least of all.
+    windows alone, begun far away, ends in a local minimum. Where little more than noise is left the longest
+    ones come last, in which fewest starts have to be estimated; where more is left, disturbances add up in
+    them that no parameter explains. What is returned is the last of the fits whose `horizon_error` on
+    validation data is no worse than the least of all.
 
     Parameters
     ----------
@@ -394,8 +405,11 @@ def final_fit(
     """
     model = weak.model
     fits: list[WeakFit | OutputErrorFit] = [weak]
-    for k, horizon in enumerate(horizons(model.functions.vehicle, runs)[:2]):
-        progress((1 + k) / 3, f"output error over {horizon:.3g} s")
+    *shorter, longest = horizons(model.functions.vehicle, runs)
+    for horizon in (*shorter, longest):
+        if horizon == longest and not _little_left(fits[-1]):
+            break
+        progress(0.25 * len(fits), f"output error over {horizon:.3g} s")
         try:
             fits.append(_descended(model, runs, horizon, fits[-1].values, loss))
         except UndertowError:  # the simulation of a poor model may diverge
@@ -407,30 +421,44 @@ def final_fit(
     return next((fit for fit, error in zip(fits[::-1], errors[::-1], strict=True) if error <= limit), weak)
 
 
+def _little_left(fit: Fitted) -> bool:
+    """Whether simulations leave little more than the noise of every channel."""
+    return isinstance(fit, OutputErrorFit) and bool(np.max(fit.dispersion) < SETTINGS.little_left)
+
+
 def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
     """Error of predicted velocities of fits of one model, (k,), as shares of the motion.
 
-    Geometric mean over windows of the three `horizons`; infinite where a simulation diverges.
+    Geometric mean over windows of the three `horizons`; infinite where a simulation diverges. Runs are judged
+    by what is left of them once they have taught what belongs to them (see `adaptation.in_run`).
     """
     functions = fits[0].model.functions
-    predictor = Predictor(functions, compiled=False)
-    windows = [cut(validation, functions.vehicle, h) for h in horizons(functions.vehicle, validation)]
-    errors = [[prediction_error(Prediction(w, predictor.reports(w, fit.p))) for w in windows] for fit in fits]
+    predictor, judged = Predictor(functions, compiled=False), [in_runs(fit, validation) for fit in fits]
+    rest = judged[0][1]
+    windows = [cut(rest, functions.vehicle, h) for h in horizons(functions.vehicle, rest)]
+    errors = [
+        [prediction_error(predict_each(vehicles, w, predictor)) for w in windows] for vehicles, _ in judged
+    ]
     return np.asarray(np.exp(np.mean(np.log(errors), axis=1)))
 
 
-def weak_start(model: WeakModel, runs: Sequence[Run]) -> dict[str, float]:
-    """Values that a weak-form fit gives the free parameters; none where the runs are too short for one."""
+def weak_start(
+    model: WeakModel, runs: Sequence[Run], start: Mapping[str, float] | None
+) -> tuple[WeakModel, Mapping[str, float]]:
+    """The model and where its fit begins: as given, or else by the weak form, with values by run if need be.
+
+    Runs that are too short for the weak form leave the model and the values of its file.
+    """
+    if start is not None:
+        return model, start
     try:
         data = prepare(runs, model.functions.vehicle)
     except UndertowError:  # too short for test functions; the values of the file have to do
-        return {}
-    return fit_weak(model, data).values
+        return model, {}
+    fit = fit_weak_by_run(model, data)
+    return fit.model, fit.values
 
 
 def started(model: WeakModel, start: Mapping[str, float]) -> Array:
     """All parameters at the start of a search: the vehicle's, some replaced, made physical."""
-    p = np.array(model.functions.values(), dtype=float)
-    for name, value in start.items():
-        p[model.functions.parameter_names.index(name)] = value
-    return SearchSpace(model).nearest(p)
+    return SearchSpace(model).nearest(model.started(start))

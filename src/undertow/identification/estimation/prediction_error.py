@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from .data import numbered
 from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
-from .shooting import Shooting
+from .shooting import OneRun, Shooting
 from .step import (
     Constraints,
     SearchSpace,
@@ -32,8 +34,7 @@ from .weak_form import free_parameters, mean_square_by
 from .windows import Windows, cut_by_samples
 
 
-@dataclass(frozen=True)
-class LinearWindows:
+class LinearWindows(NamedTuple):
     """All windows linearised at parameters p and starts, k samples of 2n channels each.
 
     The state of a window is its start, pose and velocity, and a slow disturbance of the n accelerations: 3n.
@@ -47,6 +48,13 @@ class LinearWindows:
     defect: Array
     by_end: Array  # (b, 3n, 3n) derivative of the end in the state
 
+    def spread(self, columns: Callable[[Array], Array]) -> LinearWindows:
+        """The same with derivatives in other free parameters."""
+        error, defect = (
+            np.concatenate([a[..., :1], columns(a[..., 1:])], axis=-1) for a in (self.error, self.defect)
+        )
+        return self._replace(error=error, defect=defect)
+
 
 class Chained:
     """Windows that share their last sample with the next, stretch by stretch, simulated by one model."""
@@ -57,7 +65,7 @@ class Chained:
         self.windows = windows
         size = len(windows.names)
         self._shooting = Shooting(functions, windows, free, np.ones(size), compiled=compiled)
-        self._predictor, self._free, self._size = self._shooting.predictor, len(free), size
+        self._predictor, self._free, self._size = self._shooting.predictor, len(self._shooting.places), size
         #: Windows after which the next one is not the continuation.
         self.last = _last(windows)
         self.used = _counted_once(windows, self.last)
@@ -71,8 +79,30 @@ class Chained:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
         return self._shooting.measured_starts(p)
 
+    @cached_property
+    def _by_run(self) -> list[tuple[OneRun, Chained]]:
+        """The windows of every run, where some parameters have a value in each."""
+        return [(one, self._with(one.shooting)) for one in self._shooting.by_run]
+
+    def _with(self, shooting: Shooting) -> Chained:
+        other = copy(self)
+        other.windows, other._shooting, other._predictor = shooting.windows, shooting, shooting.predictor
+        other.last = _last(other.windows)
+        other.used = _counted_once(other.windows, other.last)
+        other.__dict__["_by_run"] = []
+        return other
+
     def linearise(self, p: Array, starts: Array) -> LinearWindows:
         """Simulate every window with sensitivities."""
+        if not self._by_run:
+            return self._linearised(p, starts)
+        values, parts = self._shooting.values, []
+        for one, chained in self._by_run:
+            part = chained._linearised(values.own(p, one.run), starts[one.rows])
+            parts.append(part.spread(partial(values.spread, run=one.run)))
+        return LinearWindows(*(np.concatenate(same) for same in zip(*parts, strict=True)))
+
+    def _linearised(self, p: Array, starts: Array) -> LinearWindows:
         shooting, predictor = self._shooting, self._predictor
         start, drive = predictor.start_and_drive(self.windows, p, starts)
         every = predictor.simulator.run_with_sensitivities(
@@ -367,8 +397,8 @@ def fit_prediction_error(
     names = free_parameters(vehicle) if free is None else tuple(free)
     _refuse_long(runs)
     progress(0.0, "weak-form fit")
-    model = constraints.model(vehicle, names)
-    p = started(model, weak_start(model, runs) if start is None else start)
+    model, start = weak_start(constraints.model(vehicle, names), runs, start)
+    p = started(model, start)
     windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
     chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
     if chained.has_sensor_delay:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -244,6 +245,12 @@ class Predictor:
         self._recent: tuple[Callable[[], Windows | None], dict[bytes, tuple[Array, Array]]]
         self._recent = (lambda: None), {}
 
+    def another(self) -> Predictor:
+        """The same predictor for other windows: what it keeps of them is its own."""
+        other = copy(self)
+        other._recent = (lambda: None), {}
+        return other
+
     @property
     def values(self) -> Array:
         """Parameters of the vehicle."""
@@ -383,3 +390,28 @@ def predict(
     predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
     windows = runs if isinstance(runs, Windows) else cut(runs, predictor.functions.vehicle, horizon)
     return Prediction(windows, predictor.reports(windows, predictor.values))
+
+
+def predict_each(
+    vehicles: Sequence[Vehicle], windows: Windows, predictor: Predictor | None = None
+) -> Prediction:
+    """Predict windows of several runs, each run by a vehicle of its own, which differ in their values only.
+
+    Parameters
+    ----------
+    vehicles : sequence of Vehicle
+        One for every run of the windows.
+    windows : Windows
+        What is predicted.
+    predictor : Predictor, optional
+        One of such a vehicle.
+    """
+    predictor = Predictor(vehicles[0]) if predictor is None else predictor
+    names, reports = predictor.functions.parameter_names, np.full(windows.measured.shape, np.nan)
+    values = np.array([[vehicle.value_of(n).value for n in names] for vehicle in vehicles])
+    if np.all(values == values[0]):
+        return Prediction(windows, predictor.reports(windows, values[0]))
+    for place in np.unique(windows.run).tolist():
+        rows, own = windows.of_run(place)
+        reports[rows] = predictor.reports(own, values[place])
+    return Prediction(windows, reports)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
+from .by_run import LimitsByRun, RunValues
 from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
 from .pointwise import Limits, Pointwise
@@ -197,27 +199,51 @@ class _At(NamedTuple):
 
 
 class WeakModel:
-    """Weak residuals of one vehicle for a choice of free parameters."""
+    """Weak residuals of one vehicle for a choice of free parameters, some of them values in one run."""
 
-    def __init__(self, functions: Functions, free: Sequence[str], *, dissipative: bool = False) -> None:
+    def __init__(
+        self,
+        functions: Functions,
+        free: Sequence[str],
+        *,
+        dissipative: bool = False,
+        known: Mapping[str, float] | None = None,
+    ) -> None:
         self.functions, self._dissipative = functions, dissipative
-        self.free = tuple(free)
-        self.places = tuple(functions.parameter_names.index(n) for n in self.free)
-        self._chain = ActuatorStates(functions, self.places)
-        self._points = Pointwise(functions, self.places, chain_moves=self._chain.moves)
-        self._memory = Memory(functions, self.places, self._points.measured, self._points.true_motion)
-        self._sensor_delay = SensorDelay(functions, self.places)
+        self.free, self.values = tuple(free), RunValues(functions, free, known)
+        self.places, local = self.values.places, self.values.local
+        self._chain = ActuatorStates(functions, local)
+        self._points = Pointwise(functions, local, chain_moves=self._chain.moves)
+        self._memory = Memory(functions, local, self._points.measured, self._points.true_motion)
+        self._sensor_delay = SensorDelay(functions, local)
         self._known: dict[int, _At] = {}
 
     @cached_property
     def limits(self) -> Limits:
         """What the parameters can be together."""
+        if self.values.split:
+            return LimitsByRun(self.functions, self.values, dissipative=self._dissipative)
         return Limits(self.functions, self.places, dissipative=self._dissipative)
 
     @cached_property
     def largest(self) -> Array:
         """Largest magnitude of every free parameter that a vehicle of this size allows."""
-        return largest_values(self.functions, self.free)
+        own = largest_values(self.functions, self.values.names)
+        return own[self.values.behind]
+
+    def with_free(self, free: Sequence[str]) -> WeakModel:
+        """The same equations and constraints with other free parameters."""
+        return WeakModel(self.functions, free, dissipative=self._dissipative, known=self.values.known)
+
+    def knowing(self, values: Mapping[str, float]) -> WeakModel:
+        """The same model with values, by names such as V_N@dive2, in runs that are not fitted."""
+        other = copy(self)
+        other.values, other._known = RunValues(self.functions, self.free, values), {}
+        return other
+
+    def started(self, start: Mapping[str, float]) -> Array:
+        """All parameters: the vehicle's, those in `start` replaced."""
+        return self.values.started(np.array(self.functions.values(), dtype=float), start)
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""
@@ -241,17 +267,21 @@ class WeakModel:
                 )
 
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
-        driven = self._driven(data, p)
+        own = [self.values.own(p, run) for run in data.runs]
+        driven = self._driven(data, own)
         found = []
         for s in data.segments:
-            evaluate = partial(self._segment, actuation=_cut(driven[s.run], s), rows=data.rows, p=p)
-            part = self._sensor_delay.residual(s, p, evaluate)
-            known = data.runs[s.run].t[0] + self._chain.seconds_late(p)
+            run, q = data.runs[s.run], own[s.run]
+            evaluate = partial(self._segment, actuation=_cut(driven[s.run], s), rows=data.rows, p=q)
+            part = self._sensor_delay.residual(s, q, evaluate)
+            part = replace(part, J=self.values.spread(part.J, run))
+            known = run.t[0] + self._chain.seconds_late(q)
             found.append(_from(known, part, s, data.rows, self._points.size))
         return found
 
-    def _driven(self, data: WeakData, p: Array) -> list[Actuation]:
-        return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), p) for r in data.runs]
+    def _driven(self, data: WeakData, own: list[Array]) -> list[Actuation]:
+        pairs = zip(data.runs, own, strict=True)
+        return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), q) for r, q in pairs]
 
     def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
@@ -277,7 +307,7 @@ class WeakModel:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
         function = self._points.value_and_derivatives
         value, free, *by_driven = at_samples(function, inputs, len(inputs[0]))
-        first, last = 1, 1 + len(self.free)
+        first, last = 1, 1 + len(self.values.names)
         pattern, direct, *patterns = (function.sparsity_out(i) for i in range(function.n_out()))
         entries = [Entries.of(value, pattern, 0), Entries.of(free, direct, first)]
         starts = (last, last, last + actuation.start.shape[2])
@@ -293,7 +323,7 @@ class WeakModel:
         return entries
 
     def _tested(self, entries: list[Entries], s: Segment, rows: tuple[int, ...]) -> Linearised:
-        width, last = max(e.width for e in entries), 1 + len(self.free)
+        width, last = max(e.width for e in entries), 1 + len(self.values.names)
         place = np.full(2 * self._points.size, -1)
         place[list(rows)] = np.arange(len(rows))
         met = [meeting(e.row, self._points.size) for e in entries]
@@ -307,10 +337,12 @@ class WeakModel:
 
     def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
         """Whitening of every segment under the noise of the channels, at parameters p."""
-        driven = self._driven(data, p)
+        own = [self.values.own(p, run) for run in data.runs]
+        driven = self._driven(data, own)
+        pairs = ((s, own[s.run]) for s in data.segments)
         return [
-            self._segment_whitening(self._sensor_delay.in_time(s, p), _cut(driven[s.run], s), data, p)
-            for s in data.segments
+            self._segment_whitening(self._sensor_delay.in_time(s, q), _cut(driven[s.run], s), data, q)
+            for s, q in pairs
         ]
 
     def _segment_whitening(self, s: Segment, actuation: Actuation, data: WeakData, p: Array) -> Whitening:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -12,8 +14,10 @@ import numpy as np
 from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.trajectories import Products, products_of
-from undertow.typing import Array, Flags, Integers
+from undertow.identification.logs.run import Run
+from undertow.typing import Array, Flags, Index, Integers
 
+from .by_run import RunValues
 from .predictor import Predictor, reported_late
 from .windows import Drive, Windows
 
@@ -136,12 +140,21 @@ def _diverged(windows: int, n: int, size: int) -> Reduced:
     return Reduced(np.zeros(1), nothing, float("inf"), np.zeros(size), np.zeros(size), nothing, *steps)
 
 
+class OneRun(NamedTuple):
+    """The windows of one run."""
+
+    rows: Index  # their places among all windows
+    run: Run
+    shooting: Shooting
+
+
 class Shooting:
     """Windows of logs simulated by one model, with derivatives in the parameters `free`.
 
     `weight` (2n,) is one over the noise of each channel, zero for one that is not used. `block` is the length
     in s of the parts of a window that count as independent of each other. `trust` (b, k, 2n) weighs each
-    sample in the sum of squares, beside its channel; None: all alike.
+    sample in the sum of squares, beside its channel; None: all alike. `values` says where values by run stand
+    in p where these are not among the free parameters.
     """
 
     def __init__(
@@ -153,15 +166,55 @@ class Shooting:
         *,
         block: float = 5.0,
         compiled: bool | None = None,
+        values: RunValues | None = None,
     ) -> None:
         self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
         self.trust: Array | None = None
-        self.places = [functions.parameter_names.index(n) for n in free]
+        self._columns = RunValues(functions, free)
+        self.values = self._columns if values is None else values
+        self.places = list(self._columns.local)
         self.predictor = Predictor(functions, compiled=compiled)
         self._size, self._block = len(windows.names), block
+        self.by_run = self._runs() if self.values.split else []
+
+    def _runs(self) -> list[OneRun]:
+        """The windows of every run with a model of their own."""
+        found = []
+        for place in np.unique(self.windows.run).tolist():
+            rows, windows = self.windows.of_run(place)
+            shooting = copy(self)
+            shooting.windows, shooting.free = windows, self._columns.names
+            shooting.predictor, shooting.by_run = self.predictor.another(), []
+            found.append(OneRun(rows, self.windows.runs[place], shooting))
+        return found
+
+    def _own(self, one: OneRun, p: Array) -> tuple[Shooting, Array]:
+        """The windows of one run with the weights of now, and its parameters."""
+        one.shooting.weight = self.weight
+        one.shooting.trust = None if self.trust is None else self.trust[one.rows]
+        return one.shooting, self.values.own(p, one.run)
+
+    def _together(self, by_run: Callable[[OneRun], Array]) -> Array:
+        """What there is of the windows of every run, (b, ...), at their places."""
+        parts = [by_run(one) for one in self.by_run]
+        found = np.empty((len(self.windows), *parts[0].shape[1:]))
+        for one, part in zip(self.by_run, parts, strict=True):
+            found[one.rows] = part
+        return found
+
+    def reports(self, p: Array, starts: Array) -> Array:
+        """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding."""
+
+        def of(one: OneRun) -> Array:
+            shooting, own = self._own(one, p)
+            return shooting.reports(own, starts[one.rows])
+
+        return self._together(of) if self.by_run else self.predictor.reports(self.windows, p, starts)
 
     def measured_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
+        if self.by_run:
+            return self._together(lambda one: one.shooting.measured_starts(self.values.own(p, one.run)))
         return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
 
     def fitted_starts(self, p: Array) -> Array:
@@ -213,7 +266,7 @@ class Shooting:
 
     def cost(self, p: Array, starts: Array) -> float:
         """Weighted sum of squares of the simulation error; inf if a simulation diverged."""
-        r = self._residual(self.predictor.reports(self.windows, p, starts))
+        r = self._residual(self.reports(p, starts))
         with np.errstate(over="ignore"):
             total = float(np.sum(r**2))
         return total if np.isfinite(total) else float("inf")
@@ -224,18 +277,36 @@ class Shooting:
 
     def squares(self, p: Array, starts: Array) -> Array:
         """Weighted sum of squares of the simulation error by window, shape (b,); inf where one diverged."""
-        r = self._residual(self.predictor.reports(self.windows, p, starts))
+        r = self._residual(self.reports(p, starts))
         with np.errstate(over="ignore"):
             total = np.sum(r**2, axis=(1, 2))
         return np.where(np.isfinite(total), total, np.inf)
 
     def linearise(self, p: Array, starts: Array) -> Reduced:
         """Simulate with sensitivities and eliminate the starts window by window."""
-        finite = self._by_differences(p, starts)
-        start, drive = self.predictor.start_and_drive(self.windows, p, starts)
-        parts = [self._part(rows, p, start[rows], drive[rows], finite) for rows in self._batches()]
+        parts = self._products(p, starts)
         counts = np.count_nonzero(self._all_weights(slice(None)), axis=(0, 1)).astype(float)
         return eliminated(parts, counts, len(self.free))
+
+    def _products(self, p: Array, starts: Array) -> list[Products]:
+        """Sums over windows, batch by batch, in the order of the windows."""
+        if self.by_run:
+            return [part for one in self.by_run for part in self._products_of_run(one, p, starts[one.rows])]
+        finite = self._by_differences(p, starts)
+        start, drive = self.predictor.start_and_drive(self.windows, p, starts)
+        return [self._part(rows, p, start[rows], drive[rows], finite) for rows in self._batches()]
+
+    def _products_of_run(self, one: OneRun, p: Array, starts: Array) -> Iterator[Products]:
+        """Sums over the windows of one run, with a row and a column for every free parameter."""
+        shooting, own = self._own(one, p)
+        columns, more = self._columns.columns(one.run), len(self.free) - len(self._columns.names)
+        for part in shooting._products(own, starts):
+            size = part.table.shape[-1]
+            places = np.concatenate([columns, np.arange(len(columns), size) + more])
+            kept = np.flatnonzero(places >= 0)
+            table = np.zeros((*part.table.shape[:-2], size + more, size + more))
+            table[..., places[kept][:, None], places[kept]] = part.table[..., kept[:, None], kept]
+            yield replace(part, table=table)
 
     # --- simulation ---------------------------------------------------------------------------
     def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
@@ -249,7 +320,7 @@ class Shooting:
 
     def errors(self, p: Array, starts: Array) -> Array:
         """Simulation error over the noise of its channel, whatever its trust; NaN where there is none."""
-        reported = self.predictor.reports(self.windows, p, starts)
+        reported = self.reports(p, starts)
         return np.where(self.used, (reported - self.windows.measured) * self.weight, np.nan)
 
     @cached_property

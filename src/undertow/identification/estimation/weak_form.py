@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,6 +13,9 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
+from .between_runs import SETTINGS as BETWEEN_RUNS
+from .between_runs import least_differing, may_differ, stated_by_run
+from .by_run import origins, with_values_by_run
 from .data import Segment, WeakData, Whitening, prepare
 from .fitted import Fitted
 from .predictor import Predictor
@@ -186,13 +189,50 @@ def fit_weak(
         If the model has no finite force somewhere in the logs, and no noise model is given.
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
-    p = _started(model.functions.vehicle, start or {})
+    p = model.started(start or {})
     if whitening is not None and disturbance is not None:
         return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
     model.require_defined(data, p)
     disturbance = first_guess(model, data, p)
     loud = with_process_noise(model.whitening(data, p), disturbance, data)
     return with_reestimated_noise(_solved(model, p, data, loud, disturbance, max_iterations))
+
+
+def fit_weak_by_run(
+    vehicle: Vehicle | WeakModel,
+    data: WeakData,
+    free: Sequence[str] | None = None,
+    *,
+    constraints: Constraints = _PLAIN,
+) -> WeakFit:
+    """Fit as `fit_weak` does, with values by run of what differs between the runs.
+
+    Those are the parameters that the vehicle file marks with `per_run`, and those that nature changes and
+    that differ beyond chance (see `separated`).
+    """
+    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
+    stated = stated_by_run(model.functions.vehicle, model.values.names)
+    model = model.with_free(with_values_by_run(model.free, stated, origins(data.runs)))
+    return separated(fit_weak(model, data))
+
+
+def separated(fit: WeakFit, among: Collection[str] | None = None) -> WeakFit:
+    """The fit with values by run of those common parameters that differ between the runs beyond chance.
+
+    `among` are the parameters in question; by default all that nature changes.
+    """
+    groups = may_differ(fit.model, fit.data.runs, among)
+    while groups:
+        names = [name for group in groups for name in group]
+        model = fit.model.with_free(with_values_by_run(fit.model.free, names, origins(fit.data.runs)))
+        noise = fit.whitening, fit.disturbance
+        split = start_fit(model, fit.data, fit.values, *noise, steps=SETTINGS.most_steps)
+        values = split.p[list(model.places)]
+        worst, chance = least_differing(model, values, split.covariance, groups)
+        if chance < BETWEEN_RUNS.chance:
+            return separated(with_reestimated_noise(split), among)
+        groups.pop(worst)
+    return fit
 
 
 def _model_of(vehicle: Vehicle, free: Sequence[str] | None, constraints: Constraints) -> WeakModel:
@@ -247,7 +287,7 @@ def start_fit(
     steps: int = 0,
 ) -> WeakFit:
     """A model at the start of a search, after a few steps if any; `at` is its residual there if known."""
-    p = _started(model.functions.vehicle, start)
+    p = model.started(start)
     if at is not None:
         return WeakFit(model, p, data, whitening, at, disturbance, 0)
     return _solved(model, p, data, whitening, disturbance, steps)
@@ -259,10 +299,6 @@ def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
     step = space.step(fit.at, fit.p)
     after = space.moved(fit.p, step)[space.places]
     return squared(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
-
-
-def _started(vehicle: Vehicle, start: Mapping[str, float]) -> Array:
-    return np.array([start.get(n, vehicle.value_of(n).value) for n in vehicle.parameter_names], dtype=float)
 
 
 def _solved(

@@ -89,6 +89,11 @@ class Windows:
         kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
         return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
 
+    def of_run(self, run: int) -> tuple[Index, Windows]:
+        """Places of the windows of one run, and these windows."""
+        rows = np.flatnonzero(self.run == run)
+        return rows, self.take(rows, self.t.shape[1])
+
     def start_after(self, seconds: Array) -> Array:
         """`start` (b, 2n), but each channel as reported some seconds (2n,) later, within its stretch."""
         found = self.start.copy()

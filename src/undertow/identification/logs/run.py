@@ -66,6 +66,8 @@ class Run:
         How the columns of the file were read; None where the run was not read from a file.
     wrapped : dict of (n,) arrays
         Angles that jump by full turns in the log, as logged; in `channels` they are unwrapped.
+    part_of : str
+        Name of the run that this is a stretch of; empty for a whole run.
     dropped : int
         Rows of the file that were left out because their time was not later than that of a row before.
     """
@@ -82,6 +84,7 @@ class Run:
     mapping: LogMapping | None = None
     wrapped: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     dropped: int = 0
+    part_of: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", _frozen(self.t))
@@ -104,6 +107,11 @@ class Run:
     def _repr_html_(self) -> str:
         head = ("channel", "unit", "samples", "least", "mean", "greatest")
         return html(repr(self), head, (_shown(name, data) for name, data in self.channels.items()))
+
+    @property
+    def origin(self) -> str:
+        """Name of the run that this is, or is a stretch of: what differs between runs is the same in it."""
+        return self.part_of or self.name
 
     def has(self, name: str) -> bool:
         """Tell whether the run has a channel of this name."""

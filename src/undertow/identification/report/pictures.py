@@ -228,7 +228,8 @@ def thinned(t: Array, values: Array) -> tuple[Array, Array]:
     for bucket in np.array_split(np.arange(len(t)), _BUCKETS):
         finite = bucket[np.isfinite(values[bucket])]
         if len(finite):
-            kept += sorted({finite[np.argmin(values[finite])], finite[np.argmax(values[finite])]})
+            gap = bucket[~np.isfinite(values[bucket])][:1]
+            kept += sorted({finite[np.argmin(values[finite])], finite[np.argmax(values[finite])], *gap})
         else:
             kept.append(bucket[0])
     return t[kept], values[kept]

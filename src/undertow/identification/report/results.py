@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf, isfinite, log, log1p
+from statistics import fmean
 from typing import Literal
+
+from pydantic import Field
 
 from undertow.identification.compare.comparison import finite
 from undertow.identification.diagnosis.addition import Addition
-from undertow.identification.diagnosis.result import Estimate, RunInfo, Step
+from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, ValuesByRun
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.verdict import estimates
 from undertow.identification.doctor.findings import ResultTable
+from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
@@ -43,7 +48,11 @@ class ChannelError(ResultTable):
 
 
 class FitResult(ResultTable):
-    """Outcome of `undertow fit`: errors are those `horizon` s ahead on the validation data, as shares."""
+    """Outcome of `undertow fit`: errors of predicted velocities on the validation data, as shares.
+
+    `error_before`, `error_after` and `channels` are those `horizon` s ahead; `ahead_before` and `ahead_after`
+    those over the vehicle's own horizons, null where a prediction diverges.
+    """
 
     schema_id: Literal["undertow/fit/1"] = "undertow/fit/1"
     undertow: str = __version__
@@ -54,19 +63,27 @@ class FitResult(ResultTable):
     horizon: float
     error_before: float | None
     error_after: float | None
+    ahead_before: dict[str, float | None]
+    ahead_after: dict[str, float | None]
     channels: list[ChannelError]
     parameters: list[FittedParameter]
+    by_run: list[ValuesByRun] = Field(default_factory=list)
     condition: float | None
 
     @property
     def worse(self) -> bool:
-        """Whether the refitted model predicts worse than the one given, in the digits that are shown."""
-        return rises(self.error_before, self.error_after)
+        """Whether the refitted model predicts worse, on average over the horizons and in digits shown."""
+        pairs = [(before, self.ahead_after[h]) for h, before in self.ahead_before.items()]
+        columns = zip(*pairs, strict=True)
+        before, after = (fmean(log(inf if e is None else max(e, 1e-12)) for e in own) for own in columns)
+        seen = any(rises(*pair) for pair in pairs)
+        return seen and (before < after - log1p(NO_WORSE) or (isfinite(before) and not isfinite(after)))
 
     def sentence(self) -> str:
         """What the fit does to the error, in words that follow from the numbers."""
         before, after = (
-            {} if e is None else {f"{self.horizon:.3g} s": e} for e in (self.error_before, self.error_after)
+            {h: e for h, e in ahead.items() if e is not None}
+            for ahead in (self.ahead_before, self.ahead_after)
         )
         return f"Refitting {changes(before, after) or 'changes nothing'} on the validation data."
 
@@ -119,16 +136,24 @@ def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) ->
 
 def addition_sentence(addition: Addition) -> str:
     """What an effect does to the error, and whether chance would do as much."""
-    before, after, evidence = addition.before, addition.after, addition.evidence
-    ahead = changes(before.ahead, after.ahead)
+    ahead = changes(addition.before.ahead, addition.after.ahead)
     change = f"Adding {addition.effect} {ahead or 'changes no prediction'} on the validation data"
     if addition.helps:
         return f"{change}."
-    errors = f"from {before.error:.4g} to {after.error:.4g} times the noise"
-    if after.error >= before.error:
-        return f"{change}; the error of the force, which decides, goes {errors}."
-    if evidence.p_value >= DEFAULT.false_alarm_rate:
-        why = f"as by chance in {shown(evidence.p_value)} % of cases"
-    else:
-        why = f"by less than {DEFAULT.smallest_fall:g} in the mean square, which noise can hide"
-    return f"{change}; the error of the force, which decides, falls {errors}, {why}."
+    before, after = addition.ahead
+    errors = f"over all horizons together the error {_verb(before, after)}"
+    if rises(before, after):
+        return f"{change}; {errors}, so that it is not worth adding."
+    old, new = addition.before.error, addition.after.error
+    force = "falls, which may be chance," if new < old else "does not fall"
+    return (
+        f"{change}; {errors}, too little to be worth adding for that alone ({DEFAULT.worth:.0%}), and that "
+        f"of the force {force} ({old:.4g} to {new:.4g} times the noise)."
+    )
+
+
+def _verb(before: float, after: float) -> str:
+    """How one error changes, in words that follow from the digits shown."""
+    if rises(before, after) or rises(after, before):
+        return f"{'rises' if rises(before, after) else 'falls'} from {shown(before)} to {shown(after)} %"
+    return f"stays at {shown(after)} %"

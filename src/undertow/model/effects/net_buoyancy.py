@@ -23,7 +23,7 @@ class NetBuoyancy(Wrench):
     reference = "Fossen (2021), chapter 4 (hydrostatics of submerged vehicles, W - B)"
     signature = "a steady vertical command is needed to hold depth, turning with roll and pitch"
 
-    B_net = Parameter("N", "buoyancy minus weight, positive up", logged=True)
+    B_net = Parameter("N", "buoyancy minus weight, positive up", logged=True, per_run=True)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         upward = rotation(sm.Matrix(s.eta[3:])).T * sm.Matrix([0, 0, -self.B_net])

@@ -22,10 +22,22 @@ class OceanCurrent(Flow):
     signature = "surge and sway errors that turn with the heading, and drift at zero thrust"
 
     V_N = Parameter(
-        "m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,), logged=True
+        "m/s",
+        "velocity of the water to the north",
+        (-5, 5),
+        linear=False,
+        starts=(0.0,),
+        logged=True,
+        per_run=True,
     )
     V_E = Parameter(
-        "m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,), logged=True
+        "m/s",
+        "velocity of the water to the east",
+        (-5, 5),
+        linear=False,
+        starts=(0.0,),
+        logged=True,
+        per_run=True,
     )
 
     def velocity(self, s: Signals) -> sm.Matrix:

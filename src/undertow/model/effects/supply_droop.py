@@ -22,7 +22,7 @@ class SupplyDroop(Actuation):
     stage = 35
 
     droop_rate = Parameter(
-        "1/s", "share of the thrust that is lost per second", (-0.1, 0.1), without_log="voltage"
+        "1/s", "share of the thrust that is lost per second", (-0.1, 0.1), without_log="voltage", per_run=True
     )
     voltage = LoggedOnly("V", "voltage of the supply")
     voltage_exponent = Parameter(

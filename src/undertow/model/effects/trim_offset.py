@@ -20,9 +20,9 @@ class TrimOffset(Wrench):
     signature = "constant roll or pitch at rest"
     requires = ("restoring",)
 
-    dx_B = Parameter("m", "shift of the centre of buoyancy, forward", arm_of="1")
-    dy_B = Parameter("m", "shift of the centre of buoyancy, to starboard", arm_of="1")
-    dz_B = Parameter("m", "shift of the centre of buoyancy, down", arm_of="1")
+    dx_B = Parameter("m", "shift of the centre of buoyancy, forward", arm_of="1", per_run=True)
+    dy_B = Parameter("m", "shift of the centre of buoyancy, to starboard", arm_of="1", per_run=True)
+    dz_B = Parameter("m", "shift of the centre of buoyancy, down", arm_of="1", per_run=True)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         buoyancy = Restoring(self.thrusters).B

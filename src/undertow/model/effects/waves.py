@@ -30,8 +30,12 @@ class Waves(Flow, Wrench):
     signature = "velocity and acceleration swing at one frequency, whatever the commands"
     requires = ("rigid_body",)
 
-    wave_cos = Parameter("m", "elevation at the origin at the start", (-20, 20), linear=False, starts=(0.0,))
-    wave_sin = Parameter("m", "elevation a quarter period before", (-20, 20), linear=False, starts=(0.0,))
+    wave_cos = Parameter(
+        "m", "elevation at the origin at the start", (-20, 20), linear=False, starts=(0.0,), per_run=True
+    )
+    wave_sin = Parameter(
+        "m", "elevation a quarter period before", (-20, 20), linear=False, starts=(0.0,), per_run=True
+    )
     wave_frequency = Parameter(
         "rad/s",
         "angular frequency",
@@ -47,6 +51,7 @@ class Waves(Flow, Wrench):
         linear=False,
         starts=(-2.36, -0.79, 0.79, 2.36),
         neutral=None,
+        per_run=True,
     )
 
     @classmethod
