@@ -113,6 +113,8 @@ def show(outcome: DiagnosisResult) -> None:
     from rich.console import Console
     from rich.markup import escape
 
+    from undertow.identification.diagnosis.floors import in_words
+
     console, diagnosis = Console(), outcome.diagnosis
     for finding in diagnosis.doctor:
         if finding.severity == "mistake":
@@ -130,6 +132,9 @@ def show(outcome: DiagnosisResult) -> None:
     for entry in diagnosis.ranking:
         if entry.not_named:
             console.print(escape(f"not named: {entry.effect} {entry.not_named}"), highlight=False)
+    horizons = [share for name, share in diagnosis.last_step.ahead.items() if name != "free run"]
+    if diagnosis.predictable and horizons:
+        console.print(escape(f"Over the longest horizon {in_words(horizons[-1], diagnosis.predictable)}."))
     for left in diagnosis.remaining:
         console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"), highlight=False)
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
