@@ -60,7 +60,7 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
     known = {"constant_force": ut.catalogue()["constant_force"]}
     diagnosed = ut.diagnose(vehicle, [train], [test], known=known).before
     again = ut.fit(fit.vehicle, [train], [test]).fit
-    assert added.before.prediction == pytest.approx(done.errors[1], rel=1e-3)
+    assert added.before.prediction == pytest.approx(setup.prediction(done.vehicle), rel=1e-3)
     for parameter, value in fit.values.items():
         tolerance = 0.2 * fit.standard_errors[parameter]
         assert setup.validator.final(setup.bench.base)[0].values[parameter] == pytest.approx(value, abs=1e-9)

@@ -28,7 +28,7 @@ class CubicDamping(Wrench):
         "{force} per cube of the {motion} velocity",
         bounds=(-inf, 0),
         directional=True,
-        within=1e4,  # vehicles are slow beside sqrt(g L), by which the natural size is reckoned
+        within=1e4,  # the cube of sqrt(g L) is a thousand times that of the speeds of vehicles in water
     )
 
     def wrench(self, s: Signals) -> sm.Matrix:
