@@ -201,7 +201,6 @@ def _fall(t: Array, y: Array) -> float:
 
     step = float(np.median(np.diff(t)))
     # Differences: else the leakage of the slow motion, which is far larger, hides the rest.
-    from scipy.signal import welch  # slow to import, and whoever compares does without
 
     f, power = welch(np.diff(y), 1 / step, "blackmanharris", SETTINGS.stretch, detrend="linear")
     level = 10 * np.log10(power[1:] / np.sin(np.pi * f[1:] * step) ** 2 + 1e-300)
