@@ -15,7 +15,8 @@ from undertow.identification.api import diagnose, try_effect
 from undertow.identification.diagnose import DiagnosisResult
 from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.validation import training_and_validation
-from undertow.identification.estimation.predictor import predict
+from undertow.identification.estimation.adaptation import adapted, end_of_first_part
+from undertow.identification.estimation.predictor import predict_each
 from undertow.identification.estimation.windows import Windows, cut, prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
@@ -27,9 +28,6 @@ from .logs import LogSet
 
 Errors = list[float | None]
 REFUSED = "refused"
-#: Share of each validation run that judges nothing, so that what belongs to a run (its current, its trim) may
-#: be estimated from it; the rest is the same for all models.
-FIRST_PART = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ def measured(given: Material, horizons: Sequence[float]) -> Record:
     }  # fmt: skip
     windows = cut_all(given.vehicle, outcome.test, horizons)
     models = {"stated": given.vehicle, "refitted": outcome.before, "found": outcome.after}
-    errors = {name: ahead(vehicle, windows) for name, vehicle in models.items()}
+    errors = {name: ahead(vehicle, outcome.test, windows) for name, vehicle in models.items()}
     if given.right:
         errors["true"], facts["not_added"] = with_truth(given, outcome, windows)
     said = answer_of(outcome.diagnosis).as_dict()
@@ -125,7 +123,7 @@ def with_truth(
         except UndertowError as error:
             refused.append(f"{effect}: {error}")
             continue
-        found.append(ahead(added.fit.vehicle, windows))
+        found.append(ahead(added.fit.vehicle, outcome.test, windows))
     return min(found, key=_last, default=[None] * len(windows)), refused
 
 
@@ -150,8 +148,12 @@ def predicted(given: Material, horizons: Sequence[float]) -> Record:
 
 
 def cut_all(vehicle: Vehicle, test: Sequence[Run], horizons: Sequence[float]) -> list[Windows]:
-    """Windows of all lengths in what judges; where no stretch is so long, windows as long as it is."""
-    judging = [run.slice(run.t[0] + FIRST_PART * (run.t[-1] - run.t[0])) for run in test]
+    """Windows of all lengths; where no stretch is so long, windows as long as it is.
+
+    The first part of each run judges nothing, so that what belongs to a run (its current, its trim) may be
+    estimated from it; the rest is the same for all models.
+    """
+    judging = [run.slice(end_of_first_part(run)) for run in test]
     return [cut(judging, vehicle, longest_of(judging, vehicle, horizon)) for horizon in horizons]
 
 
@@ -162,9 +164,10 @@ def longest_of(runs: Sequence[Run], vehicle: Vehicle, horizon: float) -> float:
     return min(horizon, max(float(run.t[p.stop - 1] - run.t[p.start]) for run, p in pieces))
 
 
-def ahead(vehicle: Vehicle, windows: Sequence[Windows]) -> Errors:
+def ahead(vehicle: Vehicle, test: Sequence[Run], windows: Sequence[Windows]) -> Errors:
     """Error of the simulated velocities as a share of the motion, for each length; None: it diverged."""
-    return [finite(prediction_error(predict(vehicle, w))) for w in windows]
+    each = [adapted(vehicle, run)[0] for run in test]
+    return [finite(prediction_error(predict_each(each, w))) for w in windows]
 
 
 def finite(value: float) -> float | None:

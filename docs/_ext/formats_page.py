@@ -41,8 +41,8 @@ _VEHICLE = """\
 A vehicle file is TOML. It says which motions the vehicle has, which effects act on it with which
 parameters, and what drives it. A quantity is a number in SI units or a text with a unit, such as `"11.5
 kg"` or `"0.3 deg"`. What the table of an effect may hold is said by `undertow effects show ID`, and on
-the page of the [catalogue](catalogue.md). `undertow vehicle new` writes a first file from a hull,
-`undertow vehicles show FILE` prints what a file says and leaves open.
+the page of the [catalogue](catalogue.md). `undertow vehicle new` writes a first file from a hull or a
+type of vehicle, `undertow vehicles show FILE` prints what a file says and leaves open.
 """
 _MAPPING = """\
 # The mapping file
@@ -113,7 +113,7 @@ _ABOUT = {
     "ThrusterTable.direction": "in which direction, of any length",
     "ThrusterTable.wrench": "force and moment of one newton of it, in place of position and direction",
     "ThrusterTable.thrust_per_command": "N for one unit of the command",
-    "ThrusterTable.curve": "thrust against command: a file with a table, or the coefficients of a polynomial",
+    "ThrusterTable.curve": "thrust in N against command: a file with two columns, or coefficients",
     "ThrusterTable.propeller": "where the command is a speed of revolution",
     "ThrusterTable.limit": "largest magnitude of the command",
     "ThrusterTable.source": "where the numbers come from",
@@ -125,7 +125,7 @@ _ABOUT = {
     "PropellerTable.revolutions": "unit of the command",
     "SurfaceTable.name": "of the command: a column of the log, or a channel of its mapping file",
     "SurfaceTable.position": "where it is, m from the origin: forward, starboard, down",
-    "SurfaceTable.axis": "what it turns about",
+    "SurfaceTable.axis": "what it turns about: `rudder`, `stern_plane`, or a unit vector across the x axis",
     "SurfaceTable.area": "m^2",
     "SurfaceTable.aspect_ratio": "height squared over area; gives the lift coefficient where none is stated",
     "SurfaceTable.lift_coefficient": "force across the chord per sine of the angle of attack",

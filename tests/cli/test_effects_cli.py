@@ -131,7 +131,8 @@ def test_every_effect_can_be_shown(effect_id: str, run: Run) -> None:
     assert code == 0
     assert catalogue()[effect_id].reference in out
     shown = json.loads(run("effects", "show", effect_id, "--json")[1])
-    names = {p["name"].replace("<thruster>", "port") for p in shown["parameters"]}
+    hardware = {"<thruster>": "port", "<surface>": "rudder"}
+    names = {p["name"].replace(k, n) for p in shown["parameters"] for k, n in hardware.items()}
     assert names >= {
         p.name for p in catalogue()[effect_id].specimen().parameters if "starboard" not in p.name
     }

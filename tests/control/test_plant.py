@@ -37,9 +37,8 @@ def test_matrices_add_up_to_the_effects(name: str) -> None:
     plant = Plant(load_vehicle(name))
     nu_dot = plant.vehicle.composition.nu_dot
     total = -plant.M * nu_dot - (plant.C + plant.D) * plant.nu - plant.g + plant.B * plant.inputs
-    assert set(plant.left_out) <= {"rudder_force"}, (
-        "a force that depends on commands and on the motion together"
-    )
+    # Rudders and propellers: forces that depend on commands and on the motion together.
+    assert set(plant.left_out) <= {"rudder_force", "rudder", "propellers"}
     difference = at_a_point(total - as_stated(plant))
     assert max(abs(sm.N(e)) for e in difference) < sm.Float("1e-12")
 

@@ -15,6 +15,7 @@ from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.api import Estimator, fit
+from undertow.identification.compare.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import prepare
@@ -89,7 +90,7 @@ def test_a_current_of_its_own_is_found_for_every_run(method: str) -> None:
 
 @pytest.mark.slow
 def test_prediction_error_has_values_by_run_too() -> None:
-    dives = _dives(_case(4), {n: CURRENTS[n] for n in ("steps", "cruise")})
+    dives = _dives(_case(4), {n: CURRENTS[n] for n in ("steps", "multisine")})
     runs = [run.slice(0.0, 20.0) for run in dives]
     _assert_found(Estimator(method="prediction-error").fit(_vehicle(_case(4)), runs))
 
@@ -144,6 +145,9 @@ def test_a_run_that_was_not_fitted_teaches_its_own_current_by_its_first_third(tm
     again, _ = adapted(done.vehicle, replace(runs[3], channels=late))
     assert again.value_of("V_N").value == own.value_of("V_N").value
     assert done.errors[1] < 0.3 * done.errors[0]
+    beside = compare(done.vehicle, runs[3:]).result
+    assert beside.prediction_error == pytest.approx(done.errors[1], rel=0.1)
+    assert "V_N, V_E by the run until 19.98 s" in beside.runs[0].notes[-1]
     assert adapted(vehicle, runs[3]) == (vehicle, runs[3])
 
 

@@ -41,7 +41,7 @@ class Numbers:
 
     def function(self, expression: sm.Matrix) -> Callable[..., Array]:
         c = self.vehicle.composition
-        free = [c.eta, c.nu, c.nu_dot, c.signals.actuation]
+        free = [c.eta, c.nu, c.nu_dot, c.actuation]
         names = [x for m in free for x in m]
         compiled = sm.lambdify(names, list(expression.xreplace(self.known)), "numpy", cse=True)
         sizes = [m.rows for m in free]
@@ -247,7 +247,7 @@ def test_bundled_vehicles_balance_their_power(name: str) -> None:
     body, n = Numbers(vehicle, {"tau_X": 3.0}), len(vehicle.degrees_of_freedom)
     shares = vehicle.power()
     power = body.function(sm.Matrix(list(shares.values())))
-    actuation = np.linspace(0.5, 1.5, len(vehicle.thrusters))
+    actuation = np.linspace(0.5, 1.5, len(vehicle.thrusters) + len(vehicle.surfaces))
 
     def rate(state: Array) -> Array:
         eta, nu = state[:n], state[n : 2 * n]

@@ -14,7 +14,7 @@ from scipy.sparse import bsr_array, csr_array
 from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.adaptation import of_each_run
-from undertow.identification.estimation.by_run import in_run
+from undertow.identification.estimation.by_run import value_name
 from undertow.identification.estimation.data import Segment, WeakData, prepare
 from undertow.identification.estimation.inputs import ActuatorStates, Memory
 from undertow.identification.estimation.pointwise import Pointwise
@@ -75,7 +75,7 @@ class _Evaluation:
         self.size = len(functions.vehicle.dof_indices)
         self.p = np.array(functions.values(), dtype=float)
         known = {
-            in_run(name, run.origin): vehicle.value_of(name).value
+            value_name(name, run.origin): vehicle.value_of(name).value
             for run, vehicle in zip(data.runs, vehicles, strict=True)
             for name in of_each_run(vehicle)
         }

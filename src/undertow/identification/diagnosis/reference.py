@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from undertow.identification.estimation.data import Segment, WeakData
@@ -255,6 +254,8 @@ def _logs(fit: Fitted, train: WeakData, test: WeakData, settings: ReferenceSetti
 
 def _filtered(signal: Array, rate: float) -> Array:
     """A signal after a lag, `rate` being the step over the time constant."""
+    from scipy.signal import lfilter  # slow to import, and not needed to compare
+
     keep = float(np.exp(-rate))
     return np.asarray(lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0])
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
 
 from undertow.identification.estimation.data import channel_noise, noise_by_order
 from undertow.identification.logs.mapping import LogMapping
@@ -198,8 +197,11 @@ def _cut_off(run: Run, name: str) -> float | None:
 
 def _fall(t: Array, y: Array) -> float:
     """Lowest frequency, Hz, from which the spectrum of a signal falls nearly as steeply as it ever does."""
+    from scipy.signal import welch  # slow to import, and few logs come this far
+
     step = float(np.median(np.diff(t)))
     # Differences: else the leakage of the slow motion, which is far larger, hides the rest.
+
     f, power = welch(np.diff(y), 1 / step, "blackmanharris", SETTINGS.stretch, detrend="linear")
     level = 10 * np.log10(power[1:] / np.sin(np.pi * f[1:] * step) ** 2 + 1e-300)
     grid = np.geomspace(f[4], f[-1] / np.sqrt(2), 40)

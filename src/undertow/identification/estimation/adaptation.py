@@ -12,8 +12,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
-from .by_run import in_run as at_run
-from .by_run import run_of
+from .by_run import run_of, value_name
 from .data import WeakData, prepare
 from .fitted import Fitted
 from .residual import WeakModel
@@ -95,7 +94,7 @@ def values_in(fit: Fitted, first_parts: Sequence[WeakData]) -> dict[str, float]:
     names = list(fit.model.values.by_run)
     for data in first_parts:
         own = fit_weak(WeakModel(fit.model.functions, names), data, start=fit.values).values
-        found |= {at_run(name, data.runs[0].origin): own[name] for name in names}
+        found |= {value_name(name, data.runs[0].origin): own[name] for name in names}
     return found
 
 

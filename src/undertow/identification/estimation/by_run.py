@@ -33,7 +33,7 @@ def run_of(name: str) -> str:
     return name.partition(_AT)[2]
 
 
-def in_run(name: str, run: str) -> str:
+def value_name(name: str, run: str) -> str:
     """Name of the value of a parameter in one run."""
     return f"{name}{_AT}{run}"
 
@@ -47,7 +47,7 @@ def with_values_by_run(free: Sequence[str], names: Sequence[str], runs: Sequence
     """Free parameters of which some have a value in every run; of a single run they are what they were."""
     if len(runs) < 2:
         return tuple(free)
-    split = [in_run(n, run) for n in free if n in names for run in runs]
+    split = [value_name(n, run) for n in free if n in names for run in runs]
     return (*(n for n in free if n not in names), *split)
 
 
@@ -132,7 +132,7 @@ class RunValues:
 
     def columns(self, run: Run) -> Index:
         """Column among the free parameters of each that the equations have; -1 for what is not free there."""
-        names = [in_run(n, run.origin) if n in self.by_run else n for n in self.names]
+        names = [value_name(n, run.origin) if n in self.by_run else n for n in self.names]
         return np.array([self.free.index(n) if n in self.free else -1 for n in names], dtype=np.intp)
 
     def spread(self, J: Array, run: Run) -> Array:

@@ -45,7 +45,6 @@ class Wind(Wrench):
         starts=(0.0, 1.6, 3.1, -1.6),
         neutral=None,
         logged=True,
-        per_run=True,
         without_log="apparent_wind_speed",
     )
     wind_speed = Parameter(
@@ -56,7 +55,6 @@ class Wind(Wrench):
         default=_SPEED,
         neutral=None,
         logged=True,
-        per_run=True,
         without_log="apparent_wind_speed",
     )
     apparent_wind_speed = LoggedOnly("m/s", "speed of the wind as it is felt aboard", (0, 100))
