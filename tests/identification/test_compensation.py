@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from functools import cache
 
 import numpy as np
@@ -28,6 +29,11 @@ class Fit:
     vehicle: Vehicle
     values: dict[str, float]
     standard_errors: dict[str, float]
+
+    @property
+    def model(self) -> SimpleNamespace:
+        """The model, of which only the names of its parameters are asked."""
+        return SimpleNamespace(values=SimpleNamespace(names=tuple(self.values)))
 
 
 def _fit(vehicle: Vehicle, **values: float) -> Fit:
