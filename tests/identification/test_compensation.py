@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
