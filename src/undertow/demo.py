@@ -27,7 +27,6 @@ from undertow.identification.diagnosis.addition import (
     set_up_addition,
     visible_effects,
 )
-from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.report.data import ErrorMap
@@ -367,26 +366,19 @@ def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
     before = [_rms(w.missing(w.plain).missing[:, 0]) for w in ways]
     falls = " and ".join(f"from {b:.2f} to {a:.2f} N" for b, a in zip(before, left, strict=True))
     yield "text", f"With it the force that is missing falls {falls} rms."
-    if not all(best in way.outcome.effects for way in ways):
-        yield "text", _unnamed(ways, best)
-    yield "text", "What is left is not noise, for these logs have next to none: it stays unexplained."
+    for way in ways:
+        d = way.outcome.diagnosis
+        yield (
+            "text",
+            f"Diagnosis of the fit to {way.profile}, judged on {way.other}: {d.verdict}. {d.headline}",
+        )
+    yield "text", "What is left is not noise, for these logs have next to none."
     for way in ways:
         models = (way.plain, way.additions[best].fit.vehicle)
         pair = (compare(v, way.ground.test, compiled=False) for v in models)
         picture = measured_vs_simulated(traces(*pair, free=True)[0], ("inertia and drag", f"with {best}"))
         what = f"{way.other}, simulated from its push alone by models fitted to {way.profile}"
         yield output.picture(f"hull/{way.other}.png", picture, what)
-
-
-def _unnamed(ways: Ways, best: str) -> str:
-    """Why a lower error alone does not make the diagnosis name an effect."""
-    listed = [r for way in ways for r in way.outcome.diagnosis.ranking if r.effect == best]
-    text = f"All the same {best} is not what the diagnosis names as missing both ways round"
-    if any(not r.parameters for r in listed):
-        errors = f"{DEFAULT.t_in_search:g} standard errors"
-        reason = f"it does not help, or none of its parameters is {errors} from zero"
-        return f"{text}: by the force on one of the other profiles {reason}."
-    return f"{text}: it wants the effect to explain {DEFAULT.named_share:.0%} of what exceeds the noise."
 
 
 def _files(output: _Output, ways: Ways) -> Iterator[Piece]:
