@@ -106,7 +106,7 @@ def _costs(cases: Sequence[Scored]) -> list[Goal]:
 
 
 def _time(cases: Sequence[Scored]) -> Goal:
-    six = [c.record for c in cases if len(c.record["motions"]) == 6 and c.record["variant"] != "20min"]
+    six = [c.record for c in cases if len(c.record["motions"]) == 6 and c.record.get("variant") != "20min"]
     # The goal is for two cores; cases that ran side by side had one each.
     cores = max((r.get("cores", 1) for r in six), default=1)
     seconds = [r["seconds"] for r in six if r.get("cores", 1) == cores]
