@@ -418,7 +418,7 @@ class _Selector:
         if not variables:
             return ""
         share = captured(bench.base, fit, bench.train, bench.test, variables)
-        if share < self._settings.named_share:
+        if share < self._settings.own_share:
             return (
                 f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
             )

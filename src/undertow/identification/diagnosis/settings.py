@@ -248,6 +248,12 @@ class Settings:
     best_share: float = _number(
         0.9, "share of the resamples in which the named effect, or one of a set, is the best", _LEVEL, off=0.0
     )
+    own_share: float = _number(
+        0.5,
+        "share of what a flexible function of its own variables explains that an effect explains",
+        "else such a function does twice as well",
+        off=0.0,
+    )
     part_error: float = _number(
         0.5, "standard error of the size of an effect up to which a part of the logs counts", "two to one"
     )
