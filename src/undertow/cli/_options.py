@@ -26,7 +26,9 @@ Fill = Literal["refuse", "hold", "gap"]
 VehicleArgument = Annotated[
     str, typer.Argument(metavar="VEHICLE", help="Vehicle file (TOML), or the name of a bundled vehicle.")
 ]
-LogsArgument = Annotated[list[Path], typer.Argument(metavar="LOG", help="Logs: CSV, CSV.gz or Parquet.")]
+LogsArgument = Annotated[
+    list[Path], typer.Argument(metavar="LOG", help="Logs: tables, or as a vehicle wrote them.")
+]
 HoldoutOption = Annotated[
     list[Path] | None,
     typer.Option("--holdout", metavar="LOG", help="Logs for validation, up to the next option."),
@@ -82,11 +84,11 @@ class ReadOptions:
         return [*(self.effects or ()), *filter(None, [self.map])]
 
     @property
-    def mapping(self) -> LogMapping:
-        """What the columns of the logs mean."""
-        from undertow.identification.logs.mapping import LogMapping, read_mapping
+    def mapping(self) -> LogMapping | None:
+        """What the columns of the logs mean; None where their format is to say so."""
+        from undertow.identification.logs.mapping import read_mapping
 
-        return LogMapping() if self.map is None else read_mapping(self.map)
+        return None if self.map is None else read_mapping(self.map)
 
     @property
     def known(self) -> dict[str, type[Effect]]:
@@ -111,33 +113,32 @@ class ReadOptions:
         from undertow.identification.logs.reading import read_logs
         from undertow.model.loading import load_vehicle
 
-        mapping = self.mapping
         with progress("reading the vehicle", None):
             model = load_vehicle(vehicle, effect_files=self.effects or ())
-        if in_any_order:
-            mapping = mapping.model_copy(
-                update={"time": mapping.time.model_copy(update={"disorder": "drop"})}
-            )
         paths = [*logs, *(holdout or ())]
         with progress("reading logs", total=len(paths)) as report:
             runs = read_logs(
                 paths,
                 model,
-                mapping,
+                self.mapping,
                 window=(self.since, self.until),
                 missing_commands=self.fill,
                 to_fit=to_fit,
                 one_motion=one_motion,
+                in_any_order=in_any_order,
                 progress=report,
             )
-        return model, runs[: len(logs)], runs[len(logs) :]
+        first = sum(run.source in set(map(str, logs)) for run in runs)
+        return model, runs[:first], runs[first:]
 
     def load_in_parts(self, vehicle: str, logs: Sequence[Path]) -> tuple[Vehicle, list[LongLog]]:
         """The vehicle, and logs that are read in parts, later."""
         from undertow.identification.logs.chunks import LongLog
+        from undertow.identification.logs.mapping import LogMapping
         from undertow.model.loading import load_vehicle
 
-        model, mapping = load_vehicle(vehicle, effect_files=self.effects or ()), self.mapping
+        model = load_vehicle(vehicle, effect_files=self.effects or ())
+        mapping = self.mapping or LogMapping()
         window = (self.since, self.until)
         return model, [LongLog(path, mapping, model.command_names, window, self.fill) for path in logs]
 

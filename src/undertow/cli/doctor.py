@@ -41,6 +41,7 @@ from ._terminal import console, progress, say, section, table, text, write_files
 if TYPE_CHECKING:
     from undertow.identification.doctor.examine import Examined
     from undertow.identification.doctor.findings import DofExcitation, Examination, Finding
+    from undertow.identification.logs.mapping import LogMapping
 
 _PLOT = typer.Option(
     "--plot", metavar="OUT.png", help="Draw pose rates against velocities, as given and mended."
@@ -61,10 +62,9 @@ def doctor(
     from undertow.identification.doctor.examine import examine
 
     check_writable(json, plot, mend, inputs=[vehicle, *logs, *options.files])
-    mapping = options.mapping
     model, runs, _ = options.load(vehicle, logs, in_any_order=True)
     with progress("examining") as report:
-        examined = examine(model, runs, mapping=mapping, report=report)
+        examined = examine(model, runs, mapping=options.mapping, report=report)
     result = examined.result
     show(result, options.map)
 
@@ -76,7 +76,7 @@ def doctor(
 
     write_files(
         (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),
-        (mend, lambda path: write_whole(path, mended_mapping(examined, options.map))),
+        (mend, lambda path: write_whole(path, mended_mapping(examined, options.map, runs[0].mapping))),
         (plot, draw),
     )
     return 1 if result.mistakes else 0
@@ -132,11 +132,17 @@ def _row(e: DofExcitation) -> tuple[str, ...]:
     return f"{e.degree_of_freedom} ({e.velocity})", *numbers, str(e.reversals), span
 
 
-def mended_mapping(examined: Examined, map: Path | None) -> str:
-    """The mapping file with all mistakes mended; comments and order of the old one are kept."""
+def mended_mapping(examined: Examined, map: Path | None, known: LogMapping | None) -> str:
+    """The mapping file with all mistakes mended; comments and order of the old one are kept.
+
+    Without a file, what the format of the log is `known` to mean is written out and mended.
+    """
     from undertow.files import read_text
     from undertow.identification.doctor.findings import as_toml, into_file
+    from undertow.identification.logs.mapping import mapping_text
 
+    if map is None and known is not None and known.columns:
+        return into_file(mapping_text(known), examined.edits)
     if map is None:
         return as_toml(examined.edits, whole=True) + "\n"
     return into_file(read_text(map, "mapping file"), examined.edits)

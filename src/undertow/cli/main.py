@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.machinery import PathFinder
+from keyword import iskeyword
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
@@ -28,7 +29,10 @@ _TAKING_SEVERAL = {"--holdout"}
 
 
 def commands() -> dict[str, str]:
-    """Name and first docstring line of every command, sorted by name (``a_b.py`` is the command ``a-b``)."""
+    """Name and first docstring line of every command, sorted by name.
+
+    ``a_b.py`` is the command ``a-b``, ``import_.py`` the command ``import``.
+    """
     names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
     public = [name for name in names if name[0] != "_" and name != _ENTRY]
     return {_command(name): _first_line(name) for name in public}
@@ -87,11 +91,11 @@ def _first_line(name: str) -> str:
 
 
 def _command(module: str) -> str:
-    return module.replace("_", "-")
+    return module.rstrip("_").replace("_", "-")
 
 
 def _module(command: str) -> str:
-    return command.replace("-", "_")
+    return f"{command}_" if iskeyword(command) else command.replace("-", "_")
 
 
 def _paragraphs(text: str) -> str:

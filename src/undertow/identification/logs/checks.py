@@ -164,14 +164,15 @@ def refuse_constant(run: Run, names: Iterable[str]) -> None:
 
 def refuse_twins(runs: Iterable[Run]) -> None:
     """Refuse the same data twice: they would be judged by what they were fitted to, or weigh double."""
-    seen: dict[str, str] = {}
+    seen: dict[tuple[str, float], str] = {}
     for run in runs:
-        if run.sha256 and run.sha256 in seen:
+        what = run.sha256, float(run.t[0])  # several stretches of a log are not the same data
+        if run.sha256 and what in seen:
             raise UndertowError(
-                f"logs {seen[run.sha256]} and {run.source} have the same content: give each once, either to "
+                f"logs {seen[what]} and {run.source} have the same content: give each once, either to "
                 "work on or for validation"
             )
-        seen[run.sha256] = run.source
+        seen[what] = run.source
 
 
 def refuse_too_many(samples: int, log: str | Path) -> None:

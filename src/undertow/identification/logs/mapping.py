@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
@@ -74,6 +76,9 @@ class Time(_Strict):
     # Only every so many-th row is used, at most every 10^6-th: for pose logged much faster than the vehicle
     # moves.
     every: int = Field(default=1, ge=1, le=1_000_000)
+    # Column that numbers the stretches to be used: each number is a run of its own, rows without one are left
+    # out (a vehicle on deck, an estimator that was reset).
+    stretch: str | None = Field(default=None, min_length=1)
 
 
 class Frames(_Strict):
@@ -128,6 +133,8 @@ class LogMapping(_Strict):
     missing: tuple[float | str, ...] = ()
     ignore: tuple[str, ...] = ()  # columns to leave out without a note
     missing_commands: CommandPolicy = "refuse"  # what to do where a command has no sample
+    # Folder with definitions of messages (.msg) that a ROS log does not hold itself.
+    messages: Path | None = None
 
 
 def read_mapping(path: str | Path) -> LogMapping:
@@ -144,6 +151,24 @@ def read_mapping(path: str | Path) -> LogMapping:
         raise UndertowError(f"mapping file {path}: {_first_fault(error)}") from error
     _refuse_twins(mapping, path)
     return mapping
+
+
+def mapping_text(mapping: LogMapping) -> str:
+    """The mapping as a mapping file: what differs from the defaults, one line for a column."""
+    content = mapping.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    lines = tomlkit.document()
+    lines["schema"] = SCHEMA
+    for key, value in content.items():
+        lines[key] = _table_of(value) if isinstance(value, dict) else value
+    return tomlkit.dumps(lines)
+
+
+def _table_of(entries: dict[str, Any]) -> Table:
+    table = tomlkit.table()
+    for name, entry in entries.items():
+        inline = tomlkit.inline_table()
+        table[name] = inline.update(entry) or inline if isinstance(entry, dict) else entry
+    return table
 
 
 def _first_fault(error: ValidationError) -> str:

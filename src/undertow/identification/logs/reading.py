@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import comb
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from undertow.errors import UndertowError, nearest
 from undertow.identification.logs.mapping import (
@@ -26,6 +27,7 @@ from undertow.identification.logs.table import (
     Origin,
     elapsed,
     file_bytes,
+    file_hash,
     is_dates,
     numbers,
     read_table,
@@ -38,15 +40,10 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from . import checks
+from .formats.registry import format_of, read_field_log
 from .mapping import Channel, Column, CommandPolicy, LogMapping
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
-
-if TYPE_CHECKING:
-    import polars as pl
-
-
-from math import comb
 
 Commands = dict[str, float]
 
@@ -64,25 +61,88 @@ def read_log(
     """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
 
     `channels` are commands that must be in the log, `also` those that are read where it has them. Without a
-    mapping, columns must have the channel names and SI units of undertow. The window, in s, is on the clock
-    of the run (None: no limit). What is larger than the limits is refused before it is held in memory.
+    mapping a vehicle's own log means what its format says, and the columns of a table must have the channel
+    names and SI units of undertow. The window, in s, is on the clock of the run (None: no limit). What is
+    larger than the limits is refused before it is held in memory. Of a log of several stretches the longest
+    is taken, and its notes say so.
     """
-    path, mapping = Path(path), mapping or LogMapping()
-    data = file_bytes(path, limits)
-    table = read_table(data, mapping, f"log {path}", path, limits)
-    run = run_of_table(table, path, mapping, channels, window, missing_commands, also)
-    return replace(run, sha256=hashlib.sha256(data).hexdigest())
+    asked = _Asked(mapping, tuple(channels), window, missing_commands, tuple(also), limits)
+    runs = _runs_of(Path(path), asked)
+    longest = max(runs, key=lambda run: float(run.t[-1] - run.t[0]))
+    others = len(runs) - 1
+    note = f"{others} shorter stretches of the log left out: read_logs reads all of them"
+    return longest.with_notes(note) if others else longest
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """How a log is to be read; see `read_log` and `read_logs`."""
+
+    mapping: LogMapping | None
+    channels: tuple[str, ...]
+    window: tuple[float | None, float | None]
+    missing_commands: CommandPolicy | None
+    also: tuple[str, ...]
+    limits: LogLimits
+    in_any_order: bool = False
+
+
+def _runs_of(path: Path, asked: _Asked) -> list[Run]:
+    """The stretches of a log, each as a run."""
+    table, meaning, sha256, notes = _opened(path, asked)
+    taken = _in_any_order(meaning) if asked.in_any_order else meaning
+    how = (path, taken, asked.channels, asked.window, asked.missing_commands, asked.also)
+    stretches = _stretches(table, meaning.time.stretch, f"log {path}")
+    runs = [run_of_table(part, *how).with_notes(*notes) for part in stretches]
+    runs = [replace(run, mapping=meaning, sha256=sha256) for run in runs]
+    if len(runs) == 1:
+        return runs
+    return [replace(r, name=f"{r.name}-{k}", part_of=r.name) for k, r in enumerate(runs, 1)]
+
+
+def _in_any_order(mapping: LogMapping) -> LogMapping:
+    return mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
+
+
+def _opened(path: Path, asked: _Asked) -> tuple[pl.DataFrame, LogMapping, str, tuple[str, ...]]:
+    """The table of a log, what its columns mean, the hash of its bytes, and notes on its format."""
+    given, where = asked.mapping, f"log {path}"
+    if format_of(path) is not None:
+        log = read_field_log(path, given.messages if given else None)
+        meaning = given or log.mapping_for([*asked.channels, *asked.also])
+        notes = (f"read as {log.format}", *log.notes)
+        return log.table(columns_read(meaning)), meaning, file_hash(path), notes
+    meaning, data = given or LogMapping(), file_bytes(path, asked.limits)
+    table = read_table(data, meaning, where, path, asked.limits)
+    return table, meaning, hashlib.sha256(data).hexdigest(), ()
+
+
+def _stretches(table: pl.DataFrame, column: str | None, where: str) -> list[pl.DataFrame]:
+    """The parts of a table that are numbered in a column, in the order of time; all of it without one."""
+    if column is None:
+        return [table]
+    must_have(column, table.columns, where, "column of stretches,")
+    parts = table.filter(pl.col(column).is_not_null()).partition_by(
+        column, maintain_order=True, include_key=False
+    )
+    if not parts:
+        raise UndertowError(
+            f"{where}: no row has a number in column {column!r}, so that nothing is left: remove `stretch` "
+            "from [time] in the mapping file to use all of it"
+        )
+    return parts
 
 
 def read_logs(
     paths: Sequence[Path],
     vehicle: Vehicle,
-    mapping: LogMapping,
+    mapping: LogMapping | None = None,
     *,
     window: tuple[float | None, float | None] = (None, None),
     missing_commands: CommandPolicy | None = None,
     to_fit: bool = False,
     one_motion: bool = False,
+    in_any_order: bool = False,
     progress: Progress = lambda done, words: None,
 ) -> list[Run]:
     """Read the logs of a vehicle, each with a name of its own, and with velocities, if need be from its pose.
@@ -90,7 +150,7 @@ def read_logs(
     Parameters
     ----------
     paths : sequence of Path
-        CSV, CSV.gz or Parquet files.
+        Tables (CSV, CSV.gz or Parquet) or logs as vehicles write them.
     vehicle : Vehicle
         The model, whose commands the logs must have.
     mapping, window, missing_commands
@@ -99,8 +159,15 @@ def read_logs(
         Refuse more samples than a fit takes as soon as they are read.
     one_motion : bool
         Whether a log may hold some of the motions and commands only, as one of a towing tank does.
+    in_any_order : bool
+        Leave out rows of a table whose time is not later than that of all before.
     progress : callable
         Told how many logs are read.
+
+    Returns
+    -------
+    list of Run
+        In the order of the paths; of a log of several stretches, each as a run. `Run.source` is the path.
 
     Raises
     ------
@@ -108,19 +175,19 @@ def read_logs(
         If a file cannot be read or does not fit the vehicle, or a log is given twice.
     """
     needed, also = ((), vehicle.command_names) if one_motion else (vehicle.command_names, ())
-    limits = WHOLE
-    if to_fit and window == (None, None) and mapping.time.disorder != "drop":
+    limits, time = WHOLE, (mapping or LogMapping()).time
+    if to_fit and window == (None, None) and time.disorder != "drop":
         most = checks.MEASURABLE
-        limits = replace(WHOLE, rows=most.rows_per_sample * mapping.time.every * most.samples)
+        limits = replace(WHOLE, rows=most.rows_per_sample * time.every * most.samples)
+    asked = _Asked(mapping, needed, window, missing_commands, also, limits, in_any_order)
     runs: list[Run] = []
     for done, path in enumerate(paths):
         progress(done, f"reading {path.name}")
-        run = read_log(
-            path, mapping, needed, also=also, window=window, missing_commands=missing_commands, limits=limits
-        )
+        read = _runs_of(path, asked)
         if to_fit:
-            checks.refuse_too_many(sum(len(r.t) for r in (*runs, run)), path)
-        runs.append(run if one_motion else velocities_from_pose(run, vehicle.degrees_of_freedom))
+            checks.refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
+        dof = vehicle.degrees_of_freedom
+        runs += read if one_motion else [velocities_from_pose(run, dof) for run in read]
     checks.refuse_twins(runs)
     return checks.with_distinct_names(runs)
 
@@ -190,6 +257,13 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
     for name in commands:
         must_have(name, known, where, "command channel", names)
     return found
+
+
+def columns_read(mapping: LogMapping) -> list[str]:
+    """Columns of a log that a mapping reads, without those of its clock."""
+    flags = [column.fresh for column in mapping.columns.values() if column.fresh]
+    formulas = [name for channel in mapping.channels.values() for name in channel.formula.columns]
+    return list(dict.fromkeys([*mapping.columns, *flags, *formulas]))
 
 
 def must_have(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import csv
 import gzip
+import hashlib
 import io
 import json
 import os
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 
+from .formats.registry import readable
 from .mapping import LogMapping
 
 # Of one column after the other nothing is kept but a number; columns of lists are never read.
@@ -207,6 +209,16 @@ def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
     return data
 
 
+def file_hash(path: Path) -> str:
+    """SHA-256 of the bytes of a file, or of all files of a folder in the order of their names."""
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as stream:
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()
+
+
 def read_table(
     data: bytes, mapping: LogMapping, where: str, path: Path | None = None, limits: LogLimits = WHOLE
 ) -> pl.DataFrame:
@@ -259,7 +271,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         except UnicodeDecodeError as error:
             raise UndertowError(
                 f"{where} is not UTF-8 text (byte {error.start} is 0x{text[error.start]:02x}): save it as "
-                "UTF-8"
+                f"UTF-8, if it is a table; {readable()}"
             ) from error
     if not header:
         raise UndertowError(f"{where} is empty (no header): check that the log was written to its end")

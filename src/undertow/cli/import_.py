@@ -1,0 +1,103 @@
+"""Turn a log as a vehicle wrote it into a table, with the mapping file by which it was understood.
+
+    undertow import dive.bin --list
+    undertow import dive.bin --vehicle my-rov.toml --out dive.parquet
+
+Every command that takes a log reads such files directly. Imported once, a log is read faster, needs no extra
+library and can be handed on. The mapping file beside it (dive.toml) says which column became which channel;
+correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml.
+
+--list shows what the file holds: series, how often they report, from when to when, and the longest gap.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from undertow.errors import UndertowError
+
+from ._options import MapOption, NewForceOption, new_file
+from ._terminal import progress, say, section, table, write_files
+
+if TYPE_CHECKING:
+    from undertow.identification.logs.formats.fieldlog import FieldLog, Series
+    from undertow.identification.logs.mapping import LogMapping
+
+_LOG = typer.Argument(metavar="LOG", help="The log, in any format but a table.")
+_OUT = typer.Option("--out", metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
+_LIST = typer.Option("--list", help="Show what the log holds, and write nothing.")
+_VEHICLE = typer.Option(
+    "--vehicle", metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
+)
+_MESSAGES = typer.Option(
+    "--messages", metavar="FOLDER", help="Definitions of messages (.msg) that a ROS log does not hold itself."
+)
+_HEAD = ("series", "samples", "per second", "from s", "to s", "longest gap s", "columns")
+
+
+def import_(
+    log: Annotated[Path, _LOG],
+    out: Annotated[Path | None, _OUT] = None,
+    list_: Annotated[bool, _LIST] = False,
+    vehicle: Annotated[str | None, _VEHICLE] = None,
+    map: MapOption = None,
+    messages: Annotated[Path | None, _MESSAGES] = None,
+    force: NewForceOption = False,
+) -> None:
+    from undertow.identification.logs.formats.registry import read_field_log
+    from undertow.identification.logs.mapping import read_mapping
+    from undertow.model.loading import load_vehicle
+
+    if not (out or list_):
+        raise UndertowError("nothing to do: give --out NEW.parquet, or --list to see what the log holds")
+    target = None if out is None or list_ else new_file(out, force, [log, *filter(None, [map])])
+    beside = None if target is None else new_file(target.with_suffix(".toml"), force, filter(None, [map]))
+    given = read_mapping(map) if map else None
+    commands = load_vehicle(vehicle).command_names if vehicle else ()
+    with progress("reading", None):
+        found = read_field_log(log, messages or (given.messages if given else None))
+    for note in found.notes:
+        say(note, "dim")
+    if target is None or beside is None:
+        section(f"{log}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()]))
+        return
+    meaning = given or found.mapping_for(commands)
+    _write(found, meaning, target, beside)
+    read = [(name, column.channel, column.unit or "") for name, column in meaning.columns.items()]
+    section(f"{log}: {found.format}", table(("column", "channel", "unit"), read))
+    say(f"what the columns mean stands in {beside}: correct it there where it is wrong")
+    say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")
+
+
+def _row(series: Series) -> tuple[str, ...]:
+    """Name, samples, samples a second, first and last time, longest gap and columns of a series."""
+    from numpy import diff, median
+
+    from undertow.identification.logs.formats.fieldlog import rising
+
+    t, names = series.t[rising(series.t)], ", ".join(series.columns)
+    steps = diff(t)
+    pace = (f"{1 / median(steps):.4g}", f"{steps.max():.3g}") if len(steps) else ("", "")
+    span = (f"{t[0]:.2f}", f"{t[-1]:.2f}") if len(t) else ("", "")
+    return series.name, str(len(series.t)), pace[0], *span, pace[1], names
+
+
+def _write(log: FieldLog, meaning: LogMapping, out: Path, beside: Path) -> None:
+    """Write the columns that a mapping reads as a table, and the mapping beside it."""
+    from undertow.files import write_whole
+    from undertow.identification.logs.mapping import mapping_text
+    from undertow.identification.logs.reading import columns_read
+
+    rows, cells = log.table(columns_read(meaning)), BytesIO()
+    if out.suffix == ".csv":
+        rows.write_csv(cells)
+    else:
+        rows.write_parquet(cells)
+    write_files(
+        (out, lambda path: write_whole(path, cells.getvalue())),
+        (beside, lambda path: write_whole(path, mapping_text(meaning))),
+    )

@@ -1,0 +1,244 @@
+"""What a vehicle's own log holds: series, each on a clock of its own, and what they are known to mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from undertow.errors import UndertowError, nearest
+from undertow.identification.logs.mapping import Column, LogMapping, Time
+from undertow.typing import Array
+
+Places = NDArray[np.intp]
+
+TIME, STRETCH = "t", "stretch"
+"""Columns of the table of a log: its time, s, and the number of the stretch that a row belongs to."""
+
+
+@dataclass(frozen=True)
+class UnionSettings:
+    """How the clocks of several series become the rows of one table."""
+
+    # Samples closer than this share of the shortest usual step of a series stand in one row: drivers stamp
+    # what they take together a few microseconds apart.
+    together: float = 0.05
+
+
+SETTINGS = UnionSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Messages of one kind: a topic, a table, one instance of a sensor.
+
+    Attributes
+    ----------
+    name : str
+        As in the file; with an instance in brackets where there are several, such as ``XKF1[0]``.
+    t : (n,) array
+        Times in s from the start of the log, in the order of the file.
+    columns : mapping of (n,) arrays
+        Values as logged by name; they may be decoded when they are asked for.
+    units : mapping of str
+        Units that the file states, by name of the column; those that it does not state are missing.
+    """
+
+    name: str
+    t: Array
+    columns: Mapping[str, Array]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldLog:
+    """A log as its vehicle wrote it.
+
+    Attributes
+    ----------
+    path : Path
+        The file or, of some formats, the folder.
+    format : str
+        Name of its format.
+    series : mapping of Series
+        By name.
+    mapping : LogMapping
+        What is understood without being told: columns, called ``series.column``, and frames. Commands are
+        not in it, since their names are those of the vehicle file.
+    actuators : tuple of (str, Column)
+        Columns that drive the vehicle in the order of their motors, each with what is known of its unit.
+    parameters : mapping
+        Settings of the autopilot that the log holds.
+    stretches : tuple of (float, float)
+        Parts to be used, s: armed, and on one side of a reset of the estimator; empty for the whole log.
+    notes : tuple of str
+        What was left out, repaired or looked odd, one line each.
+    """
+
+    path: Path
+    format: str
+    series: Mapping[str, Series]
+    mapping: LogMapping = field(default_factory=LogMapping)
+    actuators: tuple[tuple[str, Column], ...] = ()
+    parameters: Mapping[str, float | str] = field(default_factory=dict)
+    stretches: tuple[tuple[float, float], ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
+        """What is understood, with the commands of a vehicle as its motors in their order.
+
+        The columns of motors are given to commands only where there are as many of one as of the other.
+        """
+        called = commands or [column.channel for _, column in self.actuators]
+        driven = {
+            name: column.model_copy(update={"channel": command})
+            for command, (name, column) in zip(called, self.actuators, strict=False)
+            if len(called) == len(self.actuators)
+        }
+        time = Time(column=TIME, stretch=STRETCH if self.stretches else None)
+        policy = "hold" if driven else self.mapping.missing_commands
+        known = {**self.mapping.columns, **driven}
+        return self.mapping.model_copy(update={"time": time, "columns": known, "missing_commands": policy})
+
+    def table(self, columns: Iterable[str]) -> pl.DataFrame:
+        """The series of some columns side by side: a row for every time, blank where a series has no sample.
+
+        Parameters
+        ----------
+        columns : iterable of str
+            Names ``series.column``.
+
+        Returns
+        -------
+        DataFrame
+            `TIME`, `STRETCH` where the log has stretches, and the columns.
+
+        Raises
+        ------
+        UndertowError
+            If the log has no such column.
+        """
+        asked: dict[str, list[str]] = {}
+        for name in dict.fromkeys(columns):
+            series, column = self._found(name)
+            asked.setdefault(series, []).append(column)
+        if not asked:
+            raise UndertowError(
+                f"log {self.path}: none of its series is known to be a motion; undertow import {self.path} "
+                "--list shows what it has: say what it means in a mapping file (--map)"
+            )
+        kept = {name: rising(self.series[name].t) for name in asked}
+        times = [self.series[name].t[rows] for name, rows in kept.items()]
+        t, places = union(times)
+        table = {TIME: t, **self._numbers(t)}
+        for (name, fields), place in zip(asked.items(), places, strict=True):
+            for column in fields:
+                cells = np.full(len(t), np.nan)
+                cells[place] = self.series[name].columns[column][kept[name]]
+                table[f"{name}.{column}"] = cells
+        return pl.DataFrame(table, nan_to_null=True)
+
+    def _numbers(self, t: Array) -> dict[str, Array]:
+        number = np.full(len(t), np.nan)
+        for k, (first, last) in enumerate(self.stretches):
+            number[(t >= first) & (t <= last)] = k + 1
+        return {STRETCH: number} if self.stretches else {}
+
+    def _found(self, name: str) -> tuple[str, str]:
+        """Name of the series and of its column, of a name that joins them."""
+        for series in self.series:  # either may have points in it
+            if name.startswith(f"{series}.") and name[len(series) + 1 :] in self.series[series].columns:
+                return series, name[len(series) + 1 :]
+        known = [f"{s.name}.{column}" for s in self.series.values() for column in s.columns]
+        raise UndertowError(
+            f"log {self.path} has no {name!r}{nearest(name, known)}: undertow import {self.path} --list "
+            "shows what it has"
+        )
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of logs.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    suffixes : tuple of str
+        Ends of the names of such files, for messages and for `accepts`.
+    accepts : callable
+        Whether a file of this path, which begins with these bytes (b"" for a folder), is of the format.
+    read : callable
+        The log at a path. The second argument is the folder with definitions of messages, or None.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    accepts: Callable[[Path, bytes], bool]
+    read: Callable[[Path, Path | None], FieldLog]
+
+
+def library(name: str, what: str, extra: str = "field") -> ModuleType:
+    """Import an optional library.
+
+    Raises
+    ------
+    UndertowError
+        If it is not installed, with the command that does.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        package = name.split(".")[0]
+        raise UndertowError(f'{what} needs the library {package}: pip install "undertow[{extra}]"') from error
+
+
+def rising(t: Array) -> Places:
+    """Places of the samples that are later than all before them, (m,)."""
+    latest = np.maximum.accumulate(np.where(np.isfinite(t), t, -np.inf))
+    later = np.concatenate([[True], t[1:] > latest[:-1]]) if len(t) else np.zeros(0, bool)
+    return np.flatnonzero(later & np.isfinite(t))
+
+
+def union(times: Sequence[Array]) -> tuple[Array, list[Places]]:
+    """Rows for several rising clocks.
+
+    Parameters
+    ----------
+    times : sequence of (n_k,) arrays
+        s, each strictly rising.
+
+    Returns
+    -------
+    t : (n,) array
+        s, strictly rising; samples that belong together have the time of the first of them.
+    places : list of (n_k,) arrays of integers
+        Row of every sample of each clock.
+    """
+    every, where = np.unique(np.concatenate([*times, np.zeros(0)]), return_inverse=True)
+    own = np.split(where, np.cumsum([len(t) for t in times])[:-1])
+    steps = [float(np.median(np.diff(t))) for t in times if len(t) > 1]
+    apart = np.diff(every) > SETTINGS.together * min(steps, default=0.0)
+    row = np.concatenate([np.zeros(min(len(every), 1), dtype=np.intp), np.cumsum(apart)])
+    if any(np.any(np.diff(row[place]) == 0) for place in own):  # two samples of one clock in a row: all apart
+        return every, own
+    return every[np.unique(row, return_index=True)[1]], [row[place] for place in own]
+
+
+def cut_at(
+    stretches: Iterable[tuple[float, float]], resets: Iterable[float]
+) -> tuple[tuple[float, float], ...]:
+    """Cut stretches where an estimator was reset; the sample of the reset begins a new one."""
+    cuts = sorted(set(resets))
+    pieces: list[tuple[float, float]] = []
+    for first, last in stretches:
+        inside = [c for c in cuts if first < c <= last]
+        ends = [*(float(np.nextafter(c, first)) for c in inside), last]
+        pieces += zip([first, *inside], ends, strict=True)
+    return tuple(piece for piece in pieces if piece[1] > piece[0])

@@ -1,0 +1,69 @@
+"""Which format a log is of, and reading it."""
+
+from __future__ import annotations
+
+import pkgutil
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+from undertow.errors import UndertowError
+
+from .fieldlog import FieldLog, Format
+
+_HEAD = 512  # bytes from the start of a file that tell its format
+TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
+"""Formats that are tables already."""
+
+
+@cache
+def formats() -> tuple[Format, ...]:
+    """All formats that vehicles write, one from every module of this package that declares one."""
+    folder = Path(__file__).parent
+    modules = (import_module(f"{__package__}.{m.name}") for m in pkgutil.iter_modules([str(folder)]))
+    return tuple(m.FORMAT for m in modules if hasattr(m, "FORMAT"))
+
+
+def format_of(path: Path) -> Format | None:
+    """The format that a vehicle wrote a log in; None for tables, and for what is not there."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD)
+    except IsADirectoryError:
+        head = b""
+    except OSError:
+        return None
+    return next((one for one in formats() if one.accepts(path, head)), None)
+
+
+def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
+    """Read a log as its vehicle wrote it.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder.
+    messages : Path, optional
+        Folder with definitions of messages, for formats that need them.
+
+    Raises
+    ------
+    UndertowError
+        If it is of no format that is known, cannot be read, or needs a library that is not installed.
+    """
+    found = format_of(path)
+    if found is None:
+        raise UndertowError(f"log {path} is of no format that is known: {readable()}")
+    try:
+        return found.read(path, messages)
+    except (UndertowError, MemoryError):
+        raise
+    except Exception as error:  # whatever a library makes of a damaged file
+        words = str(error).split("\n")[0] or type(error).__name__
+        raise UndertowError(f"log {path} cannot be read as {found.name}: {words}: copy it again") from error
+
+
+def readable() -> str:
+    """The formats that can be read, in words."""
+    known = [f"{one.name} ({', '.join(one.suffixes)})" for one in formats()]
+    return f"undertow reads {', '.join([*TABLES, *known])}"

@@ -1,0 +1,114 @@
+"""Logs as vehicles write them: series on clocks of their own become one table, stretches become runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.formats.fieldlog import FieldLog, Series, cut_at, rising, union
+from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.mapping import Column, LogMapping, mapping_text, read_mapping
+from undertow.identification.logs.reading import read_log, read_logs
+from undertow.model.loading import load_vehicle
+
+
+def _alog(folder: Path, lines: str, name: str = "dive.alog") -> Path:
+    path = folder / name
+    path.write_text(f"%%%%\n%% LOG FILE: {name}\n{lines}", encoding="utf-8")
+    return path
+
+
+def test_samples_taken_together_stand_in_one_row() -> None:
+    slow, fast = np.array([0.0, 1.0, 2.0]), np.arange(21) / 10 + 1e-4
+    t, (at_slow, at_fast) = union([slow, fast])
+    assert len(t) == 21
+    assert list(at_slow) == [0, 10, 20]
+    assert list(at_fast) == list(range(21))
+    assert np.all(np.abs(t[at_fast] - fast) <= 1.01e-4)
+
+
+def test_clocks_of_their_own_keep_their_times() -> None:
+    rng = np.random.default_rng(1)
+    clocks = [np.cumsum(rng.uniform(0.5, 1.5, n) * step) for n, step in ((50, 0.2), (300, 0.033), (90, 0.11))]
+    t, places = union(clocks)
+    assert np.all(np.diff(t) > 0)
+    for clock, place in zip(clocks, places, strict=True):
+        assert np.all(np.diff(place) > 0)
+        assert np.max(np.abs(t[place] - clock)) < 0.05 * 0.04
+
+
+def test_a_clock_that_goes_back_loses_those_samples_only() -> None:
+    assert list(rising(np.array([0.0, 1.0, 0.5, np.nan, 2.0, 2.0, 3.0]))) == [0, 1, 4, 6]
+
+
+def test_a_reset_begins_a_new_stretch() -> None:
+    (a, b), (c, d) = cut_at([(0.0, 10.0)], [4.0, 12.0])
+    assert (a, c, d) == (0.0, 4.0, 10.0)
+    assert 3.999 < b < 4.0
+
+
+def test_moos_counts_east_north_and_clockwise(tmp_path: Path) -> None:
+    lines = "{0} NAV_X a 3\n{0} NAV_Y a 7\n{0} NAV_HEADING a 90\n{0} NAV_DEPTH a 2\n"
+    run = read_log(_alog(tmp_path, lines.format(0) + lines.format(1)))
+    assert (run.channels["x"][0], run.channels["y"][0], run.channels["z"][0]) == (7.0, 3.0, 2.0)
+    assert run.channels["psi"] == pytest.approx(np.pi / 2)
+
+
+def test_texts_and_lines_that_are_cut_off_are_left_out(tmp_path: Path) -> None:
+    log = read_field_log(_alog(tmp_path, "0 NAV_X a 3\n0 MODE a on\n1 NAV_X a 4\n2 NAV_X"))
+    assert list(log.series) == ["NAV_X"]
+    assert log.notes == ("1 lines are cut off and were left out",)
+
+
+def test_what_the_table_of_a_log_means_is_written_beside_it(tmp_path: Path) -> None:
+    log = read_field_log(_alog(tmp_path, "".join(f"{k} NAV_X a {k}\n{k}.2 NAV_Y a 1\n" for k in range(9))))
+    meaning = log.mapping_for()
+    log.table(meaning.columns).write_parquet(tmp_path / "dive.parquet")
+    (tmp_path / "dive.toml").write_text(mapping_text(meaning), encoding="utf-8")
+    direct = read_log(log.path)
+    again = read_log(tmp_path / "dive.parquet", read_mapping(tmp_path / "dive.toml"))
+    assert read_mapping(tmp_path / "dive.toml") == meaning
+    assert np.array_equal(direct.t, again.t)
+    for name, values in direct.channels.items():
+        assert np.array_equal(values, again.channels[name], equal_nan=True)
+
+
+def test_motors_become_the_commands_of_the_vehicle_in_their_order(tmp_path: Path) -> None:
+    motors = tuple((f"OUT.C{k}", Column(channel=f"motor{k}", unit="N")) for k in (1, 2))
+    outputs = Series("OUT", np.arange(3.0), {f"C{k}": np.full(3, k) for k in (1, 2)})
+    log = FieldLog(tmp_path, "made here", {"OUT": outputs}, actuators=motors)
+    driven = log.mapping_for(["port", "starboard"])
+    assert {n: c.channel for n, c in driven.columns.items()} == {"OUT.C1": "port", "OUT.C2": "starboard"}
+    assert driven.missing_commands == "hold"
+    assert not log.mapping_for(["port", "starboard", "bow"]).columns  # as many as it has, or none
+
+
+def test_stretches_are_runs_of_their_own(tmp_path: Path) -> None:
+    t = np.arange(20.0)
+    stretch = np.where(t < 8, 1.0, np.where(t < 12, np.nan, 2.0))
+    table = {"t": t, "part": stretch, "u": np.sin(t), "f1": np.cos(t), "f2": np.cos(t)}
+    pl.DataFrame(table, nan_to_null=True).write_parquet(tmp_path / "run.parquet")
+    mapping = LogMapping.model_validate({"time": {"stretch": "part"}})
+    first, second = read_logs([tmp_path / "run.parquet"], load_vehicle("box-hull"), mapping, one_motion=True)
+    assert (list(first.t), list(second.t)) == (list(range(8)), list(range(12, 20)))
+    assert (first.name, second.name, first.origin, second.origin) == ("run-1", "run-2", "run", "run")
+    assert list(read_log(tmp_path / "run.parquet", mapping).t) == list(range(8))
+
+
+def test_what_cannot_be_read_names_what_can(tmp_path: Path) -> None:
+    picture = tmp_path / "dive.png"
+    picture.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)))
+    assert format_of(picture) is None
+    for read in (read_log, read_field_log):
+        with pytest.raises(UndertowError, match=r"undertow reads CSV .*Parquet.*MOOS \(\.alog\)"):
+            read(picture)
+
+
+def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
+    log = read_field_log(_alog(tmp_path, "0 NAV_X a 3\n1 NAV_X a 4\n"))
+    with pytest.raises(UndertowError, match=r"no 'NAV_Y.value' \(did you mean 'NAV_X.value'\?\).*--list"):
+        log.table(["NAV_Y.value"])
