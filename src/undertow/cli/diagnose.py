@@ -161,7 +161,9 @@ def _ranking(diagnosis: Diagnosis) -> Table:
         caption_justify="left",
     )
     table.add_column("effect", no_wrap=True)
-    for name in ("error", "explains", "chance"):
+    longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
+    lowered = [] if longest is None else [f"{longest} error"]
+    for name in (*lowered, "error", "explains", "chance"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("sure", no_wrap=True)
     table.add_column("parameters")
@@ -170,8 +172,15 @@ def _ranking(diagnosis: Diagnosis) -> Table:
         most = 4 if i == 0 else 1
         more = " ..." if len(r.parameters) > most else ""
         text = ", ".join(_value(p) for p in r.parameters[:most]) + more
+        change = [f"{-r.falls[longest]:+.0%}" if r.falls else ""] if longest else []
         table.add_row(
-            r.effect, f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), r.sure, escape(text)
+            r.effect,
+            *change,
+            f"{r.error_after:.3g}",
+            f"{r.explained:.0%}",
+            _chance(r.p_value),
+            r.sure,
+            escape(text),
         )
     rest = len(diagnosis.ranking) - len(helping)
     more = f"{rest} more effects were tried and do not help. " if rest else ""

@@ -198,9 +198,7 @@ class ResultBuilder:
     def _added(self) -> list[AddedEffect]:
         graded = [] if self._selection is None else self._selection.graded
         return [
-            AddedEffect(
-                effect=winner.id, falls={f"{h:g} s": f for h, f in g.worth.falls.items()}, doubt=g.doubt
-            )
+            AddedEffect(effect=winner.id, falls=g.worth.by_horizon, doubt=g.doubt)
             for winner, g in zip(self.found.winners, graded, strict=False)
         ]
 
@@ -291,9 +289,18 @@ class ResultBuilder:
         )
 
     def _in_order(self) -> list[FoundEffect]:
-        """The candidates as they look beside the model as it is, led by the one that was named in the end."""
-        leader = next(iter(unique_ids(self.judgement.effects)), None)
-        return sorted(self.found.rounds[0].findings, key=lambda f: f.id != leader)
+        """The candidates as they look beside the model as it is, led by the one that was chosen in the end.
+
+        Where simulation decided, those that it saw are in the order of what they do to long predictions.
+        """
+        leader = next(iter(unique_ids([*self.judgement.effects, *self.judgement.helps])), None)
+        worth = {} if self._selection is None else self._selection.worth
+        falls = {i: w.falls[max(w.falls)] for i, w in worth.items()}
+        unseen = -math.inf
+        return sorted(
+            self.found.rounds[0].findings,
+            key=lambda f: (f.id != leader, not f.significant, -falls.get(f.id, unseen)),
+        )
 
     def _ranked(self, finding: FoundEffect) -> Ranked:
         trial = finding.trial
@@ -314,16 +321,26 @@ class ResultBuilder:
             p_value=finding.p_value if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
             not_named=self._reason(finding.id),
+            falls=self._falls(finding.id),
         )
 
+    @cached_property
+    def _claimed(self) -> set[str]:
+        """Effects that the verdict names, alone or in a set."""
+        return {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
+
     def _reason(self, effect: str) -> str:
-        claimed = {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
-        return "" if self._selection is None or effect in claimed else self._selection.reasons.get(effect, "")
+        if self._selection is None or effect in self._claimed:
+            return ""
+        return self._selection.reasons.get(effect, "")
+
+    def _falls(self, effect: str) -> dict[str, float]:
+        seen = {} if self._selection is None else self._selection.worth
+        return seen[effect].by_horizon if effect in seen else {}
 
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
-        claimed = {*named, *(e for s in self.judgement.sets for e in s.effects)}
-        helpers = [h for h in reliefs(self.found.rounds[0].findings) if claimed.issuperset(h.effects)]
+        helpers = [h for h in reliefs(self.found.rounds[0].findings) if self._claimed.issuperset(h.effects)]
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}

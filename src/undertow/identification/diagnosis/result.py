@@ -94,7 +94,9 @@ class Ranked(ResultTable):
 
     Whether a candidate helps by more than chance is judged under a noise model with room for what the best
     model leaves; the errors are in units of the noise of the sensors alone. `sure` puts both together.
-    `not_named` says why a candidate beyond chance is not named.
+    `not_named` says why a candidate beyond chance is not named. `falls`, of candidates that were simulated,
+    is the fall of the error of prediction by horizon, as a share of it; where it is given, it decides the
+    order.
     """
 
     effect: str
@@ -110,6 +112,7 @@ class Ranked(ResultTable):
     p_value: float | None = None
     inclusion: float | None = None
     not_named: str = ""
+    falls: dict[str, float] = Field(default_factory=dict)
 
     @property
     def sure(self) -> str:

@@ -87,12 +87,13 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     worth = [s for s in screened if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]
     trials = _tried(worth, bench, report)
     chances = {c.id: p_value(_fall(bench.base_score, t.score), by_chance) for c, t in trials}
-    able = ((c, t) for c, t in trials if t.kept or not c.removable)
-    leading = sorted(able, key=lambda entry: entry[1].score.error)[: settings.finalists]
-    bench, finalists = _final(bench, [unpacked(t, c, bench) for c, t in leading], report)
-    tried = {t.id for t in finalists}
+    able = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.removable]
+    able.sort(key=lambda trial: trial.score.error)
+    bench, finalists = _final(bench, able[: settings.finalists], report)
+    behind = [replace(t, score=bench.judge(t.fit)) for t in able[settings.finalists :]]
+    tried = {t.id for t in able}
     others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
-    return _judged(bench, finalists, others, chances)
+    return _judged(bench, [*finalists, *behind], others, chances)
 
 
 def _fall(before: Score, after: Score) -> float:
@@ -197,12 +198,12 @@ def far_behind(
     return left > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
-def _judged(bench: Bench, finalists: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
-    linears = [linear(t.fit, bench) for t in finalists]
+def _judged(bench: Bench, tried: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
+    linears = [linear(t.fit, bench) for t in tried]
     often = [*inclusion(linears, bench.settings).tolist(), *[float("nan")] * len(others)]
     findings = [
         _finding(t, bench, chances.get(t.id, 1.0), share, len(often))
-        for t, share in zip([*finalists, *others], often, strict=True)
+        for t, share in zip([*tried, *others], often, strict=True)
     ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
     best = findings[0].trial.score

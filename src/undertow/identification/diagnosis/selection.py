@@ -48,6 +48,11 @@ class Worth:
     largest: dict[float, float]
     worse: tuple[float, ...]
 
+    @property
+    def by_horizon(self) -> dict[str, float]:
+        """The falls by horizon in words, as they are written to JSON."""
+        return {f"{h:g} s": fall for h, fall in self.falls.items()}
+
     @classmethod
     def of(
         cls, before: Mapping[float, Array], after: Mapping[float, Array], settings: Settings = DEFAULT
@@ -262,11 +267,13 @@ class Selection:
 
     rounds: the rounds.
     reasons: why candidates of the first round that are beyond chance were not chosen in it.
+    worth: what those of its candidates that were simulated do to the predictions.
     """
 
     graded: list[Graded]
     rounds: list[Round]
     reasons: dict[str, str]
+    worth: dict[str, Worth]
 
     def until(self, count: int) -> Selection:
         """The first so many effects."""
@@ -299,6 +306,7 @@ class _Selector:
         self._found, self._validator, self._known, self._report = found, validator, known, report
         self._settings = found.bench.settings
         self._reasons: dict[str, str] = {}
+        self._worth: dict[str, Worth] = {}
 
     def run(self) -> Selection:
         graded: list[Graded] = []
@@ -312,7 +320,7 @@ class _Selector:
             graded.append(best)
             if best.doubt:
                 break
-        return Selection(graded, rounds, self._reasons)
+        return Selection(graded, rounds, self._reasons, self._worth)
 
     def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
@@ -359,6 +367,7 @@ class _Selector:
         worthy = [f for f in leading if worth[f.id].enough(least)]
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
         if first:
+            self._worth |= worth
             reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
             beyond_chance = (f.id for f in current.findings if f.significant)
             self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in beyond_chance}

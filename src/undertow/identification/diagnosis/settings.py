@@ -148,7 +148,7 @@ class Settings:
         20.0, "predicted fall of the sum of squares from which a candidate is fitted", _TIME, off=_ALWAYS
     )
     full_fits: int = _number(10, "candidates of a round that are fitted", _TIME, off=_NO_LIMIT)
-    finalists: int = _number(6, "those judged under the best one's noise model", _TIME, off=_NO_LIMIT)
+    finalists: int = _number(6, "those fitted anew under the best one's noise model", _TIME, off=_NO_LIMIT)
     leader_rounds: int = _number(
         2, "times that another leader sets the noise model", "a disturbance that fed on a poor fit", off=1
     )
