@@ -27,6 +27,12 @@ def _one_line(message: str) -> str:
     return plain if len(plain) <= _LONGEST else f"{plain[:half]} ... {plain[-half:]}"
 
 
+def listed(parts: Iterable[str]) -> str:
+    """Return ``"a"``, ``"a and b"`` or ``"a, b and c"``; nothing where there is no part."""
+    *others, last = [*parts] or [""]
+    return f"{', '.join(others)} and {last}" if others else last
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``" (did you mean 'abc'?)"`` for the known name most like `name`, or an empty text."""
     names = list(known)

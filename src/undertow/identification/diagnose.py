@@ -564,7 +564,9 @@ def diagnose(
         builder = ResultBuilder(vehicle, found, validator, effects)
         if builder.judgement.verdict == "unexplained":
             report(0.92, "adding effects as long as predictions get better")
-            selection = select(found, validator, effects)
+            selection = select(
+                found, validator, effects, lambda done, words: report(0.92 + 0.07 * done, words)
+            )
             builder = _confirmed(vehicle, found, validator, effects, selection)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 
+from undertow.errors import listed
 from undertow.identification.doctor.sampling import was_filtered
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import Fitted
@@ -124,16 +125,11 @@ def in_words(left: float, found: Sequence[Predictability]) -> str:
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]
     head = (
-        f"the model leaves {100 * left:.0f} %; of that at most {_listed(shares)} can be predicted from the "
+        f"the model leaves {100 * left:.0f} %; of that at most {listed(shares)} can be predicted from the "
         "logged signals"
         if shares
         else f"the model leaves {100 * left:.0f} %, and the logged signals predict no more of it than chance"
     )
     return f"{head}; what is beyond that is " + (
-        f"disturbance: {_listed(rest)}" if rest else "the noise of the sensors"
+        f"disturbance: {listed(rest)}" if rest else "the noise of the sensors"
     )
-
-
-def _listed(parts: Sequence[str]) -> str:
-    *others, last = parts or [""]
-    return f"{', '.join(others)} and {last}" if others else last

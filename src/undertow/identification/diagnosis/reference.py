@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -101,13 +101,23 @@ def predictable(
     list of Predictability
         In the order of the vehicle's degrees of freedom.
     """
-    vehicle = fit.model.functions.vehicle
     with _one_thread():
-        logs = _logs(fit, train, test, settings)
-        signals = _Signals.common(logs, variables)
-        forces = [_Force(logs, signals, i, settings) for i in range(len(vehicle.dof_indices))]
-        change = _other_values(fit, [f.learned for f in forces])
-        return [f.result(change) for f in forces]
+        forces, change = _forces(fit, train, test, variables, settings)
+        return [force.result(change) for force in forces]
+
+
+def _forces(
+    fit: Fitted,
+    train: WeakData,
+    test: WeakData,
+    variables: Sequence[str] | None,
+    settings: ReferenceSettings,
+) -> tuple[list[_Force], Array]:
+    """The residual force of every degree of freedom, and the change of the parameters that suits all."""
+    logs = _logs(fit, train, test, settings)
+    signals = _Signals.common(logs, variables)
+    forces = [_Force(logs, signals, i, settings) for i in range(len(logs[0].vehicle.dof_indices))]
+    return forces, _other_values(fit, [force.learned for force in forces])
 
 
 def is_disturbance(found: Sequence[Predictability], settings: ReferenceSettings = SETTINGS) -> bool:
@@ -138,18 +148,13 @@ def captured(
         Variables of the effect.
     """
     with _one_thread():
-        logs = _logs(fit, train, test, settings)
-        signals = _Signals.common(logs, variables)
+        forces, change = _forces(fit, train, test, variables, settings)
         without = ForceRows(base, test)
-        dofs = range(len(fit.model.functions.vehicle.dof_indices))
-        forces = [_Force(logs, signals, i, settings) for i in dofs]
-        change = _other_values(fit, [f.learned for f in forces])
         shares, weights = [], []
         for force in forces:
-            left = force.result(change)
-            before = force.square_of(without)
-            gained = max(before - left.residual_rms**2, 0.0)
-            lost = left.interval[0] * left.residual_rms**2
+            before, after, share = force.square_of(without), force.judged.square, force.share(change)
+            gained = max(before - after, 0.0)
+            lost = share.interval[0] * after
             shares.append(gained / max(gained + lost, 1e-300))
             weights.append(gained / max(before, 1e-300))
     return float(np.average(shares, weights=weights)) if sum(weights) > 0.0 else 0.0
@@ -278,6 +283,14 @@ class _Table:
         return float(np.mean(self.force**2)) if len(self.force) else 0.0
 
 
+class _Share(NamedTuple):
+    """Share of the mean square of a force that can be predicted."""
+
+    share: float
+    interval: tuple[float, float]
+    left: float  # mean square that is left at best
+
+
 class _Force:
     """The residual force of one degree of freedom, and what predicts it."""
 
@@ -325,16 +338,27 @@ class _Force:
         """The residual force on the training data."""
         return self._table(self._logs[0], self._rows[0])
 
-    def result(self, change: Array) -> Predictability:
-        """What can be predicted, on the validation data, beyond a change (n_free,) of the parameters."""
-        judged = self._table(self._logs[1], self._rows[1])
-        predict = Learner(self._settings, self._signals.choices, self._width).learned(self.learned)
+    @cached_property
+    def judged(self) -> _Table:
+        """The residual force on the validation data."""
+        return self._table(self._logs[1], self._rows[1])
+
+    @cached_property
+    def _predict(self) -> Callable[[Array], Array]:
+        learner = Learner(self._settings, self._signals.choices, self._width)
+        return learner.learned(self.learned)
+
+    def share(self, change: Array) -> _Share:
+        """Share that can be predicted beyond a change (n_free,) of the parameters."""
+        judged = self.judged
         other_values = judged.force - judged.own @ change
         before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
+        return self._share(before, judged.force - self._predict(judged.signals))
+
+    def result(self, change: Array) -> Predictability:
+        """What can be predicted, on the validation data, beyond a change (n_free,) of the parameters."""
+        judged, (share, interval, left) = self.judged, self.share(change)
         square = max(judged.square, 1e-300)
-        after = judged.force - predict(judged.signals)
-        share, interval = self._share(judged, before, after)
-        unexplained = min(float(np.mean(before**2)), float(np.mean(after**2))) - judged.noise
         vehicle = self._logs[0].vehicle
         something = interval[0] > 0.0 and share > self._settings.least_share
         return Predictability(
@@ -346,14 +370,14 @@ class _Force:
             interval=interval,
             something=something,
             noise_share=min(judged.noise / square, 1.0),
-            disturbance_rms=float(np.sqrt(max(unexplained, 0.0))),
+            disturbance_rms=float(np.sqrt(max(left - judged.noise, 0.0))),
             of_motion=square / max(float(np.mean(judged.inertia**2)), 1e-300),
-            variables=self._needed(predict, judged) if something else {},
+            variables=self._needed() if something else {},
         )
 
-    def _share(self, judged: _Table, before: Array, after: Array) -> tuple[float, tuple[float, float]]:
-        """Share of the mean square that is predicted, and its interval from independent blocks."""
-        log = self._logs[1]
+    def _share(self, before: Array, after: Array) -> _Share:
+        """Share of the mean square that is predicted, with its interval from independent blocks."""
+        judged, log = self.judged, self._logs[1]
         block = log.clock.blocks(forgetful(judged.force, log.rows.data))[judged.row]
         number = np.unique(block, return_inverse=True)[1]
         whole, fall = (np.bincount(number, a) for a in (judged.force**2, before**2 - after**2))
@@ -362,10 +386,12 @@ class _Force:
         error = float(np.sqrt(len(whole) / others * np.sum((fall - share * whole) ** 2))) / total
         reach = float(student.ppf(0.5 + self._settings.level / 2, others)) * error
         low, middle, high = np.clip([share - reach, share, share + reach], 0.0, 1.0).tolist()
-        return middle, (low, high)
+        left = min(float(np.mean(before**2)), float(np.mean(after**2)))
+        return _Share(middle, (low, high), left)
 
-    def _needed(self, predict: Callable[[Array], Array], judged: _Table) -> dict[str, float]:
+    def _needed(self) -> dict[str, float]:
         """Share of the mean square that is lost where a signal is taken from another instant."""
+        judged, predict = self.judged, self._predict
         other = np.random.default_rng(0).permutation(len(judged.force))
         without = np.mean((judged.force - predict(judged.signals)) ** 2)
         used = [{variable_of(f) for f in c} for c in self._signals.columns]

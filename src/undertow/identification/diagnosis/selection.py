@@ -108,12 +108,18 @@ def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Set
     return np.bincount(np.argmin(total, axis=1), minlength=len(candidates)) / settings.resamples
 
 
+def _error_ahead(squares: Mapping[float, Array]) -> float:
+    """Error of predictions over all horizons and velocities, on a logarithmic scale."""
+    means = [np.mean(each, axis=0) for each in squares.values()]
+    return float(np.mean(np.log(np.maximum(means, 1e-12))))
+
+
 # --- whether it says the same everywhere ----------------------------------------------------------
 @dataclass(frozen=True)
 class Agreement:
     """Size of an effect in parts of the logs, in units of the fitted one.
 
-    over: what the parts are: runs, times within a run, speeds.
+    over: what the parts are: runs, times within a run, levels of a signal.
     value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
     """
 
@@ -146,7 +152,7 @@ class Agreement:
 
 
 def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
-    """Size of an effect by run, by time within the runs, and by speed, over all logs."""
+    """Size of an effect by run, by time within the runs, and by the level of every signal, over all logs."""
     pairs = [(bench.base.at.r, bench.train), (bench.base_score.r, bench.test)]
     fit = finding.trial.fit
     after = [bench.on_train(fit).r, finding.trial.score.r]
@@ -303,7 +309,8 @@ class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
     ) -> None:
-        self._found, self._validator, self._known, self._report = found, validator, known, report
+        self._found, self._validator, self._known, self._said = found, validator, known, report
+        self._share = 0.0
         self._settings = found.bench.settings
         self._reasons: dict[str, str] = {}
         self._worth: dict[str, Worth] = {}
@@ -312,6 +319,7 @@ class _Selector:
         graded: list[Graded] = []
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
+            self._share = len(graded) / self._settings.most_effects
             current, best = self._step([g.chosen for g in graded], rounds)
             rounds.append(current)
             if best is None:
@@ -321,6 +329,9 @@ class _Selector:
             if best.doubt:
                 break
         return Selection(graded, rounds, self._reasons, self._worth)
+
+    def _report(self, done: float, words: str) -> None:
+        self._said(self._share + done / self._settings.most_effects, words)
 
     def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
@@ -379,14 +390,19 @@ class _Selector:
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
 
     def _screened(self, current: Round) -> list[FoundEffect]:
-        """The candidates beyond chance that lead in most resamples as the weak form fits them."""
+        """The candidates beyond chance that lead as the weak form fits them, by simulation and by residual.
+
+        Where a record was filtered, what leads by the residual may do nothing for predictions; where the weak
+        form fits poorly, the other way round: of both orders the first are taken in turns.
+        """
         found = [f for f in current.findings if f.significant]
         most = self._settings.simulated
         if len(found) <= most:
             return found
-        squares = [self._validator.squares_ahead(f.trial.fit) for f in found]
-        often = best_in_resamples(squares, self._settings) + [f.inclusion for f in found]
-        return [found[k] for k in np.argsort(-np.nan_to_num(often), kind="stable")[:most]]
+        squares = list(mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit), len(found)))
+        by_simulation = np.argsort(np.argsort([_error_ahead(s) for s in squares], kind="stable"))
+        turn = np.minimum(2 * by_simulation, 2 * np.arange(len(found)) + 1)  # they come in order of residual
+        return [found[k] for k in np.argsort(turn, kind="stable")[:most]]
 
     def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
         """How models predict once each is fitted as the result will be, on all cores."""

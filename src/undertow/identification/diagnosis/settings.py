@@ -243,7 +243,7 @@ class Settings:
         0.1, "fall of the error of long predictions from which an effect is worth adding", "option --worth",
         off=0.0,
     )  # fmt: skip
-    simulated: int = _number(4, "candidates of a round that are fitted by output error", _TIME, off=_NO_LIMIT)
+    simulated: int = _number(6, "candidates of a round that are fitted by output error", _TIME, off=_NO_LIMIT)
     most_effects: int = _number(6, "effects that are added where each is worth it", _TIME, off=1)
     best_share: float = _number(
         0.9, "share of the resamples in which the named effect, or one of a set, is the best", _LEVEL, off=0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -159,6 +159,12 @@ def relative_squares(prediction: Prediction) -> Array:
     return np.where(np.isfinite(square) & ~lost[:, None], np.minimum(square, _BEYOND), _BEYOND)
 
 
+def _as_the_rest(fit: Fitted, squares: Array, windows: Windows) -> Array:
+    """Squares by window, (b,) or (b, n), where those that a fit has learned values from count no less."""
+    first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
+    return squares * factor_of_the_rest(squares, first, windows.run)
+
+
 class SimulationValidator:
     """Judges models by simulating the validation runs in windows whose starts are estimated.
 
@@ -214,9 +220,7 @@ class SimulationValidator:
 
     def _squares(self, fit: Fitted, horizon: float | None = None) -> Array:
         shooting, starts = self._shot(fit, horizon or self.settings.short_windows)
-        squares, windows = shooting.mean_squares(np.asarray(fit.p), starts), shooting.windows
-        first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
-        return squares * factor_of_the_rest(squares, first, windows.run)
+        return _as_the_rest(fit, shooting.mean_squares(np.asarray(fit.p), starts), shooting.windows)
 
     def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         """A model in the windows of a length, and the best start of each."""
@@ -244,19 +248,18 @@ class SimulationValidator:
 
     def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
-        return {
-            "free run" if h is None else f"{h:g} s": self._error(model, windows)
-            for h, windows in self._ahead.items()
-        }
+        errors = self._errors(model, self._ahead.values())
+        names = ("free run" if h is None else f"{h:g} s" for h in self._ahead)
+        return dict(zip(names, errors, strict=True))
 
     def prediction(self, model: Fitted | Vehicle) -> float:
         """The same over the short windows that decide."""
-        return self._error(model, self.windows)
+        return self._errors(model, [self.windows])[0]
 
-    def _error(self, model: Fitted | Vehicle, windows: Windows) -> float:
+    def _errors(self, model: Fitted | Vehicle, windows: Iterable[Windows]) -> list[float]:
         vehicles = self._vehicles(model)
         predictor = Predictor(vehicles[0], compiled=False)
-        return float(prediction_error(predict_each(vehicles, windows, predictor)))
+        return [float(prediction_error(predict_each(vehicles, w, predictor))) for w in windows]
 
     def _vehicles(self, model: Fitted | Vehicle) -> list[Vehicle]:
         """The model as it is in each validation run."""
@@ -277,8 +280,7 @@ class SimulationValidator:
         for h, windows in self._ahead.items():
             if h is not None:
                 squares = relative_squares(predict_each(vehicles, windows, predictor))
-                first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
-                found[h] = squares * factor_of_the_rest(squares, first, windows.run)
+                found[h] = _as_the_rest(fit, squares, windows)
         return found
 
     def contender(self, effect_set: EffectSet) -> Contender:

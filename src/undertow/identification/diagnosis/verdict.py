@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.identification.estimation.between_runs import BetweenRuns
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.fitted import Fitted
@@ -360,10 +360,9 @@ def _equivalents_reason(moved: dict[str, float]) -> str:
 
 
 def _separating(moved: list[str]) -> str:
-    names = " and ".join([", ".join(moved[:-1]), moved[-1]] if len(moved) > 1 else moved)
     return (
-        "No manoeuvre tells them apart: what does is to know "
-        f"{names} from elsewhere (a weighing, a tank test, CFD) better than the standard deviations stated"
+        f"No manoeuvre tells them apart: what does is to know {listed(moved)} from elsewhere (a weighing, a "
+        "tank test, CFD) better than the standard deviations stated"
     )
 
 

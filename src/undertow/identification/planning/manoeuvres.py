@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from undertow.codegen.functions import Functions
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import channel_noise
 from undertow.identification.logs.run import UNITS, Run
@@ -268,7 +268,7 @@ def families(bases: Sequence[tuple[list[Axis], Array]]) -> list[Family]:
 
 
 def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
-    names = _listed([a.name for a in axes])
+    names = listed([a.name for a in axes])
     for shape in SHAPES:
         shapes = (shape,) * len(axes)
         if len(axes) == 1:
@@ -290,10 +290,6 @@ def _turning(axes: list[Axis], reach: Array) -> Iterator[Family]:
     yield Family("circles (steady surge, yaw one way and the other)", pair, (STEADY, STEADY), both)
     yield Family("circles with steps of surge", pair, (STEPS, STEADY), both)
     yield Family("zigzag (steady surge, yaw to and fro)", pair, (STEADY, REVERSAL), both)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 @dataclass(frozen=True)

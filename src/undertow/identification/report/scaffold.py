@@ -17,7 +17,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from pydantic import ValidationError
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.files import read_json
 from undertow.identification.diagnosis.associations import (
     WAVE,
@@ -102,9 +102,10 @@ def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
         )
     described = [left for left in diagnosis.remaining if _is_described(left)]
     logs = ", ".join(r.name for r in diagnosis.runs)
-    added = f" with {_listed(diagnosis.effects)} added" if diagnosis.effects else ""
+    added = f" with {listed(diagnosis.effects)} added" if diagnosis.effects else ""
+    labels = dict.fromkeys(label for left in described for label in _labels(left))
     return Suggestion(
-        about=f"Force that goes with {_listed([t for left in described for t in _labels(left)])}.",
+        about=f"Force that goes with {listed(labels)}.",
         origin=(
             f"Suggested by 'undertow effects new' from {source}: vehicle {diagnosis.vehicle}{added}, "
             f"logs {logs}, undertow {diagnosis.undertow}. On the validation data:",
@@ -125,11 +126,6 @@ def _labels(left: Remaining) -> Iterator[str]:
     yield from (found.term for found in left.depends_on)
     if left.spectrum is not None and left.spectrum.in_step:
         yield f"a period of {left.spectrum.period:.3g} s"
-
-
-def _listed(labels: list[str]) -> str:
-    unique = list(dict.fromkeys(labels))
-    return " and ".join(filter(None, [", ".join(unique[:-1]), unique[-1]]))
 
 
 # --- terms ------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from math import floor, inf, isfinite, log10
 from pathlib import PurePath
 
+from undertow.errors import listed
 from undertow.identification.diagnosis.result import Diagnosis, Step
 
 
@@ -78,12 +79,12 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
         _said("raises", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*pair)]),
         _said("leaves", [_still(h, a) for h, (b, a) in pairs.items() if not (rises(b, a) or rises(a, b))]),
     ]
-    return _joined([part for part in parts if part])
+    return listed([part for part in parts if part])
 
 
 def errors(ahead: Mapping[str, float]) -> str:
     """Errors by horizon: "a 5-s error of 1.6 % and a 20-s error of 3.3 %"."""
-    return _joined([f"a {_error(h)} of {shown(ahead.get(h))} %" for h in _horizons([ahead])])
+    return listed([f"a {_error(h)} of {shown(ahead.get(h))} %" for h in _horizons([ahead])])
 
 
 def _horizons(found: Iterable[Mapping[str, float]]) -> list[str]:
@@ -105,11 +106,7 @@ def _still(horizon: str, share: float | None) -> str:
 
 
 def _said(verb: str, parts: Sequence[str]) -> str:
-    return f"{verb} {_joined([f'the {part}' for part in parts])}" if parts else ""
-
-
-def _joined(parts: Sequence[str]) -> str:
-    return " and ".join([", ".join(parts[:-1]), parts[-1]]) if len(parts) > 1 else "".join(parts)
+    return f"{verb} {listed([f'the {part}' for part in parts])}" if parts else ""
 
 
 # --- a diagnosis ------------------------------------------------------------------------------------
@@ -126,7 +123,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     errors_now = errors(diagnosis.last_step.ahead)
     left = f"the refitted model has {errors_now} {judged}" if errors_now else "the refitted model fails"
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
-    helping = _joined(diagnosis.helps)
+    helping = listed(diagnosis.helps)
     beside = f"; {helping} beside it helps to predict and is not established as a cause" if helping else ""
     said: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
@@ -181,10 +178,10 @@ def _taken(diagnosis: Diagnosis) -> list[str]:
 
 
 def _adding(diagnosis: Diagnosis) -> str:
-    names = _joined(_taken(diagnosis))
+    names = listed(_taken(diagnosis))
     if not diagnosis.freed:
         return f"Adding {names}"
-    return f"Fitting {_joined(diagnosis.freed)} as well" + (f" and adding {names}" if names else "")
+    return f"Fitting {listed(diagnosis.freed)} as well" + (f" and adding {names}" if names else "")
 
 
 def _change(diagnosis: Diagnosis) -> str:
@@ -217,4 +214,4 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
     if not _terms(diagnosis):
         return f"{place}, and goes with nothing that was logged: look for mistakes in the logs"
     described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
-    return f"{place}; an effect can be made of the force that is left in {_joined(described)}"
+    return f"{place}; an effect can be made of the force that is left in {listed(described)}"
