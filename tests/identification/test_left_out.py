@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 import sympy as sm
 
@@ -101,3 +103,19 @@ def test_a_winch_is_found_on_its_side_of_the_motion() -> None:
     heights = [bench.fit(candidate.model(), start=start).values["z_winch"] for start in starts]
     assert max(heights) > 5.0, "one of them ends below"
     assert best_start(candidate, bench, starts)["z_winch"] == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_start_from_which_states_grow_without_bound_is_none() -> None:
+    """At a sample every two seconds, the steps of integration cannot follow a lag of a tenth of one."""
+    case = make_case("usv", ("thruster_lag",), 3, duration=400.0)
+    vehicle = vehicle_of(case)
+    slow = [
+        replace(r, t=r.t[::40], channels={n: c[::40] for n, c in r.channels.items()}) for r in runs_of(case)
+    ]
+    train = prepare(slow[:-1], vehicle)
+    bench = open_bench(vehicle, train, prepare(slow[-1:], vehicle, sigma=train.sigma))
+    candidate = Candidate(catalogue()["thruster_lag"], vehicle)
+    assert 0.1 in [p for start in candidate.starts(1.0, {}) for p in start.values()]
+    found = screen(candidate, bench)
+    assert found
+    assert all(np.isfinite([look.cost, *look.values.values()]).all() for look in found)

@@ -76,6 +76,7 @@ class Round:
         return best if best is not None and best.significant else None
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what grows without bound is refused by its cost
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     """Try every candidate on top of a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
@@ -141,6 +142,8 @@ def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, flo
     if candidate.adds_nothing:
         return None
     looks = screen(candidate, bench)
+    if not looks:
+        return None
     return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench, looks[0].on_test)
 
 

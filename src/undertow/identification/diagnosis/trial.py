@@ -493,22 +493,28 @@ def _by_chance(names: Sequence[str], runs: Sequence[str]) -> float:
     return float(chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))) if names else 0.0
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     """What a candidate promises from its best start, and from the next best one where there are several.
 
     A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
     Where the refit of the model as it is ran far away from the stated values, these are a start as well.
+    No start is one from which the states of a candidate grow without bound, as those of a lag do that is much
+    shorter than the time between samples.
     """
     starts = candidate.starts(bench.command_scale, bench.seen)
     if len(starts) > bench.settings.many_starts:
         starts = _promising(candidate, bench, starts)
     if bench.stated:
         starts = [*starts, *(bench.stated | start for start in starts)]
-    found = sorted((Screened(candidate, bench, start) for start in starts), key=lambda s: s.cost)
-    if len(found) == 1:
+    every = (Screened(candidate, bench, start) for start in starts)
+    found = sorted((s for s in every if np.isfinite(s.cost)), key=lambda s: s.cost)
+    if len(found) < 2:
         return found
     # What a step promises may not come true; what some steps have reached has.
-    return sorted((s.closer() for s in found[: bench.settings.best_starts]), key=lambda s: s.start.cost)
+    closer = [s.closer() for s in found[: bench.settings.best_starts]]
+    bounded = [s for s in closer if np.isfinite(s.cost)]
+    return sorted(bounded or found, key=lambda s: s.start.cost)
 
 
 def best_start(
