@@ -51,8 +51,8 @@ from .diagnosis.result import (
 from .diagnosis.search import Search, last_fit, search
 from .diagnosis.selection import Selection, Worth, select, selected
 from .diagnosis.settings import DEFAULT, Settings
-from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
-from .diagnosis.validation import SimulationValidator, sizes
+from .diagnosis.trial import Score, comparable_mean_squares, error_of, noise_ratio, scored
+from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     Judgement,
     Relief,
@@ -88,7 +88,7 @@ class ResultBuilder:
     ) -> None:
         self.vehicle, self.validator, self._known = vehicle, validator, known
         self._selection = selection
-        self.found = found = validated(found, validator)
+        self.found = found = validated(found, validator) if selection is None else _with_last_fit(found)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
         refined = [validator.final(f) for f in weak]
@@ -114,7 +114,6 @@ class ResultBuilder:
             confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
             nearly=residual_is_noise
             or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
-            change="" if residual_is_noise else self._change(),
         )
         return judge(self.found, scores, noise, left)
 
@@ -128,16 +127,6 @@ class ResultBuilder:
         if self._selection is not None:
             graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
             self._selection = replace(self._selection, graded=graded)
-
-    def _change(self) -> str:
-        """How the size of the one effect that was found changes in the course of the validation data."""
-        winners = self.found.winners
-        if len(unique_ids(winners)) != 1:
-            return ""
-        own = [p for w in winners for p in w.trial.candidate.parameters]
-        return sizes(self.fits[-1], own, self.bench.test, self._whitening, self.settings).change(
-            self.settings
-        )
 
     @property
     def after(self) -> Fitted:
@@ -379,12 +368,16 @@ def validated(found: Search, validator: SimulationValidator) -> Search:
             rivals: list[list[EffectSet]] = list(found.rivals)
             rivals[place] = others
             found = replace(found, effect_set=best, rivals=rivals)
-    return replace(found, effect_set=_last(found.effect_set, found.bench)) if found.winners else found
+    return _with_last_fit(found)
 
 
-def _last(effect_set: EffectSet, bench: Bench) -> EffectSet:
+def _with_last_fit(found: Search) -> Search:
+    """The search with its effects fitted once more."""
+    if not found.winners:
+        return found
+    effect_set, bench = found.effect_set, found.bench
     fit = last_fit(effect_set.fit, [f.trial.candidate for f in effect_set.findings], bench.settings)
-    return replace(effect_set, fit=fit, score=bench.judge(fit))
+    return replace(found, effect_set=replace(effect_set, fit=fit, score=bench.judge(fit)))
 
 
 def _without_surplus(found: Search, validator: SimulationValidator) -> Search:

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
-from undertow.model.effect import Measurement
+from undertow.model.effect import Flow, Measurement
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index, Progress
 
@@ -234,6 +234,40 @@ def _levels(values: Array, settings: Settings) -> Index:
     return np.digitize(values, edges).astype(np.intp)
 
 
+# --- whether these logs show what is special about it -----------------------------------------------
+def _undetermined(finding: FoundEffect, settings: Settings) -> str:
+    """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
+
+    A memory without a time of its own is a spring or a damper; what has run into a bound is not what it is
+    called.
+    """
+    fit, effect = finding.trial.fit, finding.trial.candidate.effect(())
+    for p in (p for p in effect.parameters if p.name in fit.model.free):
+        value, error = fit.values[p.name], fit.standard_errors[p.name]
+        if effect.states and p.unit == "s" and not value > settings.known_times * error:
+            return f"its time constant {p.name} = {value:.2g} ± {error:.1g} s is not known from these logs"
+        if np.isclose(value, p.bounds[1], rtol=1e-6):
+            return f"{p.name} = {value:.3g} lies on its bound"
+    return ""
+
+
+def _never_turned(finding: FoundEffect, bench: Bench) -> str:
+    """Why these logs do not tell a current from a force that goes with the vehicle; empty where they do."""
+    if not issubclass(finding.trial.candidate.effect, Flow):
+        return ""
+    runs = [r for data in (bench.train, bench.test) for r in data.runs]
+    turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))
+    if turned >= bench.settings.turning:
+        return ""
+    return f"the heading turns by {turned:.2g} rad only: a force that goes with the vehicle may do the same"
+
+
+def _turned(heading: Array) -> float:
+    """Range of directions, rad."""
+    direction = np.exp(1j * heading[np.isfinite(heading)])
+    return float(np.ptp(np.angle(direction / np.sum(direction))))
+
+
 # --- whether a function of its own variables would do much better ----------------------------------
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
     """Velocities, pose and commands that what an effect adds to the equations depends on.
@@ -432,6 +466,8 @@ class _Selector:
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
+        if words := _undetermined(finding, self._settings) or _never_turned(finding, bench):
+            return words
         parts = agreements(finding, bench)
         if not parts:
             return "no part of the logs by itself shows how large it is"

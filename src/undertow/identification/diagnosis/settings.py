@@ -227,16 +227,10 @@ class Settings:
         off=1.0,
         one_case="roll decay of results.md",
     )
-    size_stretches: int = _number(8, "stretches in which the size of an effect is compared", _DEVELOPMENT)
-    size_error: float = _number(0.1, "standard error up to which a stretch counts", _DEVELOPMENT)
-    size_count: int = _number(3, "stretches that have to count", _DEVELOPMENT)
     size_change: float = _number(
         0.25, "standard deviation of the size from which it changes", "an effect that begins in mid-run",
         off=_NEVER,
     )  # fmt: skip
-    size_share: float = _number(
-        0.5, "share of the excess that has to go with the change", "as for size_change", off=0.0
-    )
 
     # --- where more than noise is left --------------------------------------------------------
     worth: float = _number(
@@ -254,11 +248,25 @@ class Settings:
         "else such a function does twice as well",
         off=0.0,
     )
+    turning: float = _number(
+        0.5,
+        "range of the heading, rad, from which a force of the surroundings differs from one of the vehicle",
+        "its direction in the vehicle then changes by a quarter of its size",
+        off=0.0,
+    )
+    known_times: float = _number(
+        2.0,
+        "standard errors by which a time constant of an effect has to differ from zero",
+        _LEVEL,
+        off=0.0,
+    )
     part_error: float = _number(
         0.5, "standard error of the size of an effect up to which a part of the logs counts", "two to one"
     )
     size_parts: int = _number(
-        4, "parts of a run, and levels of speed, between which the size of an effect is compared", "quarters"
+        4,
+        "parts of a run, and levels of a signal, between which the size of an effect is compared",
+        "quarters",
     )
 
     # --- verdict and warnings -----------------------------------------------------------------

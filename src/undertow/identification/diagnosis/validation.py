@@ -20,8 +20,7 @@ from undertow.identification.estimation.adaptation import (
     in_runs,
     learned_from,
 )
-from undertow.identification.estimation.by_run import plain
-from undertow.identification.estimation.data import WeakData, Whitening, channel_noise
+from undertow.identification.estimation.data import WeakData, channel_noise
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import (
     OutputErrorFit,
@@ -30,7 +29,6 @@ from undertow.identification.estimation.output_error import (
     fit_output_error,
 )
 from undertow.identification.estimation.predictor import Predictor, predict_each
-from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
@@ -38,7 +36,6 @@ from undertow.identification.estimation.windows import Prediction, Windows, cut,
 from undertow.identification.logs.checks import check_fit
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
-from undertow.model.parameter import Parameter
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -468,56 +465,6 @@ def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT
     if len(gap) < settings.testable_windows:
         return len(gap) >= settings.unanimous_windows and bool(np.all(gap > 0.0))
     return bool(wilcoxon(gap, alternative="greater").pvalue < settings.worse_chance and np.mean(gap) > 0.0)
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Size of an effect by stretch of the validation data, in units of the fitted one.
-
-    value, error: (k,), size in every stretch, and its standard error by the noise of the sensors.
-    share: share of what exceeds the noise that goes away when the size is free in every stretch.
-    """
-
-    value: Array
-    error: Array
-    share: float
-
-    def change(self, settings: Settings = DEFAULT) -> str:
-        """How far the size changes, in words; empty where it is steady."""
-        known = self.value[self.error < settings.size_error]
-        if len(known) < settings.size_count or self.share < settings.size_share:
-            return ""
-        if np.std(known) < settings.size_change:
-            return ""
-        return f"its size would have to go from {known.min():.0%} to {known.max():.0%} of the fitted one"
-
-
-def sizes(
-    fit: Fitted,
-    own: Sequence[Parameter],
-    data: WeakData,
-    noise: list[Whitening],
-    settings: Settings = DEFAULT,
-) -> Sizes:
-    """Size of an effect in stretches of the validation data, all else being as fitted."""
-    p = np.asarray(fit.p)
-    at = whitened(fit.model.linearise(data, p), noise)
-    names = {q.name for q in own if q.linear}
-    chosen = [k for k, n in enumerate(fit.model.free) if plain(n) in names]
-    whole = at.J[:, chosen] @ p[[fit.model.places[k] for k in chosen]]
-    stretch = _stretches(data, settings.size_stretches)
-    power, slope = (np.bincount(stretch, weights=whole * other) for other in (whole, at.r))
-    felt = power > 0.0
-    power, slope = power[felt], slope[felt]
-    excess = float(at.r @ at.r) - len(at.r)
-    gained = float(np.sum(slope**2 / power)) - len(power)
-    return Sizes(1.0 - slope / power, 1.0 / np.sqrt(power), gained / excess if excess > 0.0 else 0.0)
-
-
-def _stretches(data: WeakData, count: int) -> NDArray[np.intp]:
-    """Stretch of every row: blocks of a run that follow each other, alike in number."""
-    block = data.block
-    return np.asarray(block * count // (int(block.max(initial=0)) + 1))
 
 
 def repeats(
