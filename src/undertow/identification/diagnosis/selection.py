@@ -84,7 +84,9 @@ class Worth:
             return f"makes predictions over {over} worse"
         longest = max(self.falls)
         if self.falls[longest] < 0.0:
-            return f"raises the error of predictions over {longest:g} s by {-self.falls[longest]:.0%}"
+            much = -self.falls[longest]
+            words = f"{much:.0%}" if much > 0.005 else "a little"
+            return f"raises the error of predictions over {longest:g} s by {words}"
         gained = max(self.largest[longest], 0.0)
         return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 

@@ -209,9 +209,12 @@ def _terms(diagnosis: Diagnosis) -> bool:
 def _where_to_look(diagnosis: Diagnosis) -> str:
     worst = max(diagnosis.remaining, key=lambda r: r.normalised_error, default=None)
     if worst is None:
-        return "look for mistakes in the logs"
+        return "let the doctor look at the logs"
     place = f"most of what is left is in {worst.degree_of_freedom}"
     if not _terms(diagnosis):
-        return f"{place}, and goes with nothing that was logged: look for mistakes in the logs"
+        return (
+            f"{place}, and goes with nothing that was logged: more runs may show with what, and the doctor "
+            "whether the logs are sound"
+        )
     described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
     return f"{place}; an effect can be made of the force that is left in {listed(described)}"
