@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.trust.cases import part
 from benchmarks.trust.measure import Record
-from benchmarks.trust.run import LIMIT, records, run
+from benchmarks.trust.run import add_run_options, records, run
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
@@ -26,6 +26,11 @@ from .page import errors, page
 
 PROGRAM = "python -m benchmarks.real"
 STORED = Path("benchmarks/results/real.jsonl")
+ZIGZAGS = """\
+zigzags of the tanker, which nobody may hand on: to make the folder, clone the repository that
+DATA/kvlcc2-hsva/README.md names, run `python DATA/kvlcc2-hsva/convert.py CLONE FOLDER`, copy vehicle.toml and
+log.toml from DATA/kvlcc2-hsva into it, and delete the runs that are kept for judging (named there); without
+it these cases are left out"""
 EXAMPLES = """\
 examples:
   # all cases on two cores; the same command goes on where it was cut off
@@ -60,10 +65,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     doing = commands.add_parser("run", help="diagnose the cases of the plan, one line of JSON for each")
     doing.add_argument("--out", type=Path, default=STORED, metavar="FILE.jsonl", help="default: %(default)s")
-    doing.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
-    doing.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
-    doing.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
+    add_run_options(doing)
     listing = commands.add_parser("list", help="the cases of the plan")
+    doing.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="whole diagnoses as JSON, one file for each"
+    )
     one = commands.add_parser("one", help="diagnose one case and print everything")
     one.add_argument("case", help="id of the case")
     for command in (doing, listing):
@@ -80,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add_data(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", type=Path, default=Path("../shared/data"), help="folder of the logs (default %(default)s)")
-    add("--kvlcc2", type=Path, metavar="FOLDER", help="zigzags of the tanker with vehicle.toml and log.toml")
+    add("--kvlcc2", type=Path, metavar="FOLDER", help=ZIGZAGS)
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +116,7 @@ def _planned(options: argparse.Namespace) -> list[Case]:
 
 def _run(options: argparse.Namespace) -> int:
     limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
-    work = worker(_sets(options), options.data)
+    work = worker(_sets(options), options.data, options.keep)
     return int(run(_planned(options), options.out, work, report=_report, **limits) > 0)
 
 
