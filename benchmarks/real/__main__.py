@@ -11,6 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.trust.cases import part
@@ -23,6 +24,7 @@ from .cases import KINDS, Case, plan
 from .logs import LogSet, log_sets
 from .measure import worker
 from .page import errors, page
+from .unsaid import unsaid_page
 
 PROGRAM = "python -m benchmarks.real"
 STORED = Path("benchmarks/results/real.jsonl")
@@ -47,7 +49,7 @@ examples:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; 0 when all went well, 1 when a case failed to run, 2 for a bad request."""
     options = _parser().parse_args(arguments)
-    commands = {"run": _run, "list": _list, "one": _one, "page": _page}
+    commands = {"run": _run, "list": _list, "one": _one, "page": _page, "unsaid": _unsaid}
     try:
         return commands[options.command](options)
     except (ValueError, OSError, UndertowError) as error:
@@ -77,8 +79,10 @@ def _parser() -> argparse.ArgumentParser:
     for command in (doing, listing, one):
         _add_data(command)
     paging = commands.add_parser("page", help="the tables of a run")
-    paging.add_argument("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
-    paging.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+    telling = commands.add_parser("unsaid", help="what could not be said of the logs as they are, and why")
+    for command in (paging, telling):
+        command.add_argument("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
+        command.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
     paging.add_argument("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
     return parser
 
@@ -145,16 +149,26 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _page(options: argparse.Namespace) -> int:
-    earlier = [options.before] if options.before else []
-    missing = [p for p in [*options.source, *earlier] if not p.is_file()]
-    if missing:
+    earlier = _stored([options.before] if options.before else [])
+    return _write(page(_stored(options.source), earlier, plan(log_sets(Path()))), options.out)
+
+
+def _unsaid(options: argparse.Namespace) -> int:
+    return _write(unsaid_page(_stored(options.source)), options.out)
+
+
+def _stored(files: Sequence[Path]) -> list[Record]:
+    """Records of several files, of each case the last."""
+    if missing := [p for p in files if not p.is_file()]:
         raise ValueError(f"{missing[0]} is not there: give the file that run wrote")
-    stored = {r["id"]: r for p in options.source for r in records(p)}
-    text = page(stored.values(), [r for p in earlier for r in records(p)])
-    if options.out is None:
+    return list({r["id"]: r for p in files for r in records(p)}.values())
+
+
+def _write(text: str, out: Path | None) -> int:
+    if out is None:
         print(text)
     else:
-        write_whole(options.out, text)
+        write_whole(out, text)
     return 0
 
 
