@@ -81,9 +81,10 @@ def _parser() -> argparse.ArgumentParser:
     paging = commands.add_parser("page", help="the tables of a run")
     telling = commands.add_parser("unsaid", help="what could not be said of the logs as they are, and why")
     for command in (paging, telling):
-        command.add_argument("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
-        command.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
-    paging.add_argument("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
+        add = command.add_argument
+        add("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
+        add("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+        add("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
     return parser
 
 
@@ -149,12 +150,15 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _page(options: argparse.Namespace) -> int:
-    earlier = _stored([options.before] if options.before else [])
-    return _write(page(_stored(options.source), earlier, plan(log_sets(Path()))), options.out)
+    return _write(page(_stored(options.source), _before(options), plan(log_sets(Path()))), options.out)
 
 
 def _unsaid(options: argparse.Namespace) -> int:
-    return _write(unsaid_page(_stored(options.source)), options.out)
+    return _write(unsaid_page(_stored(options.source), _before(options)), options.out)
+
+
+def _before(options: argparse.Namespace) -> list[Record]:
+    return _stored([options.before] if options.before else [])
 
 
 def _stored(files: Sequence[Path]) -> list[Record]:

@@ -20,26 +20,29 @@ _FIRST = re.compile(r"(?<=\.) (?=[A-Z])")
 _NOTHING = "no effect of the catalogue is beyond chance on the validation data"
 
 
-def unsaid_page(records: Iterable[Record]) -> str:
-    """The whole page, Markdown."""
-    plain = {r["vehicle"]: r for r in records if r["kind"] == "baseline"}
+def unsaid_page(records: Iterable[Record], earlier: Iterable[Record] = ()) -> str:
+    """The whole page, Markdown; where a log has no new answer, an earlier one stands for it and says so."""
+    found, before = ({r["vehicle"]: r for r in rs if r["kind"] == "baseline"} for rs in (records, earlier))
     known = tomllib.loads(KNOWN.read_text(encoding="utf-8"))
-    commits = listed(sorted({str(r.get("commit", "unknown")) for r in plain.values()}))
-    parts = [_section(text, plain) for text in known.values()]
-    return "\n".join([INTRODUCTION, _tally(plain.values()), *parts, MAKING.format(commits=commits)])
+    commits = listed(sorted({str(r.get("commit", "unknown")) for r in found.values()}))
+    parts = [_section(text, found, before) for text in known.values()]
+    return "\n".join([INTRODUCTION, _tally(found, before), *parts, MAKING.format(commits=commits)])
 
 
-def _tally(records: Iterable[Record]) -> str:
-    ran = [r for r in records if "failure" not in r]
+def _tally(found: Mapping[str, Record], before: Mapping[str, Record]) -> str:
+    ran = [r for r in found.values() if "failure" not in r]
     verdicts = [r["answer"]["verdict"] for r in ran]
     counted = ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
-    return f"Answers to {len(ran)} sets of logs: {counted}.\n"
+    old = len(before.keys() - found.keys())
+    rest = f" {old} more were not run anew: their earlier answers stand here." if old else ""
+    return f"Answers to {len(ran)} sets of logs: {counted}.{rest}\n"
 
 
-def _section(text: Mapping[str, str], records: Mapping[str, Record]) -> str:
+def _section(text: Mapping[str, str], found: Mapping[str, Record], before: Mapping[str, Record]) -> str:
     """One vehicle: what is known of it, each of its sets of logs, and what would tell more."""
-    own = [r for logs, r in records.items() if logs.startswith(text["logs"])]
-    answers = "\n".join(_answer(r) for r in own) or "Not run.\n"
+    own = sorted(logs for logs in found.keys() | before.keys() if logs.startswith(text["logs"]))
+    told = [_answer(found[logs]) if logs in found else _earlier(before[logs]) for logs in own]
+    answers = "\n".join(told) or "Not run.\n"
     return (
         f"## {text['title']}\n\n{text['known'].strip()}\n\n{answers}\n"
         f"**What would tell.** {text['tells'].strip()}\n"
@@ -52,6 +55,13 @@ def _answer(record: Record) -> str:
         return f"{head}Not answered: {record['failure']}.\n"
     facts = [*_ahead(record), *_remains(record), *_unnamed(record), *_advice(record)]
     return f"{head}{first_sentence(record)}\n\n" + "".join(f"- {fact}\n" for fact in facts)
+
+
+def _earlier(record: Record) -> str:
+    """The answer of a version before this one, which kept no reasons."""
+    said = f"**{record['answer']['verdict']}**: {record['headline']}"
+    source = record.get("source", "an earlier run")
+    return f"### {record['vehicle']}: {record['title']}\n\nNot run anew. Earlier ({source}): {said}\n"
 
 
 def first_sentence(record: Record) -> str:
@@ -109,7 +119,8 @@ MAKING = """\
 ## How this page was made
 
     python -m benchmarks.real run --kind baseline --data ../shared/data --kvlcc2 FOLDER
-    python -m benchmarks.real unsaid --out docs/what-it-could-not-say.md
+    python -m benchmarks.real unsaid --out docs/what-it-could-not-say.md \\
+        --before benchmarks/results/real-before.jsonl
 
 Commits: {commits}. The logs are not part of the project; the [examples](examples/README.md) say where they
 are from.
