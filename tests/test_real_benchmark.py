@@ -193,6 +193,20 @@ def test_every_beginning_of_the_injections_has_all_kinds_logs_and_sizes_alike() 
     assert max(places.values()) - min(places.values()) <= 2
 
 
+def test_in_surge_alone_water_in_the_hull_is_the_inertia_of_added_mass() -> None:
+    box = without(load_vehicle("box-hull"), "added_mass")
+    added = (
+        with_effect(box, "added_mass", {"X_udot": -7.0}),
+        with_effect(box, "entrained_water", {"m_w": 7.0}),
+    )
+    one, other = (
+        v.residual.subs({s: v.value_of(str(s)).value for s in v.residual.free_symbols if str(s) in v.values})
+        for v in added
+    )
+    assert (one - other).expand().is_zero_matrix
+    assert all("entrained_water" in SETS[n].also["added_mass"] for n in ("box-step", "box-multistep"))
+
+
 # --- grades -------------------------------------------------------------------------------------
 def record(kind: str, said: Answer, before: float | None = 0.4, after: float | None = 0.2) -> dict[str, Any]:
     errors = {"stated": [0.5, 0.5], "refitted": [0.1, before], "found": [0.1, 0.2], "true": [0.1, after]}

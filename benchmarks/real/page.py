@@ -301,6 +301,6 @@ MAKING = """\
 
 `FOLDER` has the zigzags of the KVLCC2 tanker (HSVA, SIMMAN 2008; repository
 martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), whose licence is not stated: they are
-not part of this project, only the numbers are here. Cases that ran side by side had one core each, and the machine
-had other work: seconds are upper limits.
+not part of this project, only the numbers are here. Cases that ran side by side had one core each, and the
+machine had other work: seconds are upper limits.
 """
