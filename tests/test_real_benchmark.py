@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tomllib
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from benchmarks.real.logs import SETS, LogSet, log_sets
 from benchmarks.real.measure import cut_all, worker
 from benchmarks.real.page import page, why
 from benchmarks.real.tally import Graded, goals, graded, predictions
+from benchmarks.real.unsaid import KNOWN, unsaid_page
 from benchmarks.trust.verdicts import Answer
 from undertow.codegen.simulate import compile as compiled
 from undertow.identification.estimation.predictor import Predictor
@@ -180,6 +183,30 @@ def test_the_plan_has_enough_injections_and_every_id_reads_back() -> None:
         Case.read("cse1-joystick:currant:0.25", SETS)
 
 
+def test_every_beginning_of_the_injections_has_all_kinds_logs_and_sizes_alike() -> None:
+    cases = [c for c in plan(SETS) if c.kind == "injection"]
+    kinds, logs = {c.change for c in cases}, {c.logs for c in cases}
+    beginning = cases[: 2 * len(kinds)]
+    assert {c.change for c in beginning} == kinds
+    assert {c.logs for c in beginning} == logs
+    places = Counter(INJECTIONS[c.change].sizes.index(c.size) for c in beginning)
+    assert max(places.values()) - min(places.values()) <= 2
+
+
+def test_in_surge_alone_water_in_the_hull_is_the_inertia_of_added_mass() -> None:
+    box = without(load_vehicle("box-hull"), "added_mass")
+    added = (
+        with_effect(box, "added_mass", {"X_udot": -7.0}),
+        with_effect(box, "entrained_water", {"m_w": 7.0}),
+    )
+    one, other = (
+        v.residual.subs({s: v.value_of(str(s)).value for s in v.residual.free_symbols if str(s) in v.values})
+        for v in added
+    )
+    assert (one - other).expand().is_zero_matrix
+    assert all("entrained_water" in SETS[n].also["added_mass"] for n in ("box-step", "box-multistep"))
+
+
 # --- grades -------------------------------------------------------------------------------------
 def record(kind: str, said: Answer, before: float | None = 0.4, after: float | None = 0.2) -> dict[str, Any]:
     errors = {"stated": [0.5, 0.5], "refitted": [0.1, before], "found": [0.1, 0.2], "true": [0.1, after]}
@@ -261,6 +288,44 @@ def test_goals_and_page_count_what_was_stored(tmp_path: Path) -> None:
     assert "took more than 9 s" in text
     assert "gradient boosting leaves 5 %" in text
     assert page(records).count("It is so.") == 1
+
+
+def test_the_page_says_how_much_of_the_plan_was_run() -> None:
+    done = [{"id": c.id, "kind": c.kind, "vehicle": c.logs} for c in plan(SETS) if c.kind == "prediction"]
+    lost = done[0] | {"failure": "took more than 9 s"}
+    planned = [c for c in plan(SETS) if c.kind == "prediction"]
+    assert "Not all of the plan" not in page(done, planned=planned)
+    text = page([lost, *done[1:]], planned=plan(SETS))
+    assert f"{len(done) - 1} of {len(done)} (prediction)" in text
+    assert f"0 of {len(SETS)} (baseline)" in text
+
+
+def test_what_could_not_be_said_has_the_reason_and_what_would_tell() -> None:
+    said = record("baseline", Answer("helps_prediction", [], [], ["slosh"])) | {
+        "vehicle": "box-step",
+        "headline": "Adding slosh lowers the 1.9-s error from 5.3 to 2 %. Take it to predict.",
+        "helps": ["slosh"],
+        "not_named": {"drag_asymmetry": "raises the error", "slosh": "its size would have to change"},
+        "remaining": ["surge: 0.74 N rms is left"],
+        "predictable": "the model leaves 14 %",
+        "tell": ["Random steps of surge"],
+    }
+    lost = {"id": "x", "kind": "baseline", "vehicle": "sf30k-4", "failure": "took more than 9 s"}
+    text = unsaid_page([said, lost])
+    assert "1 sets of logs: 1 helps_prediction." in text
+    assert "**helps_prediction**: Adding slosh lowers the 1.9-s error from 5.3 to 2 %.\n" in text
+    assert "Take it to predict" not in text
+    assert text.index("`slosh`: its size would have to change.") < text.index("`drag_asymmetry`: raises")
+    assert "What remains: surge: 0.74 N rms is left." in text
+    assert "Not answered: took more than 9 s." in text
+    assert "Random steps of surge." in text
+    old = record("baseline", Answer("unexplained")) | {"vehicle": "tanker", "source": "a page at abc"}
+    text = unsaid_page([said, lost], [old, old | {"vehicle": "box-step"}])
+    assert "1 more were not run anew" in text
+    assert "Not run anew. Earlier (a page at abc): **unexplained**: It is so." in text
+    beginnings = [known["logs"] for known in tomllib.loads(KNOWN.read_text()).values()]
+    owned = [logs for logs in log_sets(Path()) for start in beginnings if logs.startswith(start)]
+    assert sorted(owned) == sorted(log_sets(Path()))
 
 
 def test_bad_requests_end_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

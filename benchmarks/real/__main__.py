@@ -11,11 +11,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.trust.cases import part
 from benchmarks.trust.measure import Record
-from benchmarks.trust.run import LIMIT, records, run
+from benchmarks.trust.run import add_run_options, records, run
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
@@ -23,9 +24,15 @@ from .cases import KINDS, Case, plan
 from .logs import LogSet, log_sets
 from .measure import worker
 from .page import errors, page
+from .unsaid import unsaid_page
 
 PROGRAM = "python -m benchmarks.real"
 STORED = Path("benchmarks/results/real.jsonl")
+ZIGZAGS = """\
+zigzags of the tanker, which nobody may hand on: to make the folder, clone the repository that
+DATA/kvlcc2-hsva/README.md names, run `python DATA/kvlcc2-hsva/convert.py CLONE FOLDER`, copy vehicle.toml and
+log.toml from DATA/kvlcc2-hsva into it, and delete the runs that are kept for judging (named there); without
+it these cases are left out"""
 EXAMPLES = """\
 examples:
   # all cases on two cores; the same command goes on where it was cut off
@@ -42,7 +49,7 @@ examples:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; 0 when all went well, 1 when a case failed to run, 2 for a bad request."""
     options = _parser().parse_args(arguments)
-    commands = {"run": _run, "list": _list, "one": _one, "page": _page}
+    commands = {"run": _run, "list": _list, "one": _one, "page": _page, "unsaid": _unsaid}
     try:
         return commands[options.command](options)
     except (ValueError, OSError, UndertowError) as error:
@@ -60,10 +67,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     doing = commands.add_parser("run", help="diagnose the cases of the plan, one line of JSON for each")
     doing.add_argument("--out", type=Path, default=STORED, metavar="FILE.jsonl", help="default: %(default)s")
-    doing.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
-    doing.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
-    doing.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
+    add_run_options(doing)
     listing = commands.add_parser("list", help="the cases of the plan")
+    doing.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="whole diagnoses as JSON, one file for each"
+    )
     one = commands.add_parser("one", help="diagnose one case and print everything")
     one.add_argument("case", help="id of the case")
     for command in (doing, listing):
@@ -71,16 +79,19 @@ def _parser() -> argparse.ArgumentParser:
     for command in (doing, listing, one):
         _add_data(command)
     paging = commands.add_parser("page", help="the tables of a run")
-    paging.add_argument("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
-    paging.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
-    paging.add_argument("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
+    telling = commands.add_parser("unsaid", help="what could not be said of the logs as they are, and why")
+    for command in (paging, telling):
+        add = command.add_argument
+        add("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
+        add("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
+        add("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
     return parser
 
 
 def _add_data(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", type=Path, default=Path("../shared/data"), help="folder of the logs (default %(default)s)")
-    add("--kvlcc2", type=Path, metavar="FOLDER", help="zigzags of the tanker with vehicle.toml and log.toml")
+    add("--kvlcc2", type=Path, metavar="FOLDER", help=ZIGZAGS)
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +121,7 @@ def _planned(options: argparse.Namespace) -> list[Case]:
 
 def _run(options: argparse.Namespace) -> int:
     limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
-    work = worker(_sets(options), options.data)
+    work = worker(_sets(options), options.data, options.keep)
     return int(run(_planned(options), options.out, work, report=_report, **limits) > 0)
 
 
@@ -139,16 +150,29 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _page(options: argparse.Namespace) -> int:
-    earlier = [options.before] if options.before else []
-    missing = [p for p in [*options.source, *earlier] if not p.is_file()]
-    if missing:
+    return _write(page(_stored(options.source), _before(options), plan(log_sets(Path()))), options.out)
+
+
+def _unsaid(options: argparse.Namespace) -> int:
+    return _write(unsaid_page(_stored(options.source), _before(options)), options.out)
+
+
+def _before(options: argparse.Namespace) -> list[Record]:
+    return _stored([options.before] if options.before else [])
+
+
+def _stored(files: Sequence[Path]) -> list[Record]:
+    """Records of several files, of each case the last."""
+    if missing := [p for p in files if not p.is_file()]:
         raise ValueError(f"{missing[0]} is not there: give the file that run wrote")
-    stored = {r["id"]: r for p in options.source for r in records(p)}
-    text = page(stored.values(), [r for p in earlier for r in records(p)])
-    if options.out is None:
+    return list({r["id"]: r for p in files for r in records(p)}.values())
+
+
+def _write(text: str, out: Path | None) -> int:
+    if out is None:
         print(text)
     else:
-        write_whole(options.out, text)
+        write_whole(out, text)
     return 0
 
 

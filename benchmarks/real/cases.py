@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -69,7 +70,7 @@ def as_logged(logs: str) -> Case:
 
 
 def plan(sets: Mapping[str, LogSet], seed: int = BASE_SEED) -> list[Case]:
-    """Baselines and peers first, then all others, so mixed that every beginning is a fair sample."""
+    """Baselines, peers, removals, and injections so ordered that every beginning is a fair sample of them."""
     first = [as_logged(name) for name in sets] + [Case(name, _PEERS) for name in sets]
     removals = [Case(name, f"{_WITHOUT}-{effect}") for name, s in sets.items() for effect in s.removals]
     injections = [
@@ -78,7 +79,26 @@ def plan(sets: Mapping[str, LogSet], seed: int = BASE_SEED) -> list[Case]:
         for change in s.injections
         for size in INJECTIONS[change].sizes
     ]
-    return first + mixed([removals, injections], seeded_generator(seed, "real", 0))
+    others = mixed([removals, injections], seeded_generator(seed, "real", 0))
+    return first + [c for c in others if c.removed] + _balanced([c for c in others if not c.removed])
+
+
+def _balanced(injections: list[Case]) -> list[Case]:
+    """Injections one by one, next the one whose kind of change, logs and size came least often so far.
+
+    A kind counts twice, since there are twice as many of them as of logs.
+    """
+    left, came, found = list(injections), Counter[str](), list[Case]()
+    while left:
+        case = min(left, key=lambda c: (2 * came[c.change] + came[c.logs], came[_place(c)]))
+        left.remove(case)
+        came.update((case.change, case.logs, _place(case)))
+        found.append(case)
+    return found
+
+
+def _place(case: Case) -> str:
+    return str(INJECTIONS[case.change].sizes.index(case.size))
 
 
 def without(vehicle: Vehicle, effect: str) -> Vehicle:

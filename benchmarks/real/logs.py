@@ -38,7 +38,8 @@ class LogSet:
     scales: sizes of 1: speed (m/s), turning rate (rad/s), length (m), command (its unit), duration (s), time
         (s, of delays).
     injections, removals: names of what is injected, and ids of the effects that are taken out.
-    also: of a removal, what is right beside it, since the vehicle is known to have it and its file does not.
+    also: of a removal, what is right beside it, since the vehicle is known to have it and its file does not,
+        or since it is the very same equation for this vehicle.
     """
 
     what: Judged
@@ -69,6 +70,10 @@ _ROLL_TERMS = ("linear_damping", "restoring")
 _ROLL_ALSO = {"linear_damping": ("quadratic_damping",)}
 
 
+#: In surge alone water in the hull is the same inertia as added mass.
+_SURGE_ALSO = {"added_mass": ("entrained_water",)}
+
+
 def _ship(way: int, horizons: tuple[float, float, float] = (5.0, 30.0, 60.0)) -> LogSet:
     return LogSet(cse1.WAYS[way], cse1.FOLDER, horizons)
 
@@ -78,7 +83,7 @@ def _roll(way: Judged) -> LogSet:
 
 
 def _box(way: int) -> LogSet:
-    return LogSet(cfd.WAYS[way], cfd.FOLDER, (1.0, 5.0, 18.0))
+    return LogSet(cfd.WAYS[way], cfd.FOLDER, (1.0, 5.0, 18.0), also=_SURGE_ALSO)
 
 
 def _rov(way: int) -> LogSet:

@@ -11,9 +11,12 @@ from typing import Any
 
 from benchmarks.trust.measure import Record, answer_of
 from undertow.errors import UndertowError
+from undertow.files import write_whole
 from undertow.identification.api import diagnose, try_effect
 from undertow.identification.diagnose import DiagnosisResult
+from undertow.identification.diagnosis.floors import in_words
 from undertow.identification.diagnosis.parallel import jobs
+from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.diagnosis.validation import training_and_validation
 from undertow.identification.estimation.adaptation import adapted, end_of_first_part
 from undertow.identification.estimation.predictor import predict_each
@@ -67,13 +70,18 @@ def material(case: Case, logs: LogSet, data: Path) -> Material:
     return Material(changed, runs[: len(train)], runs[len(train) :], value, tuple(right), known)
 
 
-def worker(sets: Mapping[str, LogSet], data: Path) -> Any:
-    """What is done with a case of these log sets."""
+def worker(sets: Mapping[str, LogSet], data: Path, keep: Path | None = None) -> Any:
+    """What is done with a case of these log sets; whole diagnoses go to a folder, where one is given."""
 
     def work(case: Case) -> Record:
         logs = sets[case.logs]
-        done = predicted if case.kind == "prediction" else measured
-        return _described(case, logs) | done(material(case, logs, data), logs.horizons)
+        given, known = material(case, logs, data), _described(case, logs)
+        if case.kind == "prediction":
+            return known | predicted(given, logs.horizons)
+        record, outcome = measured(given, logs.horizons)
+        if keep is not None and outcome is not None:
+            write_whole(keep / f"{case.id.replace(':', '_')}.json", outcome.diagnosis.model_dump_json())
+        return known | record
 
     return work
 
@@ -83,8 +91,8 @@ def _described(case: Case, logs: LogSet) -> Record:
     return own | {"title": logs.what.title, "horizons": list(logs.horizons)}
 
 
-def measured(given: Material, horizons: Sequence[float]) -> Record:
-    """What the diagnosis says of a case, and the errors of the models about it."""
+def measured(given: Material, horizons: Sequence[float]) -> tuple[Record, DiagnosisResult | None]:
+    """What the diagnosis says of a case, and the errors of the models about it; and the whole of it."""
     began, worked = time.perf_counter(), time.process_time()
     facts: Record = {
         "motions": list(given.vehicle.degrees_of_freedom),
@@ -96,7 +104,8 @@ def measured(given: Material, horizons: Sequence[float]) -> Record:
     except UndertowError as error:
         # A refusal in one line is an answer, too: that nothing is to be made of such logs.
         said = {"verdict": REFUSED, "named": [], "sets": [], "ranking": []}
-        return facts | {"answer": said, "headline": str(error), "seconds": time.perf_counter() - began}
+        spent = {"seconds": time.perf_counter() - began}
+        return facts | {"answer": said, "headline": str(error)} | spent, None
     spent = {
         "seconds": time.perf_counter() - began, "cpu": time.process_time() - worked, "cores": jobs(),
     }  # fmt: skip
@@ -105,8 +114,30 @@ def measured(given: Material, horizons: Sequence[float]) -> Record:
     errors = {name: ahead(vehicle, outcome.test, windows) for name, vehicle in models.items()}
     if given.right:
         errors["true"], facts["not_added"] = with_truth(given, outcome, windows)
-    said = answer_of(outcome.diagnosis).as_dict()
-    return facts | {"answer": said, "headline": outcome.diagnosis.headline, "errors": errors} | spent
+    facts |= said_of(outcome.diagnosis, whole=not given.right)
+    return facts | {"errors": errors} | spent, outcome
+
+
+def said_of(found: Diagnosis, *, whole: bool) -> Record:
+    """Answer and reasons; where the whole is wanted, also what remains and what would tell more."""
+    said = {
+        "answer": answer_of(found).as_dict(),
+        "headline": found.headline,
+        "helps": found.helps,
+        "not_named": {r.effect: r.not_named for r in found.ranking if r.not_named}
+        | {a.effect: a.doubt for a in found.added if a.doubt},
+    }
+    return said if not whole else said | _remaining(found)
+
+
+def _remaining(found: Diagnosis) -> Record:
+    ahead = [share for name, share in found.last_step.ahead.items() if name != "free run"]
+    return {
+        "remaining": [left.summary or f"{left.degree_of_freedom}: {left.note}" for left in found.remaining],
+        "predictable": in_words(ahead[-1], found.predictable) if ahead and found.predictable else "",
+        "tell": [s.separated_by for s in found.indistinguishable if s.separated_by],
+        "warnings": found.warnings,
+    }
 
 
 def with_truth(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from statistics import median
 
 from benchmarks.results.text import MISSING, listed, number, percent, table
 from benchmarks.trust.measure import Record
 
+from .cases import Case
 from .injections import INJECTIONS
 from .peers import BLACK, GREY
 from .tally import (
@@ -28,13 +30,17 @@ _GOALS = ("", "measured (95 % interval)", "goal", "")
 _CASE = ("case", "size", "error before → with the truth", "place", "verdict", "named", "s")
 
 
-def page(records: Iterable[Record], earlier: Iterable[Record] = ()) -> str:
-    """The whole page, Markdown; answers for logs as they are stand beside those of an earlier run."""
+def page(records: Iterable[Record], earlier: Iterable[Record] = (), planned: Sequence[Case] = ()) -> str:
+    """The whole page, Markdown; answers for logs as they are stand beside those of an earlier run.
+
+    Of cases that are planned, and have no record, it says how many there are.
+    """
     kept = list(records)
     cases, ahead = graded(kept), predictions(kept, GREY, BLACK)
     parts = [
         INTRODUCTION,
         _counts(kept, cases),
+        _how_much(kept, planned),
         "## Goals\n",
         table(_GOALS, [g.row for g in [*goals(cases), prediction_goal(ahead)]]),
         "## Every log as it is\n",
@@ -69,6 +75,20 @@ def _counts(records: Sequence[Record], cases: Sequence[Graded]) -> str:
     return (
         f"{logs} sets of real logs; {kinds['removal']} cases with a term taken out, {kinds['injection']} "
         f"with an effect put in, of which {sum(c.counts for c in cases)} count. Commits: {commits}.\n"
+    )
+
+
+def _how_much(records: Sequence[Record], planned: Sequence[Case]) -> str:
+    """How much of the plan was run; empty where all was, or nothing was planned."""
+    ran = {r["id"] for r in records if "failure" not in r}
+    whole, done = Counter(c.kind for c in planned), Counter(c.kind for c in planned if c.id in ran)
+    if whole == done:
+        return ""
+    parts = ", ".join(f"{done[kind]} of {n} ({kind})" for kind, n in whole.items())
+    return (
+        f"**Not all of the plan was run**: {parts}. Injections are taken in an order of which every "
+        "beginning has all kinds of change, logs and sizes about equally often; the shares below are of what "
+        "was run.\n"
     )
 
 
@@ -281,5 +301,6 @@ MAKING = """\
 
 `FOLDER` has the zigzags of the KVLCC2 tanker (HSVA, SIMMAN 2008; repository
 martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), whose licence is not stated: they are
-not part of this project, only the numbers are here. Cases that ran side by side had one core each.
+not part of this project, only the numbers are here. Cases that ran side by side had one core each, and the
+machine had other work: seconds are upper limits.
 """

@@ -23,7 +23,7 @@ from .ablation import ablation_page, ablations, answered, sample
 from .cases import BASE_SEED, ROUNDS, Planned, part, plan
 from .measure import Record, measured
 from .report import goal_table, page
-from .run import LIMIT, records, run, worker
+from .run import add_run_options, records, run, worker
 
 PROGRAM = "python -m benchmarks.trust"
 EXAMPLES = """\
@@ -61,9 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     doing = commands.add_parser("run", help="diagnose the cases of the plan, one line of JSON for each")
     doing.add_argument("--out", type=Path, required=True, metavar="FILE.jsonl", help="appended to")
-    doing.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
-    doing.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
-    doing.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
+    add_run_options(doing)
     doing.add_argument(
         "--scheduler", metavar="ADDRESS", help="on Dask; 'local': on a cluster of --jobs processes"
     )
@@ -87,9 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     ablating.add_argument("--number", action="append", default=[], metavar="NAME", help="only these numbers")
     ablating.add_argument("--cases", type=int, metavar="N", help="only the first cases of the sample")
     ablating.add_argument("--vehicle", action="append", help="only its cases with these vehicles")
-    ablating.add_argument("--minutes", type=float, metavar="M", help="after so long no case is begun")
-    ablating.add_argument("--jobs", type=int, default=1, help="cases at a time (default 1)")
-    ablating.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
+    add_run_options(ablating)
     return parser
 
 

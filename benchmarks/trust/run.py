@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import multiprocessing
 import os
@@ -79,6 +80,14 @@ def run(
         failed += "failure" in record
         report(record, left)
     return failed
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """The options of every command that runs cases: how long, how many at a time, how long each."""
+    add = parser.add_argument
+    add("--minutes", type=float, metavar="M", help="after so long no case is begun")
+    add("--jobs", type=int, default=1, help="cases at a time (default 1)")
+    add("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
 
 
 def records(path: Path) -> list[Record]:
