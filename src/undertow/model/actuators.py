@@ -6,6 +6,8 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,7 +48,7 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
         unit = table.propeller.revolutions
         return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), _TURNS[unit]), unit
     if isinstance(table.curve, str):
-        return Curve.through(_points(place, folder / table.curve)), "command"
+        return Curve.through(_points(place, bundled_curves().get(table.curve, folder / table.curve))), "command"
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:
@@ -58,12 +60,22 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
 Point = tuple[float, float]
 
 
+@cache
+def bundled_curves() -> dict[str, Path]:
+    """Curves of thrusters that come with the program, by name; their command goes from -1 to 1."""
+    folder = Path(str(files("undertow") / "vehicles" / "curves"))
+    return {path.stem: path for path in sorted(folder.glob("*.csv"))}
+
+
 def _points(place: str, path: Path) -> list[Point]:
     """Commands and thrusts, N, of a file with two columns, as few as describe it."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise UndertowError(f"{place}: curve '{path}' cannot be read: {error}") from error
+        ours = ", ".join(bundled_curves())
+        raise UndertowError(
+            f"{place}: curve '{path}' cannot be read: {error}; curves that come with undertow: {ours}"
+        ) from error
     rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
     found = [(float(r[0]), float(r[1])) for r in rows if len(r) > 1 and _is_number(r[0]) and _is_number(r[1])]
     if len(found) < 2 or len(found) < len(rows) - 1 - sum(r[0].startswith("#") for r in rows):

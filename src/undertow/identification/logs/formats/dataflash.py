@@ -1,0 +1,602 @@
+"""ArduPilot DataFlash: .bin, messages of fixed length each, described by the FMT messages in the file.
+
+Columns that this reader adds, with what they come from:
+
+- ``phi, theta, psi`` (rad) of ``XKQ``/``NKQ``: the quaternion, turned by AHRS_TRIM from the axes of the
+  autopilot to those of the vehicle, as XKF1 and ATT are (which have hundredths of a degree only);
+- ``p, q, r`` (rad/s) of ``IMU``: gyros less the biases of the estimator, turned likewise;
+- ``u, v, w`` (m/s) of ``VISO``: steps over their time;
+- ``altitude`` (m) of ``RFND``: where the range finder looks down and calls its range good.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.typing import Array, Index
+
+from .ardupilot import SETTINGS, actuators, armed_stretches, outputs_of, runs_of, used_stretches
+from .fieldlog import FieldLog, Format, Series
+
+Bytes = NDArray[np.uint8]
+
+# --- records --------------------------------------------------------------------------------------
+_HEAD = (0xA3, 0x95)
+_FMT, _FMT_LENGTH = 0x80, 89
+_PART = 1 << 26  # bytes that are searched for heads at a time
+# What the letters of a format mean: type of the cell, and what its number is divided by.
+_CELLS = {
+    "a": "(32,)<i2", "b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4",
+    "d": "<f8", "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4",
+    "E": "<u4", "L": "<i4", "M": "<u1", "q": "<i8", "Q": "<u8",
+}  # fmt: skip
+_DIVISORS = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
+_TEXTS = "anNZ"
+# Columns that tell instances apart where a log has no FMTU.
+_INSTANCES = {"I", "C", "Core", "Instance", "Inst"}
+# Prefixes of units for the multipliers of MULT; a cell stays as it was logged.
+_PREFIXES = {1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n"}
+_UNITS = {
+    "degheading": "deg", "deglatitude": "deg", "deglongitude": "deg", "m/s/s": "m/s^2", "Ohm": "ohm",
+    "deg/s/s": "deg/s^2", "rad/s/s": "rad/s^2", "W.h": "W h", "W.s": "W s", "A.s": "A s", "Watt": "W",
+    "UNKNOWN": "", "instance": "", "satellites": "", "%": "percent",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Messages of one type."""
+
+    name: str
+    length: int
+    cells: str
+    columns: tuple[str, ...]
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """Where the cells of a message are."""
+        types = [np.dtype(_CELLS[c]) for c in self.cells]
+        offsets = 3 + np.concatenate([[0], np.cumsum([t.itemsize for t in types])[:-1]])
+        layout = {
+            "names": list(self.columns),
+            "formats": types,
+            "offsets": [int(o) for o in offsets],
+            "itemsize": self.length,
+        }
+        return np.dtype(layout)  # type: ignore[call-overload, no-any-return]
+
+
+@dataclass(frozen=True, eq=False)
+class _Messages:
+    """All messages of a kind: where they begin in the bytes of the file."""
+
+    kind: _Kind
+    places: Index
+    data: Bytes
+
+    def cells(self, column: str) -> NDArray[np.generic]:
+        """Cells of a column as they stand in the file."""
+        where = self.kind.dtype.fields[column]  # type: ignore[index]
+        size = where[0].itemsize
+        windows = np.lib.stride_tricks.sliding_window_view(self.data, size)
+        return windows[self.places + where[1]].view(where[0]).reshape(len(self.places), -1)[:, 0]
+
+    def numbers(self, column: str) -> Array:
+        """Cells of a column as numbers."""
+        letter = self.kind.cells[self.kind.columns.index(column)]
+        values = self.cells(column).astype(np.float64)
+        return values / _DIVISORS[letter] if letter in _DIVISORS else values
+
+    def texts(self, column: str) -> list[str]:
+        """Cells of a column as texts, up to the first zero."""
+        cells = self.cells(column).tolist()
+        return [cell.split(b"\0")[0].decode("utf-8", errors="replace") for cell in cells]
+
+    def taken(self, rows: NDArray[np.bool_]) -> _Messages:
+        """Some of the messages."""
+        return _Messages(self.kind, self.places[rows], self.data)
+
+
+class _Columns(Mapping[str, Array]):
+    """Columns with numbers, decoded when they are asked for; `more` are computed from others."""
+
+    def __init__(self, messages: _Messages) -> None:
+        self._messages, self._known = messages, dict[str, Array]()
+        self.more: dict[str, Callable[[], Array]] = {}
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._known:
+            if name not in self._plain and name not in self.more:
+                raise KeyError(name)
+            make = self.more.get(name, lambda: self._messages.numbers(name))
+            self._known[name] = make()
+        return self._known[name]
+
+    @cached_property
+    def _plain(self) -> list[str]:
+        kind = self._messages.kind
+        return [n for n, c in zip(kind.columns, kind.cells, strict=True) if c not in _TEXTS]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter([*self._plain, *self.more])
+
+    def __len__(self) -> int:
+        return len(self._plain) + len(self.more)
+
+
+def _kinds(data: Bytes) -> dict[int, _Kind]:
+    """The types of messages that a file describes, by number; of several descriptions the first."""
+    found: dict[int, _Kind] = {_FMT: _Kind("FMT", _FMT_LENGTH, "BBnNZ", ("Type", "Length", "Name", "F", "C"))}
+    only = np.zeros(256, dtype=np.int64)
+    only[_FMT] = _FMT_LENGTH
+    for place in _heads(data, only):
+        if place + _FMT_LENGTH <= len(data):
+            _add_kind(found, bytes(data[place : place + _FMT_LENGTH]))
+    return found
+
+
+def _add_kind(found: dict[int, _Kind], record: bytes) -> None:
+    number, length = record[3], record[4]
+    texts = (record[5:9], record[9:25], record[25:89])
+    name, cells, columns = (text.split(b"\0")[0].decode("ascii", errors="replace") for text in texts)
+    named = tuple(columns.split(",")) if columns else ()
+    sound = re.fullmatch(r"\w{1,4}", name) and set(cells) <= set(_CELLS) and len(set(named)) == len(cells)
+    if sound and number not in found:
+        kind = _Kind(name, length, cells, named)
+        if 3 + sum(np.dtype(_CELLS[c]).itemsize for c in cells) == length:
+            found[number] = kind
+
+
+def _heads(data: Bytes, lengths: NDArray[np.int64]) -> Index:
+    """Places that look like the begin of a message of a known type."""
+    found = [np.zeros(0, dtype=np.intp)]
+    for first in range(0, len(data) - 2, _PART):
+        part = data[first : first + _PART + 2]
+        at = np.flatnonzero((part[:-2] == _HEAD[0]) & (part[1:-1] == _HEAD[1]))
+        found.append(at[lengths[part[at + 2]] > 0] + first)
+    return np.concatenate(found)
+
+
+def _chained(data: Bytes, lengths: NDArray[np.int64]) -> tuple[Index, int]:
+    """Begins of messages after which another begins, or the file ends, and how many stretches are damaged.
+
+    Bytes that look like a head inside a message are none: the message before leads past them.
+    """
+    heads = _heads(data, lengths)
+    ends = heads + lengths[data[heads + 2]]
+    breaks = np.flatnonzero(np.append(heads[1:] != ends[:-1], True)) if len(heads) else heads
+    keep, damaged = np.ones(len(heads), dtype=bool), int(len(heads) > 0 and heads[0] > 0)
+    at = 0
+    for last in breaks.tolist():
+        if last < at:  # within a message that was passed over
+            continue
+        keep[at : last + 1] = True
+        after = int(np.searchsorted(heads, ends[last]))
+        if after < len(heads) and heads[after] == ends[last]:
+            keep[last + 1 : after], at = False, after
+        elif _is_end(data, int(ends[last])):
+            keep[last + 1 :], at = False, len(heads)
+        else:
+            keep[last], at = False, last + 1
+            damaged += 1
+    return heads[keep], damaged
+
+
+def _is_end(data: Bytes, place: int) -> bool:
+    """Whether nothing but padding follows; memory is written in pages."""
+    return place <= len(data) and len(np.unique(data[place:])) <= 1
+
+
+# --- series ---------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _File:
+    """The messages of a file, by name of their kind."""
+
+    messages: dict[str, _Messages]
+    series: dict[str, Series]
+    notes: list[str] = field(default_factory=list)
+
+    def rows(self, name: str, *columns: str) -> list[Array] | None:
+        """Times, s, and columns of the series of a name; None if the file lacks them."""
+        series = self.series.get(name)
+        if series is None or not set(columns) <= {*series.columns}:
+            return None
+        return [series.t, *(series.columns[column] for column in columns)]
+
+    def texts(self, name: str, column: str) -> list[str]:
+        """Texts of the messages of a name, none where there are none."""
+        found = self.messages.get(name)
+        return found.texts(column) if found and column in found.kind.columns else []
+
+
+def _open(path: Path) -> _File:
+    data = np.memmap(path, dtype=np.uint8, mode="r")
+    kinds = _kinds(data)
+    lengths = np.zeros(256, dtype=np.int64)
+    lengths[list(kinds)] = [kind.length for kind in kinds.values()]
+    places, damaged = _chained(data, lengths)
+    types = data[places + 2]
+    found = {kind.name: _Messages(kind, places[types == number], data) for number, kind in kinds.items()}
+    there = {name: messages for name, messages in found.items() if len(messages.places)}
+    skipped = len(data) - int(lengths[types].sum())
+    notes = [f"{damaged} damaged stretches, {skipped} bytes, are left out"] if damaged else []
+    clocks = {name: _clock(m) for name, m in there.items() if m.kind.columns[:1] and m.kind.columns[0] in _CLOCKS}
+    if not clocks:
+        raise UndertowError(f"log {path} has no message with a time: check that it was written to its end")
+    kept = _steady({name: there[name].places for name in clocks}, clocks)
+    lost = sum(int(np.sum(~rows)) for rows in kept.values())
+    notes += [f"{lost} messages with an impossible time are left out"] if lost else []
+    there |= {name: there[name].taken(rows) for name, rows in kept.items()}
+    return _File(there, _series(there, {name: clocks[name][rows] for name, rows in kept.items()}), notes)
+
+
+def _series(messages: dict[str, _Messages], clocks: dict[str, Array]) -> dict[str, Series]:
+    units, instances = _units(messages)
+    start, series = min(float(t.min()) for t in clocks.values() if len(t)), {}
+    for name, t in clocks.items():
+        for called, rows in _by_instance(messages[name], instances.get(name)):
+            columns = _Columns(messages[name].taken(rows))
+            stated = {n: u for n, u in units.get(name, {}).items() if n in columns}
+            series[called] = Series(called, t[rows] - start, columns, stated)
+    return series
+
+
+_CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
+_JUMP = 1.0  # s by which one time may stand out from those beside it
+_LONG = 3600.0  # s that may pass between the first two messages, and the last two
+
+
+def _clock(messages: _Messages) -> Array:
+    column = messages.kind.columns[0]
+    return messages.numbers(column) * _CLOCKS[column]
+
+
+def _steady(places: dict[str, Index], clocks: dict[str, Array]) -> dict[str, NDArray[np.bool_]]:
+    """Which times lie between those beside them in the file: a damaged one would hide all that follow."""
+    order = np.argsort(np.concatenate([*places.values()]), kind="stable")
+    t = np.concatenate([*clocks.values()])[order]
+    sound = np.ones(len(t), dtype=bool)
+    if len(t) > 2:
+        beside = np.stack([t[:-2], t[1:-1], t[2:]])
+        sound[1:-1] = np.abs(t[1:-1] - np.median(beside, axis=0)) <= _JUMP
+        sound[[0, -1]] = [-_LONG <= t[0] - t[1] <= _JUMP, -_JUMP <= t[-1] - t[-2] <= _LONG]
+    flags = np.empty(len(t), dtype=bool)
+    flags[order] = sound
+    ends = np.cumsum([len(clock) for clock in clocks.values()])[:-1]
+    return dict(zip(clocks, np.split(flags, ends), strict=True))
+
+
+def _by_instance(messages: _Messages, column: str | None) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Names of the series of a kind, with their messages: one for each instance where there are several."""
+    name, whole = messages.kind.name, np.ones(len(messages.places), dtype=bool)
+    numbers = messages.numbers(column) if column else whole
+    several = np.unique(numbers)
+    if len(several) == 1:
+        yield name, whole
+        return
+    for number in several:
+        yield f"{name}[{number:g}]", np.asarray(numbers == number)
+
+
+def _units(messages: dict[str, _Messages]) -> tuple[dict[str, dict[str, str]], dict[str, str]]:
+    """Units of columns, and the column of instances, by name of the kind."""
+    fields, units, by_number = messages.get("FMTU"), _letters(messages, "UNIT", "Label"), _numbers(messages)
+    kinds = {n: m.kind for n, m in messages.items()}
+    marked = {n: k.columns[1] for n, k in kinds.items() if k.columns[1:2] and k.columns[1] in _INSTANCES}
+    if fields is None or "UNIT" not in messages:
+        return {}, marked
+    factors = dict(zip(_chars(messages, "MULT"), messages["MULT"].numbers("Mult"), strict=True)) \
+        if "MULT" in messages else {}  # fmt: skip
+    stated: dict[str, dict[str, str]] = {}
+    rows = zip(fields.numbers("FmtType"), fields.texts("UnitIds"), fields.texts("MultIds"), strict=True)
+    for number, unit_ids, factor_ids in rows:
+        kind = kinds.get(by_number.get(int(number), ""))
+        if kind is None:
+            continue
+        if "#" in unit_ids[: len(kind.columns)]:
+            marked[kind.name] = kind.columns[unit_ids.index("#")]
+        own = zip(kind.columns, kind.cells, unit_ids, factor_ids.ljust(len(unit_ids), "-"), strict=False)
+        named = {c: _unit(units.get(u, ""), 1.0 if cell in _DIVISORS else factors.get(f, 1.0))
+                 for c, cell, u, f in own}  # fmt: skip
+        stated[kind.name] = {column: unit for column, unit in named.items() if unit}
+    return stated, marked
+
+
+def _letters(messages: dict[str, _Messages], name: str, column: str) -> dict[str, str]:
+    if name not in messages or column not in messages[name].kind.columns:
+        return {}
+    return dict(zip(_chars(messages, name), messages[name].texts(column), strict=True))
+
+
+def _chars(messages: dict[str, _Messages], name: str) -> list[str]:
+    return [chr(int(code) & 0xFF) for code in messages[name].numbers("Id")]
+
+
+def _numbers(messages: dict[str, _Messages]) -> dict[int, str]:
+    """Names of the kinds by their number."""
+    return {int(m.data[m.places[0] + 2]): name for name, m in messages.items()}
+
+
+def _unit(label: str, factor: float) -> str:
+    plain = _UNITS.get(label, label)
+    prefix = next((p for f, p in _PREFIXES.items() if abs(factor / f - 1) < 1e-9), "")
+    return f"{prefix}{plain}" if plain else ""
+
+
+# --- what is understood ---------------------------------------------------------------------------
+
+
+def _read(path: Path, messages: Path | None) -> FieldLog:
+    with warnings.catch_warnings():  # casts of damaged numbers
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return _understood(path, _open(path))
+
+
+def _understood(path: Path, file: _File) -> FieldLog:
+    parameters = _parameters(file)
+    firmware = next((text for text in file.texts("MSG", "Message") if re.match(r"Ardu\w+ V", text)), "")
+    known = _Navigation(file, parameters)
+    columns = known.columns()
+    columns |= _sensors(file, known)
+    driven, more = actuators(parameters, _outputs(file), firmware)
+    stretches, told = _stretches(file, known, outputs_of(file.series, driven))
+    mapping = LogMapping(columns=columns, frames=Frames(velocity=known.velocity_axes))
+    notes = (*([firmware] if firmware else []), *file.notes, *known.notes, *more, *told)
+    return FieldLog(path, FORMAT.name, file.series, mapping, driven, parameters, stretches, notes)
+
+
+def _parameters(file: _File) -> dict[str, float | str]:
+    """Settings by name; of several values the last."""
+    found = file.messages.get("PARM")
+    if found is None:
+        return {}
+    return dict(zip(found.texts("Name"), found.numbers("Value").tolist(), strict=True))
+
+
+def _outputs(file: _File) -> dict[int, tuple[str, Array]]:
+    """Column and pulses of every output, by its number."""
+    found = {}
+    for name in ("RCOU", "RCO2", "RCO3"):
+        for column in file.series[name].columns if name in file.series else ():
+            if re.fullmatch(r"C\d+", column):
+                found[int(column[1:])] = (f"{name}.{column}", file.series[name].columns[column])
+    return found
+
+
+class _Navigation:
+    """Which estimator, of which core, says where the vehicle is, and what of it can be believed."""
+
+    def __init__(self, file: _File, parameters: Mapping[str, float | str]) -> None:
+        self._file, self._parameters = file, parameters
+        self.notes: list[str] = []
+        families = ("NKF", "XKF") if parameters.get("AHRS_EKF_TYPE") == 2.0 else ("XKF", "NKF")
+        there = [f for f in families if self._cores(f"{f}1")]
+        self.family = there[0] if there else ""
+        self.core = self._primary() if there else 0
+        self.held = self._held()
+        self.velocity_axes = "NED" if self._moves() else "body"
+
+    def _cores(self, name: str) -> list[int]:
+        numbered = re.compile(rf"{name}(?:\[(\d+)\])?")
+        found = (numbered.fullmatch(series) for series in self._file.series)
+        return sorted(int(match[1] or 0) for match in found if match)
+
+    def series(self, name: str, instance: int | None = None) -> str:
+        """Name of the series of a kind for an instance, for the core if none is given; "" if there is none."""
+        number = self.core if instance is None else instance
+        return next((n for n in (f"{name}[{number}]", name) if n in self._file.series), "")
+
+    def _rows(self, name: str, *columns: str) -> list[Array] | None:
+        return self._file.rows(self.series(name), *columns)
+
+    def _primary(self) -> int:
+        """The core that was primary for most of the log."""
+        cores = self._cores(f"{self.family}1")
+        for name in (f"{self.family}4[{cores[0]}]", f"{self.family}4"):
+            rows = self._file.rows(name, "PI")
+            if rows is not None and len(cores) > 1:
+                most = max(cores, key=lambda core: int(np.sum(rows[1] == core)))
+                self.notes.append(f"core {most} of {self.family}1 is read, the primary one")
+                return most
+        return cores[0]
+
+    def _held(self) -> list[tuple[float, float]]:
+        """When the estimator held its place for want of aid."""
+        rows = self._rows(f"{self.family}4", "SS") if self.family else None
+        return [] if rows is None else runs_of(rows[0], rows[1].astype(np.int64) & SETTINGS.held != 0)
+
+    def _moves(self) -> bool:
+        """Whether the estimator has places and velocities, and did not hold its place all the time."""
+        rows = self._rows(f"{self.family}1", "PN", "PE", "PD", "VN", "VE", "VD") if self.family else None
+        if rows is None:
+            return False
+        span = float(rows[0][-1] - rows[0][0])
+        still = all(np.ptp(place) == 0.0 for place in rows[1:3])
+        return not still and sum(b - a for a, b in self.held) < 0.95 * span
+
+    def columns(self) -> dict[str, Column]:
+        """Position, velocity, attitude and rates."""
+        return {**self._position(), **self._attitude(), **self._rates()}
+
+    def _position(self) -> dict[str, Column]:
+        name = self.series(f"{self.family}1") if self.family else ""
+        if self.velocity_axes == "NED":
+            return _named(name, {"PN": "x", "PE": "y", "PD": "z", "VN": "u", "VE": "v", "VD": "w"})
+        found = _named(name, {"PD": "z"}) if name and "PD" in self._file.series[name].columns else {}
+        if name:
+            self.notes.append(f"{name} has no horizontal aid: its position and velocity are not used")
+        return {**found, **self._by_vision(bool(found))}
+
+    def _by_vision(self, has_depth: bool) -> dict[str, Column]:
+        """Place and velocity that were sent to the autopilot, where its estimator has none."""
+        found: dict[str, Column] = {}
+        if self._file.rows("VISP", "PX", "PY", "PZ") is not None:
+            found |= _named("VISP", {"PX": "x", "PY": "y"} | ({} if has_depth else {"PZ": "z"}))
+        rows = self._file.rows("VISO", "dt", "PosDX", "PosDY", "PosDZ")
+        if rows is not None:
+            # Firmware says seconds, units of some versions say microseconds.
+            step = rows[1] * (1e-6 if np.median(rows[1]) > 100.0 else 1.0)
+            columns = self._file.series["VISO"].columns
+            for name, moved in zip("uvw", rows[2:], strict=True):
+                _computed(columns, name, lambda moved=moved: moved / np.where(step > 0, step, np.nan))
+            found |= _named("VISO", {"u": "u", "v": "v", "w": "w"})
+        return found
+
+    def _trim(self) -> Rotation:
+        """From the axes of the autopilot to those of the vehicle (AHRS_TRIM)."""
+        angles = [self._parameters.get(f"AHRS_TRIM_{axis}", 0.0) for axis in "ZYX"]
+        return Rotation.from_euler("ZYX", [a if isinstance(a, float) else 0.0 for a in angles])
+
+    def _attitude(self) -> dict[str, Column]:
+        name = self.series(f"{self.family[:2]}Q") if self.family else ""
+        rows = self._file.rows(name, "Q1", "Q2", "Q3", "Q4")
+        if rows is not None:
+            return self._by_quaternion(name, rows)
+        angles = {"Roll": "phi", "Pitch": "theta", "Yaw": "psi"}
+        one = self.series(f"{self.family}1") if self.family else ""
+        name = next((n for n in (one, "ATT", "AHR2") if self._file.rows(n, *angles) is not None), "")
+        return _named(name, angles, "deg") if name else {}
+
+    def _by_quaternion(self, name: str, rows: list[Array]) -> dict[str, Column]:
+        @_once
+        def angles() -> Array:
+            q = np.column_stack(rows[1:])
+            sound = np.abs(np.linalg.norm(q, axis=1) - 1.0) < _ROUNDED
+            turned = Rotation.from_quat(np.where(sound[:, None], q, [1.0, 0, 0, 0]), scalar_first=True)
+            euler = (turned * self._trim().inv()).as_euler("ZYX")[:, ::-1]
+            return np.where(sound[:, None], euler, np.nan).T
+
+        for k, angle in enumerate(("phi", "theta", "psi")):
+            _computed(self._file.series[name].columns, angle, lambda k=k: angles()[k])
+        return _named(name, {"phi": "phi", "theta": "theta", "psi": "psi"})
+
+    def _rates(self) -> dict[str, Column]:
+        chosen = self._rows(f"{self.family}FS", "GI") if self.family else None
+        number = int(np.median(chosen[1])) if chosen is not None and len(chosen[1]) else 0
+        name = self.series("IMU", number) or self.series("IMU", 0)
+        rows = self._file.rows(name, "GyrX", "GyrY", "GyrZ")
+        if rows is None:
+            return {}
+
+        @_once
+        def rates() -> Array:
+            gyros = np.column_stack(rows[1:])
+            if self._file.series[name].units.get("GyrX") == "deg/s":
+                gyros = np.radians(gyros)
+            return self._trim().apply(gyros - self._bias(rows[0])).T
+
+        for k, rate in enumerate("pqr"):
+            _computed(self._file.series[name].columns, rate, lambda k=k: rates()[k])
+        return _named(name, {"p": "p", "q": "q", "r": "r"})
+
+    def _bias(self, t: Array) -> Array:
+        """Bias of the gyros, rad/s, (n, 3): what the estimator said last."""
+        rows = self._rows(f"{self.family}1", "GX", "GY", "GZ") if self.family else None
+        if rows is None:
+            return np.zeros((len(t), 3))
+        latest = np.clip(np.searchsorted(rows[0], t, side="right") - 1, 0, len(rows[0]) - 1)
+        return np.radians(np.column_stack(rows[1:])[latest])
+
+    def resets(self) -> list[float]:
+        """Times, s, at which the estimator was reset or another one took over."""
+        found: list[float] = []
+        rows = self._rows(f"{self.family}4", "OFN", "OFE", "PI") if self.family else None
+        if rows is not None:
+            changed = np.any([np.diff(column) != 0 for column in rows[1:]], axis=0)
+            found += rows[0][1:][changed].tolist()
+        events = self._file.rows("EV", "Id")
+        found += events[0][np.isin(events[1], _RESET_EVENTS)].tolist() if events else []
+        times, texts = self._file.rows("MSG"), self._file.texts("MSG", "Message")
+        if times is not None and len(times[0]) == len(texts):
+            found += [float(t) for t, text in zip(times[0], texts, strict=True) if _RESET.search(text)]
+        return found
+
+
+_ROUNDED = 1e-2  # how far the norm of a quaternion may be from one
+_RESET_EVENTS = (60, 62)  # of altitude and of yaw
+_RESET = re.compile(
+    r"EKF[23] (IMU\d+ (forced reset|.*yaw re?-?align|.*reset|is using|stopped aiding|started)|lane switch)"
+    r"|EKF primary changed"
+)
+
+
+def _once(make: Callable[[], Array]) -> Callable[[], Array]:
+    kept: list[Array] = []
+
+    def made() -> Array:
+        if not kept:
+            kept.append(make())
+        return kept[0]
+
+    return made
+
+
+def _computed(columns: Mapping[str, Array], name: str, make: Callable[[], Array]) -> None:
+    assert isinstance(columns, _Columns)
+    columns.more[name] = make
+
+
+def _named(series: str, channels: Mapping[str, str], unit: str | None = None) -> dict[str, Column]:
+    return {f"{series}.{c}": Column(channel=channel, unit=unit) for c, channel in channels.items()}
+
+
+_DOWN, _GOOD = 25, 4  # orientation of a range finder, and its status
+
+
+def _sensors(file: _File, known: _Navigation) -> dict[str, Column]:
+    """Voltage of the battery and height above ground."""
+    found = {}
+    battery = known.series("BAT", 0) or known.series("CURR", 0)
+    if battery and "Volt" in file.series[battery].columns:
+        found |= _named(battery, {"Volt": "voltage"}, "V")
+    for name in file.series:
+        rows = file.rows(name, "Dist") if re.match(r"RFND\b", name) else None
+        if rows is None or found.get("altitude"):
+            continue
+        columns = file.series[name].columns
+        looks = columns.get("Orient", np.full(len(rows[1]), _DOWN)) == _DOWN
+        if looks.any():
+            good = columns.get("Stat", columns.get("Status", np.full(len(rows[1]), _GOOD))) == _GOOD
+            _computed(columns, "altitude", lambda r=rows, ok=looks & good: np.where(ok, r[1], np.nan))
+            found |= _named(name, {"altitude": "altitude"})
+            break
+    return found
+
+
+_ARMED_EVENT, _DISARMED_EVENT = 10, 11
+
+
+def _stretches(
+    file: _File, known: _Navigation, outputs: tuple[Array, Array] | None
+) -> tuple[tuple[tuple[float, float], ...], list[str]]:
+    end = max(float(series.t.max()) for series in file.series.values() if len(series.t))
+    span = (0.0, end)
+    events: list[tuple[float, bool]] = []
+    states, marks = file.rows("ARM", "ArmState"), file.rows("EV", "Id")
+    if states is not None:
+        events += [(float(t), bool(on)) for t, on in zip(*states, strict=True)]
+    elif marks is not None:
+        told = {_ARMED_EVENT: True, _DISARMED_EVENT: False}
+        events += [(float(t), told[int(k)]) for t, k in zip(*marks, strict=True) if int(k) in told]
+    return used_stretches(span, armed_stretches(events, span), outputs, known.resets(), known.held)
+
+
+def _accepts(path: Path, head: bytes) -> bool:
+    begins = head.startswith(bytes([*_HEAD, _FMT]))
+    return begins or (path.suffix.lower() == ".bin" and bytes(_HEAD) in head)
+
+
+FORMAT = Format("ArduPilot DataFlash", (".bin",), _accepts, _read)
