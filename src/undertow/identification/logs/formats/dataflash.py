@@ -34,10 +34,10 @@ Bytes = NDArray[np.uint8]
 # --- records --------------------------------------------------------------------------------------
 _HEAD = (0xA3, 0x95)
 _FMT, _FMT_LENGTH = 0x80, 89
-_PART = 1 << 26  # bytes that are searched for heads at a time
+_PART = 1 << 20  # bytes that are searched for heads at a time: they stay in the cache of a processor
 # What the letters of a format mean: type of the cell, and what its number is divided by.
 _CELLS = {
-    "a": "(32,)<i2", "b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4",
+    "a": "V64", "b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4",
     "d": "<f8", "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4",
     "E": "<u4", "L": "<i4", "M": "<u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
@@ -63,18 +63,11 @@ class _Kind:
     cells: str
     columns: tuple[str, ...]
 
-    @cached_property
-    def dtype(self) -> np.dtype[np.void]:
-        """Where the cells of a message are."""
-        types = [np.dtype(_CELLS[c]) for c in self.cells]
-        offsets = 3 + np.concatenate([[0], np.cumsum([t.itemsize for t in types])[:-1]])
-        layout = {
-            "names": list(self.columns),
-            "formats": types,
-            "offsets": [int(o) for o in offsets],
-            "itemsize": self.length,
-        }
-        return np.dtype(layout)  # type: ignore[call-overload, no-any-return]
+    def cell(self, column: str) -> tuple[np.dtype[np.generic], int]:
+        """Type of the cells of a column, and how far they stand from the begin of a message."""
+        place = self.columns.index(column)
+        before = sum(np.dtype(_CELLS[c]).itemsize for c in self.cells[:place])
+        return np.dtype(_CELLS[self.cells[place]]), 3 + before
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +80,11 @@ class _Messages:
 
     def cells(self, column: str) -> NDArray[np.generic]:
         """Cells of a column as they stand in the file."""
-        where = self.kind.dtype.fields[column]  # type: ignore[index]
-        size = where[0].itemsize
-        windows = np.lib.stride_tricks.sliding_window_view(self.data, size)
-        return windows[self.places + where[1]].view(where[0]).reshape(len(self.places), -1)[:, 0]
+        cell, offset = self.kind.cell(column)
+        # A cell may begin at any byte: a view in which every byte begins one.
+        count = max(len(self.data) - cell.itemsize + 1, 0)
+        at_any = np.ndarray((count,), cell, buffer=self.data, strides=(1,))
+        return at_any[self.places + offset]
 
     def numbers(self, column: str) -> Array:
         """Cells of a column as numbers."""
@@ -128,6 +122,9 @@ class _Columns(Mapping[str, Array]):
         kind = self._messages.kind
         return [n for n, c in zip(kind.columns, kind.cells, strict=True) if c not in _TEXTS]
 
+    def __contains__(self, name: object) -> bool:  # that of a Mapping decodes the column
+        return name in self._plain or name in self.more
+
     def __iter__(self) -> Iterator[str]:
         return iter([*self._plain, *self.more])
 
@@ -163,7 +160,8 @@ def _heads(data: Bytes, lengths: NDArray[np.int64]) -> Index:
     found = [np.zeros(0, dtype=np.intp)]
     for first in range(0, len(data) - 2, _PART):
         part = data[first : first + _PART + 2]
-        at = np.flatnonzero((part[:-2] == _HEAD[0]) & (part[1:-1] == _HEAD[1]))
+        at = np.flatnonzero(part[:-2] == _HEAD[0])
+        at = at[part[at + 1] == _HEAD[1]]
         found.append(at[lengths[part[at + 2]] > 0] + first)
     return np.concatenate(found)
 
@@ -223,24 +221,36 @@ class _File:
 
 
 def _open(path: Path) -> _File:
-    data = np.memmap(path, dtype=np.uint8, mode="r")
+    data = np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
     kinds = _kinds(data)
     lengths = np.zeros(256, dtype=np.int64)
     lengths[list(kinds)] = [kind.length for kind in kinds.values()]
     places, damaged = _chained(data, lengths)
-    types = data[places + 2]
-    found = {kind.name: _Messages(kind, places[types == number], data) for number, kind in kinds.items()}
-    there = {name: messages for name, messages in found.items() if len(messages.places)}
-    skipped = len(data) - int(lengths[types].sum())
+    skipped = len(data) - int(lengths[data[places + 2]].sum())
     notes = [f"{damaged} damaged stretches, {skipped} bytes, are left out"] if damaged else []
+    rows = _rows_of(data[places + 2])
+    there = {kinds[k].name: _Messages(kinds[k], places[own], data) for k, own in rows.items()}
     clocks = {name: _clock(m) for name, m in there.items() if m.kind.columns[:1] and m.kind.columns[0] in _CLOCKS}
     if not clocks:
         raise UndertowError(f"log {path} has no message with a time: check that it was written to its end")
-    kept = _steady({name: there[name].places for name in clocks}, clocks)
-    lost = sum(int(np.sum(~rows)) for rows in kept.values())
+    t = np.full(len(places), np.nan)
+    for number, own in rows.items():
+        t[own] = clocks.get(kinds[number].name, np.nan)
+    sound = _steady(t)
+    lost = int(np.sum(~sound))
     notes += [f"{lost} messages with an impossible time are left out"] if lost else []
-    there |= {name: there[name].taken(rows) for name, rows in kept.items()}
-    return _File(there, _series(there, {name: clocks[name][rows] for name, rows in kept.items()}), notes)
+    for number, own in rows.items():
+        if lost and (name := kinds[number].name) in clocks:
+            there[name], clocks[name] = there[name].taken(sound[own]), clocks[name][sound[own]]
+    return _File(there, _series(there, clocks), notes)
+
+
+def _rows_of(types: Bytes) -> dict[int, Index]:
+    """Where in the file the messages of each type are."""
+    order = np.argsort(types, kind="stable")
+    counts = np.bincount(types, minlength=256)
+    parts = np.split(order, np.cumsum(counts)[:-1])
+    return {number: part for number, part in enumerate(parts) if len(part)}
 
 
 def _series(messages: dict[str, _Messages], clocks: dict[str, Array]) -> dict[str, Series]:
@@ -264,19 +274,19 @@ def _clock(messages: _Messages) -> Array:
     return messages.numbers(column) * _CLOCKS[column]
 
 
-def _steady(places: dict[str, Index], clocks: dict[str, Array]) -> dict[str, NDArray[np.bool_]]:
-    """Which times lie between those beside them in the file: a damaged one would hide all that follow."""
-    order = np.argsort(np.concatenate([*places.values()]), kind="stable")
-    t = np.concatenate([*clocks.values()])[order]
-    sound = np.ones(len(t), dtype=bool)
+def _steady(times: Array) -> NDArray[np.bool_]:
+    """Which times lie between those beside them in the file: a damaged one would hide all that follow.
+
+    Messages without a time, NaN, are sound.
+    """
+    timed = np.flatnonzero(np.isfinite(times))
+    t, sound = times[timed], np.ones(len(times), dtype=bool)
     if len(t) > 2:
-        beside = np.stack([t[:-2], t[1:-1], t[2:]])
-        sound[1:-1] = np.abs(t[1:-1] - np.median(beside, axis=0)) <= _JUMP
-        sound[[0, -1]] = [-_LONG <= t[0] - t[1] <= _JUMP, -_JUMP <= t[-1] - t[-2] <= _LONG]
-    flags = np.empty(len(t), dtype=bool)
-    flags[order] = sound
-    ends = np.cumsum([len(clock) for clock in clocks.values()])[:-1]
-    return dict(zip(clocks, np.split(flags, ends), strict=True))
+        one, two, three = t[:-2], t[1:-1], t[2:]
+        middle = np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three))
+        sound[timed[1:-1]] = np.abs(two - middle) <= _JUMP
+        sound[timed[[0, -1]]] = [-_LONG <= t[0] - t[1] <= _JUMP, -_JUMP <= t[-1] - t[-2] <= _LONG]
+    return sound
 
 
 def _by_instance(messages: _Messages, column: str | None) -> Iterator[tuple[str, NDArray[np.bool_]]]:
