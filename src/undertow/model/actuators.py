@@ -48,7 +48,8 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
         unit = table.propeller.revolutions
         return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), _TURNS[unit]), unit
     if isinstance(table.curve, str):
-        return Curve.through(_points(place, bundled_curves().get(table.curve, folder / table.curve))), "command"
+        path = bundled_curves().get(table.curve, folder / table.curve)
+        return Curve.through(_points(place, path)), "command"
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:

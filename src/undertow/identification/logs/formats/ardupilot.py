@@ -1,4 +1,4 @@
-"""What logs of ArduPilot have in common: motors and frame by its parameters, stretches that are armed and move."""
+"""What logs of ArduPilot have in common: motors and frame by its parameters, stretches that move."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from undertow.model.actuators import bundled_curves
 from undertow.model.loading import resolve_vehicle
 from undertow.typing import Array, Flags
 
-from .fieldlog import FieldLog, Series, cut_at
+from .fieldlog import FieldLog, cut_at
 
 Stretch = tuple[float, float]
 Parameters = Mapping[str, float | str]
@@ -109,18 +109,6 @@ def _rest(trim: float | str | None, pulses: Array) -> float:
     return trim if at_trim >= at_middle else SETTINGS.rest
 
 
-def outputs_of(
-    series: Mapping[str, Series], actuators: Sequence[tuple[str, Column]]
-) -> tuple[Array, Array] | None:
-    """Times, s, (n,), and commands of motors, (n, motors), in the series of the first motor."""
-    if not actuators:
-        return None
-    home = actuators[0][0].rpartition(".")[0]
-    here = [(name.rpartition(".")[2], c) for name, c in actuators if name.startswith(f"{home}.")]
-    cells = [c.scale * series[home].columns[name] + c.offset for name, c in here]
-    return series[home].t, np.column_stack(cells)
-
-
 # --- stretches ------------------------------------------------------------------------------------
 
 
@@ -201,13 +189,13 @@ def _within(t: float, stretches: Iterable[Stretch]) -> bool:
 def _left_out(span: Stretch, used: Sequence[Stretch], armed: Sequence[Stretch]) -> list[str]:
     """One line on the parts of a span that are not used."""
     edges = [span[0], *(edge for stretch in used for edge in stretch), span[1]]
-    gaps = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= SETTINGS.told]
-    told = [f"{a:.1f} to {b:.1f} s ({_why((a + b) / 2, armed)})" for a, b in gaps]
+    told = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        switched = [edge for stretch in armed for edge in stretch if first < edge < last]
+        for a, b in pairwise([first, *switched, last]):
+            why = "motors at rest, or estimator without aid" if _within((a + b) / 2, armed) else "disarmed"
+            told += [f"{a:.1f} to {b:.1f} s ({why})"] if b - a >= SETTINGS.told else []
     return [f"left out: {', '.join(told)}"] if told else []
-
-
-def _why(t: float, armed: Sequence[Stretch]) -> str:
-    return "armed, motors at rest or estimator without aid" if _within(t, armed) else "disarmed"
 
 
 def _times(moments: Sequence[float]) -> str:
@@ -232,8 +220,15 @@ _FRAMES = {
 }
 
 
-def vehicle_text(log: FieldLog) -> str:
+def vehicle_text(log: FieldLog, name: str) -> str:
     """A vehicle file for the frame, the directions of the motors and the battery that a log states.
+
+    Parameters
+    ----------
+    log : FieldLog
+        Of ArduSub.
+    name : str
+        Of the vehicle.
 
     Raises
     ------
@@ -250,7 +245,7 @@ def vehicle_text(log: FieldLog) -> str:
     base, ways = _FRAMES[int(frame)]
     document = tomlkit.parse(resolve_vehicle(base).read_text(encoding="utf-8"))
     curve, why = _curve(log)
-    document["name"] = log.path.name.split(".")[0]
+    document["name"] = name
     document["description"] = f"{document['description']}; motors as in the parameters of {log.path.name}"
     for motor, (table, way) in enumerate(zip(document["thrusters"], ways, strict=True), 1):
         _turn(table, way, log.parameters.get(f"MOT_{motor}_DIRECTION"), motor)

@@ -15,8 +15,9 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,8 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array, Index
 
-from .ardupilot import SETTINGS, actuators, armed_stretches, outputs_of, runs_of, used_stretches
-from .fieldlog import FieldLog, Format, Series
+from .ardupilot import SETTINGS, actuators, armed_stretches, runs_of, used_stretches
+from .fieldlog import FieldLog, Format, Series, outputs_of
 
 Bytes = NDArray[np.uint8]
 
@@ -150,7 +151,8 @@ def _add_kind(found: dict[int, _Kind], record: bytes) -> None:
     named = tuple(columns.split(",")) if columns else ()
     sound = re.fullmatch(r"\w{1,4}", name) and set(cells) <= set(_CELLS) and len(set(named)) == len(cells)
     if sound and number not in found:
-        kind = _Kind(name, length, cells, named)
+        unique = f"{name}_{number}" if any(kind.name == name for kind in found.values()) else name
+        kind = _Kind(unique, length, cells, named)
         if 3 + sum(np.dtype(_CELLS[c]).itemsize for c in cells) == length:
             found[number] = kind
 
@@ -230,7 +232,9 @@ def _open(path: Path) -> _File:
     notes = [f"{damaged} damaged stretches, {skipped} bytes, are left out"] if damaged else []
     rows = _rows_of(data[places + 2])
     there = {kinds[k].name: _Messages(kinds[k], places[own], data) for k, own in rows.items()}
-    clocks = {name: _clock(m) for name, m in there.items() if m.kind.columns[:1] and m.kind.columns[0] in _CLOCKS}
+    clocks = {
+        name: _clock(m) for name, m in there.items() if m.kind.columns[:1] and m.kind.columns[0] in _CLOCKS
+    }
     if not clocks:
         raise UndertowError(f"log {path} has no message with a time: check that it was written to its end")
     t = np.full(len(places), np.nan)
@@ -397,7 +401,7 @@ class _Navigation:
         self.family = there[0] if there else ""
         self.core = self._primary() if there else 0
         self.held = self._held()
-        self.velocity_axes = "NED" if self._moves() else "body"
+        self.velocity_axes: Literal["NED", "body"] = "NED" if self._moves() else "body"
 
     def _cores(self, name: str) -> list[int]:
         numbered = re.compile(rf"{name}(?:\[(\d+)\])?")
@@ -405,7 +409,7 @@ class _Navigation:
         return sorted(int(match[1] or 0) for match in found if match)
 
     def series(self, name: str, instance: int | None = None) -> str:
-        """Name of the series of a kind for an instance, for the core if none is given; "" if there is none."""
+        """Name of the series of a kind for an instance, by default for the core; "" if none is there."""
         number = self.core if instance is None else instance
         return next((n for n in (f"{name}[{number}]", name) if n in self._file.series), "")
 
@@ -461,7 +465,7 @@ class _Navigation:
             step = rows[1] * (1e-6 if np.median(rows[1]) > 100.0 else 1.0)
             columns = self._file.series["VISO"].columns
             for name, moved in zip("uvw", rows[2:], strict=True):
-                _computed(columns, name, lambda moved=moved: moved / np.where(step > 0, step, np.nan))
+                _computed(columns, name, partial(_over, moved, step))
             found |= _named("VISO", {"u": "u", "v": "v", "w": "w"})
         return found
 
@@ -490,7 +494,7 @@ class _Navigation:
             return np.where(sound[:, None], euler, np.nan).T
 
         for k, angle in enumerate(("phi", "theta", "psi")):
-            _computed(self._file.series[name].columns, angle, lambda k=k: angles()[k])
+            _computed(self._file.series[name].columns, angle, partial(_row, angles, k))
         return _named(name, {"phi": "phi", "theta": "theta", "psi": "psi"})
 
     def _rates(self) -> dict[str, Column]:
@@ -509,7 +513,7 @@ class _Navigation:
             return self._trim().apply(gyros - self._bias(rows[0])).T
 
         for k, rate in enumerate("pqr"):
-            _computed(self._file.series[name].columns, rate, lambda k=k: rates()[k])
+            _computed(self._file.series[name].columns, rate, partial(_row, rates, k))
         return _named(name, {"p": "p", "q": "q", "r": "r"})
 
     def _bias(self, t: Array) -> Array:
@@ -543,6 +547,19 @@ _RESET = re.compile(
 )
 
 
+def _row(make: Callable[[], Array], k: int) -> Array:
+    """One row of a table that is made when it is asked for."""
+    return np.asarray(make()[k])
+
+
+def _where(good: NDArray[np.bool_], values: Array) -> Array:
+    return np.where(good, values, np.nan)
+
+
+def _over(moved: Array, step: Array) -> Array:
+    return moved / np.where(step > 0, step, np.nan)
+
+
 def _once(make: Callable[[], Array]) -> Callable[[], Array]:
     kept: list[Array] = []
 
@@ -568,7 +585,7 @@ _DOWN, _GOOD = 25, 4  # orientation of a range finder, and its status
 
 def _sensors(file: _File, known: _Navigation) -> dict[str, Column]:
     """Voltage of the battery and height above ground."""
-    found = {}
+    found: dict[str, Column] = {}
     battery = known.series("BAT", 0) or known.series("CURR", 0)
     if battery and "Volt" in file.series[battery].columns:
         found |= _named(battery, {"Volt": "voltage"}, "V")
@@ -580,7 +597,7 @@ def _sensors(file: _File, known: _Navigation) -> dict[str, Column]:
         looks = columns.get("Orient", np.full(len(rows[1]), _DOWN)) == _DOWN
         if looks.any():
             good = columns.get("Stat", columns.get("Status", np.full(len(rows[1]), _GOOD))) == _GOOD
-            _computed(columns, "altitude", lambda r=rows, ok=looks & good: np.where(ok, r[1], np.nan))
+            _computed(columns, "altitude", partial(_where, looks & good, rows[1]))
             found |= _named(name, {"altitude": "altitude"})
             break
     return found

@@ -161,6 +161,22 @@ class FieldLog:
             "shows what it has"
         )
 
+    def drive(self) -> tuple[Array, Array] | None:
+        """Times, s, (n,), and commands, (n, motors), of motors."""
+        return outputs_of(self.series, self.actuators)
+
+
+def outputs_of(
+    series: Mapping[str, Series], actuators: Sequence[tuple[str, Column]]
+) -> tuple[Array, Array] | None:
+    """Times, s, (n,), and commands, (n, motors), of those in the series of the first; None without any."""
+    home = actuators[0][0].rpartition(".")[0] if actuators else ""
+    if home not in series:
+        return None
+    here = [(name.rpartition(".")[2], c) for name, c in actuators if name.startswith(f"{home}.")]
+    cells = [c.scale * series[home].columns[name] + c.offset for name, c in here]
+    return series[home].t, np.column_stack(cells)
+
 
 @dataclass(frozen=True)
 class Format:

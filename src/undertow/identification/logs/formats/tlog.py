@@ -27,8 +27,8 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .ardupilot import SETTINGS, actuators, armed_stretches, outputs_of, runs_of, used_stretches
-from .fieldlog import FieldLog, Format, Series, library, rising
+from .ardupilot import SETTINGS, actuators, armed_stretches, runs_of, used_stretches
+from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising
 
 # --- frames ---------------------------------------------------------------------------------------
 _STAMP = 8  # bytes of the time before every message, microseconds since 1970
@@ -61,7 +61,10 @@ class _Tally:
         return [*found, *([kinds] if self.unknown else [])]
 
 
-def _frames(data: bytes, mavlink: ModuleType, checksum: Callable[[bytes], int]) -> tuple[list[_Frame], _Tally]:
+Checksum = Callable[[bytes], int]
+
+
+def _frames(data: bytes, mavlink: ModuleType, checksum: Checksum) -> tuple[list[_Frame], _Tally]:
     """The messages of a file whose checksum is right."""
     found, tally, place, lost = list[_Frame](), _Tally(), 0, False
     while place + _STAMP < len(data):
@@ -90,9 +93,7 @@ def _next(data: bytes, place: int) -> int:
     return min((head - _STAMP for head in heads if head >= 0), default=len(data))
 
 
-def _frame(
-    data: bytes, place: int, mavlink: ModuleType, checksum: Callable[[bytes], int]
-) -> tuple[_Frame | None, bool]:
+def _frame(data: bytes, place: int, mavlink: ModuleType, checksum: Checksum) -> tuple[_Frame | None, bool]:
     """The message at a place, if one can be there, and whether its checksum is right."""
     begin = place + _STAMP
     if data[begin] not in _HEADS or begin + 10 > len(data):
@@ -144,7 +145,7 @@ class _Messages:
     @property
     def plain(self) -> list[str]:
         """Fields with one number."""
-        fields = self.table.dtype.fields or {}
+        fields: Mapping[str, Any] = self.table.dtype.fields or {}
         return [name for name in self.kind.fieldnames if fields[name][0].kind in "iuf"]
 
 
@@ -361,8 +362,10 @@ def _projected(world: Series) -> tuple[dict[str, Array], str]:
     north = (lat - at) * _AXIS * (1.0 - _ECCENTRICITY) / bend**1.5
     east = (lon - lon[first]) * _AXIS / np.sqrt(bend) * np.cos(at)
     places = {"north": north, "east": east, "down": -height}
-    note = f"metres are counted from the first fix, {np.degrees(at):.6f}, {np.degrees(lon[first]):.6f} degrees"
-    return {name: np.where(fixed, place, np.nan) for name, place in places.items()}, note
+    fix = f"the first fix, {np.degrees(at):.6f}, {np.degrees(lon[first]):.6f} degrees"
+    return {
+        name: np.where(fixed, place, np.nan) for name, place in places.items()
+    }, f"metres are counted from {fix}"
 
 
 _DOWN = 25  # orientation of a range finder
