@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
@@ -48,14 +48,29 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
         unit = table.propeller.revolutions
         return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), _TURNS[unit]), unit
     if isinstance(table.curve, str):
-        path = bundled_curves().get(table.curve, folder / table.curve)
-        return Curve.through(_points(place, path)), "command"
+        ours = bundled_curves().get(table.curve)
+        settings = replace(_CURVES, error=_CURVES.bundled) if ours else _CURVES
+        return Curve.through(_points(place, ours or folder / table.curve, settings)), "command"
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:
             raise UndertowError(f"{place}: a curve of coefficients needs a 'limit' up to which it holds")
         return Curve.polynomial([float(c) for c in table.curve], limit), "command"
     return None, "command"
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
+
+    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
+    points: int = 40  # most points
+    # The same error for curves that come with undertow: one T200 differs from the next by more, and each
+    # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
+    bundled: float = 0.0075
+
+
+_CURVES = CurveSettings()
 
 
 Point = tuple[float, float]
@@ -68,7 +83,7 @@ def bundled_curves() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.csv"))}
 
 
-def _points(place: str, path: Path) -> list[Point]:
+def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
     """Commands and thrusts, N, of a file with two columns, as few as describe it."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -83,7 +98,7 @@ def _points(place: str, path: Path) -> list[Point]:
         raise UndertowError(f"{place}: curve '{path}' needs two columns of numbers, command and thrust in N")
     if any(b[0] <= a[0] for a, b in pairwise(found)):
         raise UndertowError(f"{place}: commands of curve '{path}' do not rise from row to row: sort them")
-    return _thinned(found)
+    return _thinned(found, settings)
 
 
 def _is_number(text: str) -> bool:
@@ -93,18 +108,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
-@dataclass(frozen=True)
-class CurveSettings:
-    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
-
-    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
-    points: int = 40  # most points
-
-
-_CURVES = CurveSettings()
-
-
-def _thinned(points: list[Point], settings: CurveSettings = _CURVES) -> list[Point]:
+def _thinned(points: list[Point], settings: CurveSettings) -> list[Point]:
     """Points without those that the curve through the others passes anyway."""
     span = max(y for _, y in points) - min(y for _, y in points)
     kept = {0, len(points) - 1}

@@ -6,7 +6,8 @@ Before it lies the vehicle on deck, then it is armed with its motors at rest; af
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,7 @@ class BinWriter:
         return bytes(self._reader.DFMessage(made, ready, False, None).get_msgbuf())
 
     def head(self, us: int) -> bytes:
-        """Descriptions, units and parameters."""
+        """Descriptions and units."""
         formats = [
             self.message("FMT", f.type, f.len, name, f.format, ",".join(f.columns))
             for name, f in self._formats.items()
@@ -112,21 +113,39 @@ class BinWriter:
         units = [self.message("UNIT", us, ord(k), label) for k, label in _UNITS.items()]
         factors = [self.message("MULT", us, ord(k), factor) for k, factor in _FACTORS.items()]
         fields = [self.message("FMTU", us, KINDS[n][0], *KINDS[n][3:]) for n in KINDS]
-        parameters = [self.message("PARM", us, n, v) for n, v in PARAMETERS.items()]
-        return b"".join([*formats, *units, *factors, *fields, *parameters])
+        return b"".join([*formats, *units, *factors, *fields])
 
 
-Change = Callable[[str, float, list[Any]], list[Any]]
+Cells = list[Any]
+Change = Callable[[float, Cells], Cells]
 
 
-def write_bin(path: Path, change: Change = lambda name, t, cells: cells) -> Path:
-    """The dive as ArduSub logs it; `change` may alter the cells of a message, or drop it (no cells)."""
+@cache
+def _packed() -> tuple[list[tuple[str, float, Cells, bytes]], BinWriter]:
+    """Name, time, cells and bytes of every message, without the head."""
     writer, (t, at, pwm) = BinWriter(), whole()
-    out = [writer.head(_us(0.0)), writer.message("MSG", _us(0.0), "ArduSub V4.1.0 (89639005)")]
-    for k, now in enumerate(t.tolist()):
-        for name, cells in _messages(k, now, at, pwm):
-            changed = change(name, now, cells)
+    stated = [("PARM", 0.0, [name, value]) for name, value in PARAMETERS.items()]
+    said = [("MSG", 0.0, ["ArduSub V4.1.0 (89639005)"])]
+    timed = [(name, now, c) for k, now in enumerate(t.tolist()) for name, c in _messages(k, now, at, pwm)]
+    every = [*stated, *said, *timed]
+    return [(name, now, c, writer.message(name, _us(now), *c)) for name, now, c in every], writer
+
+
+def write_bin(path: Path, changes: Mapping[str, Change] | None = None, more: Sequence[Any] = ()) -> Path:
+    """The dive as ArduSub logs it.
+
+    `changes` alter the cells after the time, by name of the message, or drop it (no cells); `more` are
+    further messages, each a name, a time and cells.
+    """
+    messages, writer = _packed()
+    added = [(name, now, cells, writer.message(name, _us(now), *cells)) for name, now, cells in more]
+    out = [writer.head(_us(0.0))]
+    for name, now, cells, packed in sorted([*messages, *added], key=lambda message: message[1]):
+        if changes and name in changes:
+            changed = changes[name](now, list(cells))
             out += [writer.message(name, _us(now), *changed)] if changed else []
+        else:
+            out.append(packed)
     path.write_bytes(b"".join(out))
     return path
 

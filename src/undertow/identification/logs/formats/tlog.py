@@ -408,7 +408,7 @@ def _stretches(
     return used_stretches(span, armed_stretches(events, span), outputs, resets, held)
 
 
-_RESET = re.compile(r"EKF.*(reset|yaw re?-?align|lane switch|is using|stopped aiding)|EKF primary changed")
+_RESET = re.compile(r"EKF.*(reset|yaw (re-?)?align|lane switch|is using|stopped aiding)|EKF primary changed")
 
 
 def _accepts(path: Path, head: bytes) -> bool:
