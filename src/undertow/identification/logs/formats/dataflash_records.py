@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
-from .fieldlog import Series
+from .fieldlog import Series, steady
 
 Bytes = NDArray[np.uint8]
 
@@ -226,7 +226,7 @@ def open_records(path: Path) -> Records:
     t = np.full(len(places), np.nan)
     for number, own in rows.items():
         t[own] = clocks.get(kinds[number].name, np.nan)
-    sound = _steady(t)
+    sound = steady(t)
     lost = int(np.sum(~sound))
     notes += [f"{lost} messages with an impossible time are left out"] if lost else []
     for number, own in rows.items():
@@ -255,28 +255,11 @@ def _series(messages: dict[str, _Messages], clocks: dict[str, Array]) -> dict[st
 
 
 _CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
-_JUMP = 1.0  # s by which one time may stand out from those beside it
-_LONG = 3600.0  # s that may pass between the first two messages, and the last two
 
 
 def _clock(messages: _Messages) -> Array:
     column = messages.kind.columns[0]
     return messages.numbers(column) * _CLOCKS[column]
-
-
-def _steady(times: Array) -> Flags:
-    """Which times lie between those beside them in the file: a damaged one would hide all that follow.
-
-    Messages without a time, NaN, are sound.
-    """
-    timed = np.flatnonzero(np.isfinite(times))
-    t, sound = times[timed], np.ones(len(times), dtype=bool)
-    if len(t) > 2:
-        one, two, three = t[:-2], t[1:-1], t[2:]
-        middle = np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three))
-        sound[timed[1:-1]] = np.abs(two - middle) <= _JUMP
-        sound[timed[[0, -1]]] = [-_LONG <= t[0] - t[1] <= _JUMP, -_JUMP <= t[-1] - t[-2] <= _LONG]
-    return sound
 
 
 def _by_instance(messages: _Messages, column: str | None) -> Iterator[tuple[str, Flags]]:

@@ -28,7 +28,7 @@ from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
 from .ardupilot import SETTINGS, actuators, armed_stretches, runs_of, used_stretches
-from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising
+from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
 
 # --- frames ---------------------------------------------------------------------------------------
 _STAMP = 8  # bytes of the time before every message, microseconds since 1970
@@ -56,7 +56,11 @@ class _Tally:
 
     @property
     def notes(self) -> list[str]:
-        found = [f"{self.broken} messages with a bad checksum or cut off are left out"] if self.broken else []
+        found = (
+            [f"{self.broken} messages with a bad checksum or time, or cut off, are left out"]
+            if self.broken
+            else []
+        )
         kinds = f"{self.unknown} messages of kinds that pymavlink does not know are left out"
         return [*found, *([kinds] if self.unknown else [])]
 
@@ -243,6 +247,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     mavlink = library("pymavlink.dialects.v20.ardupilotmega", what)
     crc = library("pymavlink.generator.mavcrc", what)
     frames, tally = _frames(path.read_bytes(), mavlink, lambda text: int(crc.x25crc(text).crc))
+    sound = steady(np.array([frame.stamp for frame in frames]))
+    tally.broken += int(np.sum(~sound))  # no checksum covers the time of arrival
+    frames = [frame for frame, kept in zip(frames, sound, strict=True) if kept]
     if not frames:
         raise UndertowError(f"log {path} has no whole MAVLink message: check that it was written to its end")
     source, notes = _autopilot(frames, mavlink)
