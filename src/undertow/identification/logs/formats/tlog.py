@@ -29,6 +29,7 @@ from undertow.typing import Array
 
 from .ardupilot import SETTINGS, actuators, armed_stretches, runs_of, used_stretches
 from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
+from .position import north_east
 
 # --- frames ---------------------------------------------------------------------------------------
 _STAMP = 8  # bytes of the time before every message, microseconds since 1970
@@ -355,24 +356,18 @@ def _called(series: str, names: Mapping[str, str]) -> dict[str, Column]:
     return {f"{series}.{name}": Column(channel=channel) for name, channel in names.items()}
 
 
-# WGS 84: half the greater axis, m, and the square of the eccentricity.
-_AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
-
-
 def _projected(world: Series) -> tuple[dict[str, Array], str]:
     """Metres north, east and down of the first fix, and a note on it."""
-    lat, lon = (np.radians(world.columns[name] * 1e-7) for name in ("lat", "lon"))
+    lat, lon, height = (world.columns[name] for name in ("lat", "lon", "alt"))
     fixed = (lat != 0.0) | (lon != 0.0)
+    lat, lon, down = (
+        np.where(fixed, scale * values, np.nan)
+        for scale, values in ((1e-7, lat), (1e-7, lon), (-1e-3, height))
+    )
+    north, east = north_east(lat, lon)
     first = int(np.argmax(fixed))
-    at, bend = lat[first], 1.0 - _ECCENTRICITY * np.sin(lat[first]) ** 2
-    height = world.columns["alt"] * 1e-3
-    north = (lat - at) * _AXIS * (1.0 - _ECCENTRICITY) / bend**1.5
-    east = (lon - lon[first]) * _AXIS / np.sqrt(bend) * np.cos(at)
-    places = {"north": north, "east": east, "down": -height}
-    fix = f"the first fix, {np.degrees(at):.6f}, {np.degrees(lon[first]):.6f} degrees"
-    return {
-        name: np.where(fixed, place, np.nan) for name, place in places.items()
-    }, f"metres are counted from {fix}"
+    note = f"metres are counted from the first fix, {lat[first]:.6f}, {lon[first]:.6f} degrees"
+    return {"north": north, "east": east, "down": down}, note
 
 
 _DOWN = 25  # orientation of a range finder
