@@ -157,7 +157,9 @@ def used_stretches(
         notes.append("the vehicle is never armed: all of the log is used")
     elif not moving:
         notes.append("armed, but no motor leaves its rest: all of it that is armed is used")
-    kept = _long_enough(moving or armed or [span])
+    # No command is known before the first message on them.
+    begin = float(outputs[0][0]) if outputs is not None and len(outputs[0]) else span[0]
+    kept = _long_enough((max(a, begin), b) for a, b in moving or armed or [span])
     inside = [r for r in resets if any(a < r < b for a, b in kept)]
     notes += [f"cut at {_times(inside)} s, where the estimator was reset"] if inside else []
     pieces = _long_enough(cut_at(kept, [*inside, *(edge for stretch in held for edge in stretch)]))
