@@ -140,7 +140,7 @@ class FieldLog:
         kept = {name: rising(self.series[name].t) for name in asked}
         times = [self.series[name].t[rows] for name, rows in kept.items()]
         t, places = union(times)
-        table = {TIME: t, **self._numbers(t)}
+        table = {TIME: t, **self._numbers(len(t), times, places)}
         for (name, fields), place in zip(asked.items(), places, strict=True):
             for column in fields:
                 cells = np.full(len(t), np.nan)
@@ -148,10 +148,12 @@ class FieldLog:
                 table[f"{name}.{column}"] = cells
         return pl.DataFrame(table, nan_to_null=True)
 
-    def _numbers(self, t: Array) -> dict[str, Array]:
-        number = np.full(len(t), np.nan)
+    def _numbers(self, rows: int, times: Sequence[Array], places: Sequence[Places]) -> dict[str, Array]:
+        """The stretch of each row: that of the latest of its samples which is in one."""
+        number = np.full(rows, np.nan)
         for k, (first, last) in enumerate(self.stretches):
-            number[(t >= first) & (t <= last)] = k + 1
+            for t, place in zip(times, places, strict=True):
+                number[place[(t >= first) & (t <= last)]] = k + 1
         return {STRETCH: number} if self.stretches else {}
 
     def _found(self, name: str) -> tuple[str, str]:
