@@ -79,6 +79,12 @@ KINDS = {
              "sYYYYYYYYYYYYYY", "F--------------"),
     "BAT": (115, "QBfffffcfB", "TimeUS,Instance,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct",
             "s#vvAaXOw%", "F-000C0?00"),
+    "VISO": (189, "Qffffffff", "TimeUS,dt,AngDX,AngDY,AngDZ,PosDX,PosDY,PosDZ,conf",
+             "ssrrrmmm-", "FF000000-"),
+    "ATT": (100, "QccccCCCCB", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF",
+            "sddddhhdh-", "FBBBBBBBB-"),
+    "NKF1": (66, "QBccCfffffffccce", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH",
+             "s#ddhnnnnmmmkkkm", "F-BBB0000000BBBB"),
     "RFND": (175, "QBCBB", "TimeUS,Instance,Dist,Stat,Orient", "s#m--", "F-B--"),
 }  # fmt: skip
 _UNITS = {"s": "s", "#": "instance", "d": "deg", "h": "degheading", "n": "m/s", "m": "m", "k": "deg/s",

@@ -406,3 +406,42 @@ def test_it_is_known_by_its_bytes(log_path: Path, tmp_path: Path) -> None:
 def test_parameters_are_the_last_ones(log: FieldLog) -> None:
     for name, value in PARAMETERS.items():
         assert math.isclose(float(log.parameters[name]), value, rel_tol=1e-6), name
+
+
+# --- other estimators and sensors -----------------------------------------------------------------
+
+
+def test_velocities_of_a_camera_are_steps_over_their_time(tmp_path: Path) -> None:
+    def held(now: float, cells: list[Any]) -> list[Any]:
+        return [*cells[:11], 128, *cells[12:]]
+
+    steps = [("VISO", t, [0.1, 0.0, 0.0, 0.0, 0.02, -0.01, 0.005, 100.0]) for t in np.arange(20.0, 60.0, 0.1)]
+    log = read_field_log(write_bin(tmp_path / "viso.bin", {"XKF4": held}, steps))
+    channels = {name: column.channel for name, column in log.mapping.columns.items()}
+    assert {channels[f"VISO.{name}"] for name in "uvw"} == {"u", "v", "w"}
+    for name, speed in (("u", 0.2), ("v", -0.1), ("w", 0.05)):
+        np.testing.assert_allclose(log.series["VISO"].columns[name], speed, rtol=1e-6)
+    assert log.mapping.frames.velocity == "body"
+    assert channels["XKF1.PD"] == "z"
+
+
+def test_without_an_estimator_the_attitude_is_that_of_att(tmp_path: Path) -> None:
+    gone = {name: lambda t, cells: [] for name in ("XKF1", "XKF4", "XKQ")}
+    angles = [("ATT", t, [0.0, 3.0, 0.0, -4.0, 0.0, 350.0, 0.0, 0.0, 3]) for t in np.arange(15.0, 75.0, 0.1)]
+    run = read_log(write_bin(tmp_path / "att.bin", gone, angles))
+    for name, degrees in (("phi", 3.0), ("theta", -4.0), ("psi", 350.0)):
+        there = np.isfinite(run.channels[name])
+        assert there.sum() > 500
+        np.testing.assert_allclose(run.channels[name][there], np.radians(degrees), rtol=1e-12)
+    assert not run.has("x")
+    there = np.isfinite(run.channels["p"])
+    assert np.std(run.channels["p"][there]) > 0.05
+
+
+def test_the_second_estimator_is_read_where_the_autopilot_uses_it(tmp_path: Path) -> None:
+    two = [("NKF1", t, [0, 1.0, 2.0, 3.0, *[0.1] * 4, t, 2 * t, 3.0, 0.0, 0.0, 0.0, 0.0])
+           for t in np.arange(15.0, 75.0, 0.1)]  # fmt: skip
+    log = read_field_log(write_bin(tmp_path / "two.bin", _with(AHRS_EKF_TYPE=2.0), two))
+    assert log.mapping.columns["NKF1.PN"].channel == "x"
+    assert log.mapping.columns["NKF1.Roll"].unit == "deg"
+    assert not any(name.startswith("XKF1") for name in log.mapping.columns)
