@@ -24,6 +24,7 @@ from undertow.identification.logs.mapping import (
 from undertow.identification.logs.table import (
     WHOLE,
     LogLimits,
+    NotTextError,
     Origin,
     elapsed,
     file_bytes,
@@ -41,7 +42,7 @@ from undertow.typing import Array, Progress
 
 from . import checks
 from .formats.fieldlog import FieldLog
-from .formats.registry import format_of, read_field_log
+from .formats.registry import format_of, read_field_log, readable
 from .mapping import Channel, Column, CommandPolicy, LogMapping
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
@@ -116,7 +117,10 @@ def _opened(path: Path, asked: _Asked) -> tuple[pl.DataFrame, LogMapping, str, t
         notes = (f"read as {log.format}", *log.notes)
         return log.table(columns_read(meaning)), meaning, file_hash(path), notes
     meaning, data = given or LogMapping(), file_bytes(path, asked.limits)
-    table = read_table(data, meaning, where, path, asked.limits)
+    try:
+        table = read_table(data, meaning, where, path, asked.limits)
+    except NotTextError as error:
+        raise UndertowError(f"{error}; {readable()}") from error
     return table, meaning, hashlib.sha256(data).hexdigest(), ()
 
 

@@ -186,8 +186,8 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
     axes = (twist.child or twist.frame) if twist else ""
     if pose and twist and axes and axes == pose.frame:
         known.notes.append(
-            f"{twist.series.name}: its velocities are in the frame of the pose, {axes!r}, so that they are taken "
-            "along the axes of the earth"
+            f"{twist.series.name}: its velocities are in the frame of the pose, {axes!r}, so that they are "
+            "taken along the axes of the earth"
         )
         return Frames(velocity="NED") if down else Frames(position="ENU", body="FLU", velocity="ENU")
     return Frames() if down else Frames(position="ENU", body="FLU")
@@ -284,8 +284,8 @@ def _take_wrench(known: _Understood, topics: Sequence[Topic], driven: bool) -> N
     if driven or len(wrenches) > 1:
         why = "commands drive the vehicle" if driven else "there are several"
         known.notes.append(
-            f"{names}: forces are not used, since {why}: columns wrench.force.x … can be tau_X … in a mapping "
-            "file"
+            f"{names}: forces are not used, since {why}: columns wrench.force.x … can be tau_X … in a "
+            "mapping file"
         )
         return
     of = {"tau_X": "force.x", "tau_Y": "force.y", "tau_Z": "force.z"}
