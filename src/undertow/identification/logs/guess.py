@@ -490,7 +490,9 @@ def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
         ):
             return flag
     gaps = np.diff(np.flatnonzero(new))
-    usual = np.median(gaps) if len(gaps) else 0.0
+    if not len(gaps):
+        return ""
+    usual = np.median(gaps)
     # Of a coarse reading the values change when they happen to.
     return name.column if np.mean(np.abs(gaps - usual) <= 1) > SETTINGS.flagged and usual > 1 else ""
 

@@ -7,11 +7,15 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
+from undertow.errors import UndertowError
 from undertow.identification.logs.guess import SETTINGS, Guess, GuessedMapping, guess_table
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.identification.logs.run import UNITS
+from undertow.model.catalogue import catalogue, logged_quantities
+from undertow.model.units import scale_offset
 
 from .fieldlog import Series
 
@@ -41,11 +45,12 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
     found = [(one, _guess(path, one)) for one in series if len(one.t) > 1]
     found.sort(key=lambda pair: -sum(guess.channel in UNITS for guess in pair[1].columns))
     for number, (one, guess) in enumerate(found):
-        new = [g for g in guess.columns if g.channel in UNITS and g.channel not in taken]
+        new = [g for g in guess.columns if g.channel in UNITS and g.channel not in taken and _can_be(one, g)]
         columns |= {f"{one.name}.{_plain(one, g)}": _column(one, g) for g in new}
         taken |= {g.channel for g in new}
         driving += [f"{one.name}.{_plain(one, g)}" for g in guess.columns if g.channel not in UNITS]
-        doubts = [f"{one.name}.{_plain(one, g)}: {g.doubt}" for g in new if g.doubt]
+        doubtful = [g for g in new if g.doubt and _plain(one, g) not in one.units]
+        doubts = [f"{one.name}.{_plain(one, g)}: {g.doubt}" for g in doubtful]
         notes += [*doubts, *(guess.axes.questions if number == 0 and new else ())]
         if number == 0 and not known:
             frames = Frames.model_validate(guess.axes.entry)
@@ -67,11 +72,27 @@ def _plain(one: Series, guess: Guess) -> str:
     return next(name for name in one.columns if _called(one, name) == guess.column)
 
 
+def _can_be(one: Series, guess: Guess) -> bool:
+    """Whether the unit that the log states is one of the channel."""
+    return fits(one.units.get(_plain(one, guess)), guess.channel)
+
+
+def fits(unit: str | None, channel: str) -> bool:
+    """Whether a unit is one of a channel; none is."""
+    wanted = UNITS.get(channel) or logged_quantities(catalogue()).get(channel, "1")
+    try:
+        scale_offset(unit or wanted, wanted, of="unit")
+    except UndertowError:
+        return False
+    return True
+
+
 def _column(one: Series, guess: Guess) -> Column:
-    entry = dict(guess.entry)
-    if "fresh" in entry:
-        flag = next(name for name in one.columns if _called(one, name) == entry["fresh"])
-        entry["fresh"] = f"{one.name}.{flag}"
+    name, entry = _plain(one, guess), dict(guess.entry)
+    entry["unit"] = one.units.get(name, entry["unit"])
+    flag = next((n for n in one.columns if _called(one, n) == entry.get("fresh")), "")
+    # Where samples are blank these tell which are new.
+    entry["fresh"] = f"{one.name}.{flag}" if flag and not np.isnan(one.columns[name]).any() else None
     return Column.model_validate(entry)
 
 

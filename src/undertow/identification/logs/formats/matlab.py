@@ -18,7 +18,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.identification.logs.guess import Name, is_time
 from undertow.identification.logs.run import FORCES
-from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.symbols import POSE
 from undertow.typing import Array
 
 from .by_name import guessed
@@ -28,7 +28,8 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _WORKSPACE = "workspace"
 _SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 # Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
-_SIX = {"eta": POSE, "pose": POSE, "nu": VELOCITY, "tau": tuple(name[4:] for name in FORCES)}
+_MOVES = ("surge", "sway", "heave", "p", "q", "r")
+_SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
 _TURNS = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
 _ITSELF = {"values", "value", "data"}  # a member that is what its struct is called
 

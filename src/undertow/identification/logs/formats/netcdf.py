@@ -19,11 +19,10 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.identification.logs.guess import is_time
 from undertow.identification.logs.mapping import Column
-from undertow.identification.logs.run import UNITS
 from undertow.model.units import scale_offset
 from undertow.typing import Array
 
-from .by_name import guessed
+from .by_name import fits, guessed
 from .fieldlog import FieldLog, Format, Series, library
 from .glider import KNOWN as SLOCUM
 from .position import north_east
@@ -182,16 +181,7 @@ def _meaning(variable: _Variable) -> Column | None:
     if not channel or not np.any(np.isfinite(variable.values)):
         return None
     unit = variable.unit or next((one.unit for n, one in SLOCUM.items() if n == variable.name.lower()), None)
-    return Column(channel=channel, unit=unit, scale=sign) if _fits(unit, channel) else None
-
-
-def _fits(unit: str | None, channel: str) -> bool:
-    wanted = UNITS.get(channel, {"altitude": "m", "voltage": "V"}.get(channel, "1"))
-    try:
-        scale_offset(unit or wanted, wanted, of="unit")
-    except UndertowError:
-        return False
-    return True
+    return Column(channel=channel, unit=unit, scale=sign) if fits(unit, channel) else None
 
 
 def _accepts(path: Path, head: bytes) -> bool:

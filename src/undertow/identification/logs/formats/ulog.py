@@ -78,7 +78,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 
 def _opened(path: Path) -> Any:
-    return library("pyulog", "a log of PX4").ULog(str(path))
+    pyulog = library("pyulog", "a log of PX4")
+    with path.open("rb") as stream:
+        return pyulog.ULog(stream)
 
 
 _NOTHING = Series("", np.zeros(0), {})
