@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 
@@ -30,18 +31,23 @@ def assert_the_dive(run: Run, dive: Dive, within: float) -> None:
 
 
 def cut_off(path: Path, read: Callable[[Path], object]) -> None:
-    """Cut a file at many places: it has to be read, or refused in one line."""
-    from undertow.errors import UndertowError
-
+    """Cut a file at many places: it has to be read, or refused in one line that names it."""
     whole = path.read_bytes()
     for share in (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.8, 0.95, 0.999):
         path.write_bytes(whole[: round(share * len(whole))])
-        try:
-            read(path)
-        except UndertowError as error:
-            assert "\n" not in str(error), str(error)
-            assert str(path.name) in str(error), str(error)
+        said = refusal(lambda: read(path))
+        assert "\n" not in said, said
+        assert not said or path.name in said, said
     path.write_bytes(whole)
+
+
+def refusal(act: Callable[[], object]) -> str:
+    """What is said where something is refused; "" where it is done."""
+    try:
+        act()
+    except UndertowError as error:
+        return str(error)
+    return ""
 
 
 def in_newtons(mapping: LogMapping, scale: float = FULL) -> LogMapping:
@@ -118,8 +124,8 @@ def ulog(dive: Dive, resets: tuple[float, ...] = (), armed: tuple[float, float] 
             {"timestamp": stamps, "control": outputs})  # fmt: skip
     battery = {"timestamp": "uint64_t", "voltage_v": "float"}
     for instance, volts in enumerate((15.5, 12.0)):
-        log.add("battery_status", battery, {"timestamp": stamps[::20], "voltage_v": np.full(len(stamps), volts)},
-                instance)  # fmt: skip
+        columns = {"timestamp": stamps[::20], "voltage_v": np.full(len(stamps), volts)}
+        log.add("battery_status", battery, columns, instance)
     if armed is not None:
         at = 1_000_000 + np.array([0, *(round(t * 1e6) for t in armed)])
         log.add("vehicle_status", {"timestamp": "uint64_t", "arming_state": "uint8_t"},
@@ -227,7 +233,7 @@ def enu(dive: Dive) -> tuple[Array, Array, Array, Array]:
 
 
 def bag(path: Path, dive: Dive, *, world: bool = False, down: bool = False) -> Path:
-    """The dive as odometry in ENU/FLU (or in NED/FRD, `down`), its velocities along the world's axes if so."""
+    """The dive as odometry in ENU/FLU or, `down`, in NED/FRD, its velocities in body axes or the `world`'s."""
     position, q, twist, east_north_up = enu(dive)
     if down:
         position, q, twist = dive.pose[:, :3], dive.quaternion, np.hstack([dive.velocity, dive.rates])
@@ -282,7 +288,8 @@ def netcdf(path: Path, dive: Dive, kind: str = "NETCDF4") -> Path:
         angles, linear = np.degrees(dive.pose[:, 3:]), dive.pose[:, :3]
         columns = {
             "x": (linear[:, 0], "m"), "y": (linear[:, 1], "m"), "DEPTH": (linear[:, 2], "m"),
-            "ROLL": (angles[:, 0], "degrees"), "PITCH": (angles[:, 1], "degree"), "hdg": (angles[:, 2], "degree"),
+            "ROLL": (angles[:, 0], "degrees"), "PITCH": (angles[:, 1], "degree"),
+            "hdg": (angles[:, 2], "degree"),
         }  # fmt: skip
         columns |= {n: (column, "m s-1") for n, column in zip("uvw", dive.velocity.T, strict=True)}
         columns |= {n: (column, "rad s-1") for n, column in zip("pqr", dive.rates.T, strict=True)}

@@ -44,13 +44,10 @@ log, definitions, found = sys.argv[1:]
 try:
     file = dbdreader.DBD(log, cacheDir=definitions)
     clock = file.timeVariable
-    names = [name for name in file.parameterNames if name != clock]
-    t, _ = file.get(clock, return_nans=True)
-    columns = {}
-    for name in names:
-        _, values = file.get(name, return_nans=True, discardBadLatLon=False)
-        if numpy.isfinite(values).any():
-            columns[name] = values
+    names = [clock, *(name for name in file.parameterNames if name != clock)]
+    read = file.get(*names, return_nans=True, discardBadLatLon=False)
+    t = read[0][0]
+    columns = {name: v for name, (_, v) in zip(names[1:], read[1:]) if numpy.isfinite(v).any()}
 except Exception as error:
     sys.exit(f"{error or type(error).__name__}")
 units = [str(file.parameterUnits.get(name, "")) for name in columns]

@@ -79,12 +79,12 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             f"log {path} has no variable that counts the time along a dimension: give one the units 'seconds "
             "since ...' or the standard_name 'time'"
         )
-    begin = min(float(t[0]) for _, t, _ in found)
+    begin = min(start for _, (start, _), _ in found)
     series: dict[str, Series] = {}
     known: dict[str, Column] = {}
-    for name, t, variables in found:
+    for name, (start, since), variables in found:
         units = {v.name: v.unit for v in variables if v.unit}
-        series[name] = Series(name, t - begin, {v.name: v.values for v in variables}, units)
+        series[name] = Series(name, since + (start - begin), {v.name: v.values for v in variables}, units)
         for variable in variables:
             meant = _meaning(variable)
             if meant and meant.channel not in {column.channel for column in known.values()}:
@@ -94,15 +94,14 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 
 # --- from the file to variables -------------------------------------------------------------------
-def _along_time(group: Any, prefix: str) -> Iterator[tuple[str, Array, list[_Variable]]]:
-    """Dimensions of time of a group and those in it: name, times in s since 1970 or a start, variables."""
+def _along_time(group: Any, prefix: str) -> Iterator[tuple[str, tuple[float, Array], list[_Variable]]]:
+    """Dimensions of time of a group and those in it: name, its clock, variables."""
     for name in group.dimensions:
         along = [v for v in group.variables.values() if v.dimensions[:1] == (name,)]
         clock = min((v for v in along if _counts(v)), key=lambda v: _rank(v, name), default=None)
         if clock is not None and len(clock) > 1:
-            t = _seconds(clock)
             variables = [one for v in along if v is not clock for one in _variables(v, group)]
-            yield f"{prefix}{name}", t, [*variables, *_fixes(variables)]
+            yield f"{prefix}{name}", _seconds(clock), [*variables, *_fixes(variables)]
     for name, inner in group.groups.items():
         yield from _along_time(inner, f"{prefix}{name}/")
 
@@ -121,18 +120,23 @@ def _rank(variable: Any, dimension: str) -> tuple[bool, bool, bool]:
     return variable.name != dimension, getattr(variable, "standard_name", "") != "time", not since
 
 
-def _seconds(variable: Any) -> Array:
-    """Times in s: since 1970 where the units name a date."""
+def _seconds(variable: Any) -> tuple[float, Array]:
+    """When a clock starts, s, since 1970 where its units name a date, and the times from there.
+
+    Apart, since their sum would round the times to a quarter of a microsecond.
+    """
     import cftime
 
     counted = np.ma.filled(np.ma.asarray(variable[:]).astype(np.float64), np.nan)
     unit, since, _ = str(getattr(variable, "units", "s")).partition(" since ")
     scale = scale_offset(_unit(unit) or "s", "s", of=f"units of {variable.name!r}")[0]
-    if not since:
-        return counted * scale
-    calendar = getattr(variable, "calendar", "standard")
-    start = cftime.num2date(0, variable.units, calendar, only_use_cftime_datetimes=True)
-    return counted * scale + float(cftime.date2num(start, "seconds since 1970-01-01", calendar))
+    first = float(next(iter(counted[np.isfinite(counted)]), 0.0))
+    start, times = first * scale, (counted - first) * scale
+    if since:
+        calendar = getattr(variable, "calendar", "standard")
+        date = cftime.num2date(0, variable.units, calendar, only_use_cftime_datetimes=True)
+        start += float(cftime.date2num(date, "seconds since 1970-01-01", calendar))
+    return start, times
 
 
 def _variables(variable: Any, group: Any) -> Iterator[_Variable]:
