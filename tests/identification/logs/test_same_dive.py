@@ -57,11 +57,17 @@ def test_a_fit_has_the_same_values_from_floats_to_their_precision(tmp_path: Path
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["dive.mcap", "dive.ulg"])
 def test_the_diagnosis_finds_the_current_from_a_log_of_the_vehicle(tmp_path: Path, name: str) -> None:
-    told = diagnose(dive().vehicle, [dive().run])
-    found = diagnose(dive().vehicle, [_read(tmp_path, name)])
-    assert [effect.id for effect in found.effects] == [MISSING] == [effect.id for effect in told.effects]
+    train, test = slice(None, 40.025), slice(40.025, None)  # between two samples
+    logs = {"told": dive().run, "found": _read(tmp_path, name)}
+    results = {
+        what: diagnose(dive().vehicle, *([run.slice(part.start, part.stop)] for part in (train, test)))
+        for what, run in logs.items()
+    }
+    told, found = results["told"], results["found"]
+    assert list(found.effects) == [MISSING] == list(told.effects)
     assert found.verdict == told.verdict
-    current = {n: v.value for n, v in found.after.values.items() if n in ("V_N", "V_E")}
-    expected = {n: v.value for n, v in told.after.values.items() if n in ("V_N", "V_E")}
+    current, expected = (
+        {n: float(one.after.values[n].value) for n in ("V_N", "V_E")} for one in (found, told)
+    )
     assert current == pytest.approx(expected, rel=1e-6 if name == "dive.mcap" else 1e-3)
     assert np.hypot(*current.values()) == pytest.approx(np.hypot(0.25, 0.15), rel=0.1)

@@ -233,7 +233,7 @@ def enu(dive: Dive) -> tuple[Array, Array, Array, Array]:
 
 
 def bag(path: Path, dive: Dive, *, world: bool = False, down: bool = False) -> Path:
-    """The dive as odometry in ENU/FLU or, `down`, in NED/FRD, its velocities in body axes or the `world`'s."""
+    """The dive as odometry in ENU/FLU or, `down`, NED/FRD, its velocities in body axes or the `world`'s."""
     position, q, twist, east_north_up = enu(dive)
     if down:
         position, q, twist = dive.pose[:, :3], dive.quaternion, np.hstack([dive.velocity, dive.rates])
