@@ -12,7 +12,7 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._terminal import progress
+from ._terminal import progress, say
 
 if TYPE_CHECKING:
     from undertow.identification.logs.chunks import LongLog
@@ -110,7 +110,7 @@ class ReadOptions:
         `to_fit` refuses more samples than a fit takes as soon as they are read; `in_any_order` drops rows
         that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank).
         """
-        from undertow.identification.logs.reading import read_logs
+        from undertow.identification.logs.reading import format_notes, read_logs
         from undertow.model.loading import load_vehicle
 
         with progress("reading the vehicle", None):
@@ -128,6 +128,9 @@ class ReadOptions:
                 in_any_order=in_any_order,
                 progress=report,
             )
+        for source, notes in {run.source: format_notes(run) for run in runs}.items():
+            for note in notes:
+                say(f"{source}: {note}", "dim")
         first = sum(run.source in set(map(str, logs)) for run in runs)
         return model, runs[:first], runs[first:]
 

@@ -44,7 +44,9 @@ if TYPE_CHECKING:
     from undertow.identification.logs.mapping import LogMapping
 
 _PLOT = typer.Option(
-    "--plot", metavar="OUT.png", help="Draw pose rates against velocities, as given and mended."
+    "--plot",
+    metavar="OUT.png",
+    help="Draw pose rates against velocities, as given and mended; of vehicles' own logs what is used.",
 )
 _MEND = typer.Option("--mend", metavar="OUT.toml", help="Write the mapping file with the mistakes mended.")
 
@@ -70,9 +72,11 @@ def doctor(
 
     def draw(path: Path) -> None:
         from undertow.figures import save_png
+        from undertow.identification.logs.formats.registry import format_of, read_field_log
         from undertow.identification.report.pictures import rates_picture
 
-        save_png(rates_picture(examined, model), path)
+        own = [read_field_log(log) for log in logs if format_of(log) is not None and options.map is None]
+        save_png(rates_picture(examined, model, own), path)
 
     write_files(
         (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),

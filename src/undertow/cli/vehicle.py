@@ -1,8 +1,10 @@
-"""Make a first vehicle file from the shape of a hull or from a type and its dimensions, before any test.
+"""Make a first vehicle file from a hull, a type and its dimensions, or the autopilot's parameters in a log.
 
     undertow vehicle new --mesh hull.stl --unit mm --frame FLU --mass 12 --cg 0,0,0.02 --out my.toml
 
     undertow vehicle new --type torpedo --length 1.33 --beam 0.19 --height 0.19 --mass 30.5 --out my.toml
+
+    undertow vehicle new --log dive.bin --out my.toml
 
     undertow vehicles show my.toml
 
@@ -63,6 +65,11 @@ _MESH = typer.Option("--mesh", metavar="HULL", help="Closed surface of the hull:
 _TYPE = typer.Option(
     "--type", help="In place of a mesh: a type, of which --length, --beam and --height are asked."
 )
+_LOG = typer.Option(
+    "--log",
+    metavar="LOG",
+    help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters tell frame and motors.",
+)
 _LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
 _BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width.")
 _HEIGHT = typer.Option("--height", metavar="M", help="With --type: overall; of ship and asv the draught.")
@@ -120,8 +127,9 @@ def vehicle() -> None:
 
 @app.command()
 def new(
-    mass: Annotated[float, _MASS],
+    mass: Annotated[float | None, _MASS] = None,
     mesh: Annotated[Path | None, _MESH] = None,
+    log: Annotated[Path | None, _LOG] = None,
     kind: Annotated[Kind | None, _TYPE] = None,
     length: Annotated[float | None, _LENGTH] = None,
     beam: Annotated[float | None, _BEAM] = None,
@@ -151,11 +159,22 @@ def new(
     With --type there is no mesh: dimensions and mass give a complete file, with thrusters, rudders and fins
     where vehicles of the type have them, by rules (ellipsoids, Clarke's regression, ITTC 1957, Hoerner) that
     each value names.
+
+    With --log the file is that of the bundled BlueROV2 of the log's frame (six or eight thrusters); which way
+    each of them pushes is that of the parameters, and its thrust follows the curve of a T200 at the voltage
+    of the battery.
     """
     from undertow.files import sha256_of, write_whole
     from undertow.shape.first import HullSpec, first_vehicle, motions
 
     sides = (length, beam, height)
+    if log is not None:
+        if any(given is not None for given in (mass, mesh, kind, *sides)):
+            raise UndertowError("--log takes mass and shape from a bundled vehicle: leave these options out")
+        _of_log(log, out, force)
+        return
+    if mass is None:
+        raise UndertowError("the mass is missing: give --mass in kg")
     if mesh is None or kind is not None or any(s is not None for s in sides):
         _of_type(mesh, kind, sides, mass, density, name, out, force)
         return
@@ -177,6 +196,20 @@ def new(
     found = _added(hull.mesh, density, added_mass, panels, crease)
     write_whole(target, first_vehicle(hull.mesh, found, spec))
     _summary(hull.mesh, target, spec.volume, mass, density, found.source)
+
+
+def _of_log(log: Path, out: Path | None, force: bool) -> None:
+    """Write a vehicle file from the parameters in a log."""
+    from undertow.files import write_whole
+    from undertow.identification.logs.formats.ardupilot import vehicle_text
+    from undertow.identification.logs.formats.registry import read_field_log
+
+    target = new_file(out or Path(f"{log.stem}.toml"), force, [log])
+    with progress("reading", None):
+        found = read_field_log(log)
+    write_whole(target, vehicle_text(found, target.stem))
+    say(f"wrote {target}; commands are outputs of motors from -1 to 1, as undertow reads them from the log")
+    say(f"then: undertow doctor {target} {log}")
 
 
 def _of_type(

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,7 +48,9 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
         unit = table.propeller.revolutions
         return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), _TURNS[unit]), unit
     if isinstance(table.curve, str):
-        return Curve.through(_points(place, folder / table.curve)), "command"
+        ours = bundled_curves().get(table.curve)
+        settings = replace(_CURVES, error=_CURVES.bundled) if ours else _CURVES
+        return Curve.through(_points(place, ours or folder / table.curve, settings)), "command"
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:
@@ -55,22 +59,46 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
     return None, "command"
 
 
+@dataclass(frozen=True)
+class CurveSettings:
+    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
+
+    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
+    points: int = 40  # most points
+    # The same error for curves that come with undertow: one T200 differs from the next by more, and each
+    # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
+    bundled: float = 0.0075
+
+
+_CURVES = CurveSettings()
+
+
 Point = tuple[float, float]
 
 
-def _points(place: str, path: Path) -> list[Point]:
+@cache
+def bundled_curves() -> dict[str, Path]:
+    """Curves of thrusters that come with the program, by name; their command goes from -1 to 1."""
+    folder = Path(str(files("undertow") / "vehicles" / "curves"))
+    return {path.stem: path for path in sorted(folder.glob("*.csv"))}
+
+
+def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
     """Commands and thrusts, N, of a file with two columns, as few as describe it."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise UndertowError(f"{place}: curve '{path}' cannot be read: {error}") from error
+        ours = ", ".join(bundled_curves())
+        raise UndertowError(
+            f"{place}: curve '{path}' cannot be read: {error}; curves that come with undertow: {ours}"
+        ) from error
     rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
     found = [(float(r[0]), float(r[1])) for r in rows if len(r) > 1 and _is_number(r[0]) and _is_number(r[1])]
     if len(found) < 2 or len(found) < len(rows) - 1 - sum(r[0].startswith("#") for r in rows):
         raise UndertowError(f"{place}: curve '{path}' needs two columns of numbers, command and thrust in N")
     if any(b[0] <= a[0] for a, b in pairwise(found)):
         raise UndertowError(f"{place}: commands of curve '{path}' do not rise from row to row: sort them")
-    return _thinned(found)
+    return _thinned(found, settings)
 
 
 def _is_number(text: str) -> bool:
@@ -80,18 +108,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
-@dataclass(frozen=True)
-class CurveSettings:
-    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
-
-    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
-    points: int = 40  # most points
-
-
-_CURVES = CurveSettings()
-
-
-def _thinned(points: list[Point], settings: CurveSettings = _CURVES) -> list[Point]:
+def _thinned(points: list[Point], settings: CurveSettings) -> list[Point]:
     """Points without those that the curve through the others passes anyway."""
     span = max(y for _, y in points) - min(y for _, y in points)
     kept = {0, len(points) - 1}

@@ -19,7 +19,7 @@ from tomlkit.items import AoT, InlineTable, Table, Whitespace
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
-from .actuators import PROPELLER_KEYS, SURFACE_KEYS, propeller_values, surface_values
+from .actuators import PROPELLER_KEYS, SURFACE_KEYS, bundled_curves, propeller_values, surface_values
 from .effect import Effect
 from .loading import Statements, read_vehicle_table, resolve_vehicle, vehicle_from_table
 from .parameter import Parameter, printed
@@ -405,7 +405,8 @@ def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | Non
     _write_effects(document, vehicle, signs, history)
     _write_thrusters(document, vehicle, history)
     for thruster in document.get("thrusters", []):
-        if isinstance(thruster.get("curve"), str) and folder.resolve() != path.parent.resolve():
+        own = isinstance(thruster.get("curve"), str) and thruster["curve"] not in bundled_curves()
+        if own and folder.resolve() != path.parent.resolve():
             thruster["curve"] = relpath(path.parent / thruster["curve"], folder)
     _write_hardware(document, vehicle, read_vehicle_table(path), history)
     if history is not None:

@@ -114,7 +114,7 @@ def _opened(path: Path, asked: _Asked) -> tuple[pl.DataFrame, LogMapping, str, t
         meaning = given or log.mapping_for([*asked.channels, *asked.also])
         if given is None:
             _refuse_other_motors(log, meaning, asked.channels)
-        notes = (f"read as {log.format}", *log.notes)
+        notes = (f"{_READ_AS}{log.format}", *log.notes)
         return log.table(columns_read(meaning)), meaning, file_hash(path), notes
     meaning, data = given or LogMapping(), file_bytes(path, asked.limits)
     try:
@@ -202,13 +202,34 @@ def read_logs(
     runs: list[Run] = []
     for done, path in enumerate(paths):
         progress(done, f"reading {path.name}")
-        read = _runs_of(path, asked)
+        read = [_told_of_newtons(run, vehicle) for run in _runs_of(path, asked)]
         if to_fit:
             checks.refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
         dof = vehicle.degrees_of_freedom
         runs += read if one_motion else [velocities_from_pose(run, dof) for run in read]
     checks.refuse_twins(runs)
     return checks.with_distinct_names(runs)
+
+
+_READ_AS = "read as "
+
+
+def format_notes(run: Run) -> tuple[str, ...]:
+    """What the reader of a vehicle's own log had to say on it; nothing of a table."""
+    first = next((k for k, note in enumerate(run.notes) if note.startswith(_READ_AS)), len(run.notes))
+    return run.notes[first:]
+
+
+def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
+    """The run, with a word on outputs of motors, from -1 to 1, that a vehicle takes for newtons."""
+    plain = [t.name for t in vehicle.thrusters if t.law is None and t.thrust_per_command.value == 1.0]
+    outputs = [run.channels[name] for name in plain if run.has(name)]
+    if not outputs or not format_notes(run) or not np.nanmax(np.abs(outputs), initial=0.0) <= 1.0:
+        return run
+    return run.with_notes(
+        f"commands {', '.join(plain)} lie within -1 and 1, and the vehicle takes them for newtons: give its "
+        'thrusters a curve ("t200-16v") or thrust_per_command, as undertow vehicle new --log does'
+    )
 
 
 def run_of_table(

@@ -16,6 +16,7 @@ from undertow.identification.diagnosis.result import Ranked, Step
 from undertow.identification.doctor.examine import Examined
 from undertow.identification.doctor.findings import percent
 from undertow.identification.doctor.kinematics import Kinematics
+from undertow.identification.logs.formats.fieldlog import FieldLog
 from undertow.identification.logs.run import UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -296,8 +297,10 @@ def force_budget(budgets: Sequence[Budget]) -> Figure:
 _SCATTERED, _OUTLIERS = 1500, 0.002
 
 
-def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
+def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog] = ()) -> Figure:
     """One row for each pose coordinate: rate of the pose against what the velocities make of it.
+
+    Above them, a row for each of the vehicle's own logs: when its motors drove, and which parts are used.
 
     Raises
     ------
@@ -305,7 +308,7 @@ def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
         If the logs have no pose with a velocity of its own.
     """
     kinematics = Kinematics(examined.given, vehicle)
-    if not kinematics:
+    if not kinematics and not logs:
         raise UndertowError(
             f"no picture: the logs of '{vehicle.name}' have no pose with a measured velocity beside it"
         )
@@ -313,15 +316,37 @@ def rates_picture(examined: Examined, vehicle: Vehicle) -> Figure:
     if examined.edits:
         pairs.append(("mistakes undone", examined.mended, AFTER))
     with look():
-        picture, axes = figure(2.5 * len(kinematics.rows) + 0.5, len(kinematics.rows), len(pairs))
+        count = len(logs) + (len(kinematics.rows) if kinematics else 0)
+        picture, axes = figure(2.5 * count + 0.5, count, len(pairs))
+        for row, log in enumerate(logs):
+            _used_panel(axes[row, 0], log)
+            for axis in axes[row, 1:]:
+                axis.set_axis_off()
+        if not kinematics:
+            return picture
         for column, (title, runs, colour) in enumerate(pairs):
             rates = kinematics.rates(runs)
             share = kinematics.of_rates(rates).share
             for row, name in enumerate(kinematics.rows):
                 block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
                 heading = f"{title}: mismatch {percent(share[block])}"
-                _panel(axes[row, column], (rates.velocity[:, row], rates.pose[:, row]), name, heading, colour)
+                points = rates.velocity[:, row], rates.pose[:, row]
+                _panel(axes[len(logs) + row, column], points, name, heading, colour)
     return picture
+
+
+def _used_panel(axis: Any, log: FieldLog) -> None:
+    """The largest command of any motor over time, and the stretches that are used."""
+    drive = log.drive()
+    if drive is not None:
+        axis.plot(drive[0], np.abs(drive[1]).max(axis=1), color=AFTER, linewidth=0.8)
+    for first, last in log.stretches:
+        axis.axvspan(first, last, color=FLOOR, alpha=0.2, linewidth=0)
+    axis.set_title(
+        f"{log.path.name}: used is what is shaded" if log.stretches else f"{log.path.name}: all is used"
+    )
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel("largest command")
 
 
 def _panel(axis: Any, points: tuple[Array, Array], name: str, title: str, colour: str) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
 from undertow.identification.logs.mapping import Column, LogMapping, Time
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 Places = NDArray[np.intp]
 
@@ -24,11 +24,15 @@ TIME, STRETCH = "t", "stretch"
 
 @dataclass(frozen=True)
 class UnionSettings:
-    """How the clocks of several series become the rows of one table."""
+    """How clocks are read, and how those of several series become the rows of one table."""
 
     # Samples closer than this share of the shortest usual step of a series stand in one row: drivers stamp
     # what they take together a few microseconds apart.
     together: float = 0.05
+    # s by which one time in a file may stand out from those beside it, and that may pass between the first
+    # two and the last two: farther ones are damaged.
+    jump: float = 1.0
+    pause: float = 3600.0
 
 
 SETTINGS = UnionSettings()
@@ -175,6 +179,22 @@ class FieldLog:
             "shows what it has"
         )
 
+    def drive(self) -> tuple[Array, Array] | None:
+        """Times, s, (n,), and commands, (n, motors), of motors."""
+        return outputs_of(self.series, self.actuators)
+
+
+def outputs_of(
+    series: Mapping[str, Series], actuators: Sequence[tuple[str, Column]]
+) -> tuple[Array, Array] | None:
+    """Times, s, (n,), and commands, (n, motors), of those in the series of the first; None without any."""
+    home = actuators[0][0].rpartition(".")[0] if actuators else ""
+    if home not in series:
+        return None
+    here = [(name.rpartition(".")[2], c) for name, c in actuators if name.startswith(f"{home}.")]
+    cells = [c.scale * series[home].columns[name] + c.offset for name, c in here]
+    return series[home].t, np.column_stack(cells)
+
 
 @dataclass(frozen=True)
 class Format:
@@ -218,6 +238,24 @@ def rising(t: Array) -> Places:
     latest = np.maximum.accumulate(np.where(np.isfinite(t), t, -np.inf))
     later = np.concatenate([[True], t[1:] > latest[:-1]]) if len(t) else np.zeros(0, bool)
     return np.flatnonzero(later & np.isfinite(t))
+
+
+def steady(times: Array) -> Flags:
+    """Which times lie between those beside them in the file: a damaged one would hide all that follow.
+
+    Those of messages without a time, NaN, are sound.
+    """
+    timed = np.flatnonzero(np.isfinite(times))
+    t, sound = times[timed], np.ones(len(times), dtype=bool)
+    if len(t) > 2:
+        one, two, three = t[:-2], t[1:-1], t[2:]
+        middle = np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three))
+        sound[timed[1:-1]] = np.abs(two - middle) <= SETTINGS.jump
+        sound[timed[[0, -1]]] = [
+            -SETTINGS.pause <= t[0] - t[1] <= SETTINGS.jump,
+            -SETTINGS.jump <= t[-1] - t[-2] <= SETTINGS.pause,
+        ]
+    return sound
 
 
 def union(times: Sequence[Array]) -> tuple[Array, list[Places]]:

@@ -20,8 +20,9 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
+from .ardupilot import armed_stretches, used_stretches
 from .attitude import ANGLES, angles
-from .fieldlog import FieldLog, Format, Series, cut_at, library
+from .fieldlog import FieldLog, Format, Series, library, outputs_of
 
 _SIGNATURE = b"ULog\x01\x12\x35"
 _ARMED = 2  # vehicle_status.arming_state
@@ -64,13 +65,14 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     notes = [f"damaged: {line}" for line in said.getvalue().splitlines()[:1]]
     lost = sum(dropout.duration for dropout in log.dropouts) / 1000
     notes += [f"{len(log.dropouts)} dropouts of the logger, {lost:.3g} s in all"] if log.dropouts else []
-    pieces, cuts = _stretches(series)
+    actuators = _actuators(series)
+    pieces, cuts = _stretches(series, actuators)
     return FieldLog(
         path,
         FORMAT.name,
         series,
         LogMapping(columns=known, frames=_FRAMES),
-        _actuators(series),
+        actuators,
         {name: value for name, value in log.initial_parameters.items() if isinstance(value, (int, float))},
         pieces,
         (*notes, *cuts),
@@ -130,34 +132,28 @@ def _actuators(series: Mapping[str, Series]) -> tuple[tuple[str, Column], ...]:
     return ()
 
 
-def _stretches(series: Mapping[str, Series]) -> tuple[tuple[tuple[float, float], ...], list[str]]:
-    """Where the vehicle was armed, cut where the estimator was reset, and what is said about it."""
+def _stretches(
+    series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]
+) -> tuple[tuple[tuple[float, float], ...], list[str]]:
+    """Where the vehicle was armed and moved, cut where the estimator was reset, and what is said about it."""
     clocks = [series[name].t for name in _SAMPLED if name in series] or [s.t for s in series.values()]
-    begin, end = min(float(t[0]) for t in clocks), max(float(t[-1]) for t in clocks)
-    armed = _armed(series.get("vehicle_status", _NOTHING), end)
-    resets = [t for name in (_POSITION, _ATTITUDE) for t in _resets(series.get(name, _NOTHING))]
-    pieces = cut_at(armed or [(begin, end)], resets)
-    notes = []
-    if armed:
-        used = sum(last - first for first, last in armed)
-        notes.append(f"armed for {used:.1f} s; the other {end - begin - used:.1f} s of the log are left out")
-    if len(pieces) > max(len(armed), 1):
-        notes.append(
-            f"the estimator was reset {len(pieces) - max(len(armed), 1)} times: the log is cut there"
-        )
-    return (pieces if armed or notes else ()), notes
+    span = min(float(t[0]) for t in clocks), max(float(t[-1]) for t in clocks)
+    jumps = {t for name in (_POSITION, _ATTITUDE) for t in _resets(series.get(name, _NOTHING))}
+    known = any(name.startswith("actuator_motors.") for name, _ in actuators)  # pulses have no known rest
+    outputs = outputs_of(series, actuators) if known else None
+    armed = _armed(series.get("vehicle_status", _NOTHING), span)
+    used, notes = used_stretches(span, armed, outputs, sorted(jumps))
+    return (() if used == (span,) else used), notes
 
 
-def _armed(status: Series, end: float) -> list[tuple[float, float]]:
-    """Spells in which the vehicle was armed; none where the log does not say so."""
-    if "arming_state" not in status.columns:
-        return []
-    on = np.concatenate([[0], status.columns["arming_state"] == _ARMED, [0]]).astype(int)
-    times = np.append(status.t, end)
-    return [
-        (float(times[a]), float(times[b]))
-        for a, b in zip(np.flatnonzero(np.diff(on) > 0), np.flatnonzero(np.diff(on) < 0), strict=True)
-    ]
+def _armed(status: Series, span: tuple[float, float]) -> list[tuple[float, float]]:
+    """Spells in which the vehicle was armed; all of a log that does not say so."""
+    if "arming_state" not in status.columns or not len(status.t):
+        return [span]
+    on = status.columns["arming_state"] == _ARMED
+    changed = np.flatnonzero(np.diff(on.astype(int))) + 1
+    events = [(float(status.t[k]), bool(on[k])) for k in changed]
+    return armed_stretches([(min(span[0], float(status.t[0])), bool(on[0])), *events], span)
 
 
 def _resets(estimate: Series) -> list[float]:
