@@ -34,7 +34,9 @@ _VEHICLE = typer.Option(
     "--vehicle", metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
 )
 _MESSAGES = typer.Option(
-    "--messages", metavar="FOLDER", help="Definitions of messages (.msg) that a ROS log does not hold itself."
+    "--messages",
+    metavar="FOLDER",
+    help="Definitions that a log does not hold itself: messages of ROS (.msg), sensors of gliders (.cac).",
 )
 _HEAD = ("series", "samples", "per second", "from s", "to s", "longest gap s", "columns")
 

@@ -14,6 +14,8 @@ from typing import Annotated
 
 import typer
 
+from undertow.errors import UndertowError
+
 from ._options import NewForceOption, new_file
 from ._terminal import progress, say, section, table
 
@@ -40,10 +42,17 @@ def new(
 ) -> None:
     """Guess what the columns of a log mean, and write it as a mapping file with questions."""
     from undertow.files import write_whole
+    from undertow.identification.logs.formats.registry import format_of
     from undertow.identification.logs.guess import guess_mapping
     from undertow.model.loading import load_vehicle
 
     new_file(out, force, [log, *([vehicle] if vehicle else [])])
+    written = format_of(log)
+    if written is not None:
+        raise UndertowError(
+            f"log {log} is one of {written.name} and no table: undertow import {log} --out NEW.parquet "
+            "writes it as a table, with a mapping file of what is understood"
+        )
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading"):
         guessed = guess_mapping(log, model.command_names if model else (), model.dof_indices if model else ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -112,3 +113,21 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
     log = read_field_log(_alog(tmp_path, "0 NAV_X a 3\n1 NAV_X a 4\n"))
     with pytest.raises(UndertowError, match=r"no 'NAV_Y.value' \(did you mean 'NAV_X.value'\?\).*--list"):
         log.table(["NAV_Y.value"])
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "library"),
+    [
+        ("dive.ulg", b"ULog\x01\x12\x35\x01", "pyulog"),
+        ("dive.bag", b"#ROSBAG V2.0\n", "rosbags.highlevel"),
+        ("dive.mat", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", "h5py"),
+        ("dive.nc", b"CDF\x01", "netCDF4"),
+    ],
+)
+def test_a_library_that_is_not_installed_is_one_line_with_the_command_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, head: bytes, library: str
+) -> None:
+    (tmp_path / name).write_bytes(head + bytes(64))
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(UndertowError, match=rf'{library.split(".")[0]}: pip install "undertow\[field\]"'):
+        read_log(tmp_path / name)

@@ -183,6 +183,12 @@ class Name:
         return bool(set(self.words) & _DRIVES or numbered) and "limit" not in self.words
 
 
+def is_time(name: str) -> bool:
+    """Whether the name of a column means that it counts the time."""
+    words = Name.of(name).words
+    return bool(set(words) & _TIMES) and not set(words) & _WANTED
+
+
 # --- a guess ----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Guess:
@@ -268,10 +274,8 @@ def guess_mapping(
     ----------
     path : Path
         CSV, CSV.gz or Parquet.
-    commands : sequence of str
-        Commands of the vehicle; without them what looks like a command keeps its name.
-    degrees_of_freedom : sequence of int
-        Places of the degrees of freedom of the vehicle among the six; empty if it is not known.
+    commands, degrees_of_freedom
+        As for `guess_table`.
 
     Raises
     ------
@@ -279,6 +283,37 @@ def guess_mapping(
         If the file cannot be read, or no column counts the time.
     """
     table, reading = _table(path)
+    return guess_table(table, path, commands, degrees_of_freedom, reading)
+
+
+def guess_table(
+    table: pl.DataFrame,
+    path: Path,
+    commands: Sequence[str] = (),
+    degrees_of_freedom: Sequence[int] = (),
+    reading: LogMapping | None = None,
+) -> GuessedMapping:
+    """Guess what the columns of a table mean.
+
+    Parameters
+    ----------
+    table : DataFrame
+        The table, or its first rows.
+    path : Path
+        The log it comes from.
+    commands : sequence of str
+        Commands of the vehicle; without them what looks like a command keeps its name.
+    degrees_of_freedom : sequence of int
+        Places of the degrees of freedom of the vehicle among the six; empty if it is not known.
+    reading : LogMapping, optional
+        How its text was written.
+
+    Raises
+    ------
+    UndertowError
+        If no column counts the time.
+    """
+    reading = reading or LogMapping()
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
     time = _time(table, data, f"log {path}")
     t = data.get(time.column, np.zeros(0)) * _seconds(str(time.entry["unit"]))
@@ -455,7 +490,9 @@ def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
         ):
             return flag
     gaps = np.diff(np.flatnonzero(new))
-    usual = np.median(gaps) if len(gaps) else 0.0
+    if not len(gaps):
+        return ""
+    usual = np.median(gaps)
     # Of a coarse reading the values change when they happen to.
     return name.column if np.mean(np.abs(gaps - usual) <= 1) > SETTINGS.flagged and usual > 1 else ""
 

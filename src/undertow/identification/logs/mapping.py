@@ -133,7 +133,8 @@ class LogMapping(_Strict):
     missing: tuple[float | str, ...] = ()
     ignore: tuple[str, ...] = ()  # columns to leave out without a note
     missing_commands: CommandPolicy = "refuse"  # what to do where a command has no sample
-    # Folder with definitions of messages (.msg) that a ROS log does not hold itself.
+    # Folder with definitions that a log does not hold itself: of messages of ROS (.msg), of the sensors of a
+    # glider (.cac).
     messages: Path | None = None
 
 

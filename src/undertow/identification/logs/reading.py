@@ -24,6 +24,7 @@ from undertow.identification.logs.mapping import (
 from undertow.identification.logs.table import (
     WHOLE,
     LogLimits,
+    NotTextError,
     Origin,
     elapsed,
     file_bytes,
@@ -40,7 +41,8 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from . import checks
-from .formats.registry import format_of, read_field_log
+from .formats.fieldlog import FieldLog
+from .formats.registry import format_of, read_field_log, readable
 from .mapping import Channel, Column, CommandPolicy, LogMapping
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
@@ -110,11 +112,28 @@ def _opened(path: Path, asked: _Asked) -> tuple[pl.DataFrame, LogMapping, str, t
     if format_of(path) is not None:
         log = read_field_log(path, given.messages if given else None)
         meaning = given or log.mapping_for([*asked.channels, *asked.also])
+        if given is None:
+            _refuse_other_motors(log, meaning, asked.channels)
         notes = (f"{_READ_AS}{log.format}", *log.notes)
         return log.table(columns_read(meaning)), meaning, file_hash(path), notes
     meaning, data = given or LogMapping(), file_bytes(path, asked.limits)
-    table = read_table(data, meaning, where, path, asked.limits)
+    try:
+        table = read_table(data, meaning, where, path, asked.limits)
+    except NotTextError as error:
+        raise UndertowError(f"{error}; {readable()}") from error
     return table, meaning, hashlib.sha256(data).hexdigest(), ()
+
+
+def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[str]) -> None:
+    """Refuse a log whose motors cannot be the commands of a vehicle."""
+    known = {*(column.channel for column in meaning.columns.values())}
+    lacking = [name for name in commands if name not in known]
+    if lacking and log.actuators:
+        raise UndertowError(
+            f"log {log.path} has {len(log.actuators)} motors ({', '.join(n for n, _ in log.actuators)}), but "
+            f"the vehicle has commands {', '.join(lacking)}: say in a mapping file which is which (undertow "
+            f"import {log.path} --out NEW.parquet writes a first one)"
+        )
 
 
 def _stretches(table: pl.DataFrame, column: str | None, where: str) -> list[pl.DataFrame]:

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 
-from .formats.registry import readable
 from .mapping import LogMapping
 
 # Of one column after the other nothing is kept but a number; columns of lists are never read.
@@ -209,6 +208,10 @@ def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
     return data
 
 
+class NotTextError(UndertowError):
+    """A file that is no table."""
+
+
 def file_hash(path: Path) -> str:
     """SHA-256 of the bytes of a file, or of all files of a folder in the order of their names."""
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
@@ -269,9 +272,9 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         try:
             text.decode("utf-8")
         except UnicodeDecodeError as error:
-            raise UndertowError(
+            raise NotTextError(
                 f"{where} is not UTF-8 text (byte {error.start} is 0x{text[error.start]:02x}): save it as "
-                f"UTF-8, if it is a table; {readable()}"
+                "UTF-8, if it is a table"
             ) from error
     if not header:
         raise UndertowError(f"{where} is empty (no header): check that the log was written to its end")

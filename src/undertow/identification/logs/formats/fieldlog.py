@@ -95,20 +95,34 @@ class FieldLog:
     notes: tuple[str, ...] = ()
 
     def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
-        """What is understood, with the commands of a vehicle as its motors in their order.
+        """What is understood, with the commands of a vehicle as its columns.
 
-        The columns of motors are given to commands only where there are as many of one as of the other.
+        A column that has the name of a command is that command. Where none has, the motors of the log are the
+        commands in their order, if there are as many of one as of the other.
         """
-        called = commands or [column.channel for _, column in self.actuators]
-        driven = {
-            name: column.model_copy(update={"channel": command})
-            for command, (name, column) in zip(called, self.actuators, strict=False)
-            if len(called) == len(self.actuators)
-        }
+        taken = {column.channel for column in self.mapping.columns.values()}
+        wanted = [name for name in commands if name not in taken]
+        driven = self._called(wanted)
+        called = wanted or [column.channel for _, column in self.actuators]
+        if not driven and len(called) == len(self.actuators):
+            driven = {
+                name: column.model_copy(update={"channel": command})
+                for command, (name, column) in zip(called, self.actuators, strict=True)
+            }
         time = Time(column=TIME, stretch=STRETCH if self.stretches else None)
         policy = "hold" if driven else self.mapping.missing_commands
         known = {**self.mapping.columns, **driven}
         return self.mapping.model_copy(update={"time": time, "columns": known, "missing_commands": policy})
+
+    def _called(self, commands: Sequence[str]) -> dict[str, Column]:
+        """Columns that have the names of commands."""
+        found = {c: f"{s.name}.{c}" for s in self.series.values() for c in s.columns if c in commands}
+        known = dict(self.actuators)
+        return {
+            found[c]: known.get(found[c], Column(channel=c)).model_copy(update={"channel": c})
+            for c in commands
+            if c in found
+        }
 
     def table(self, columns: Iterable[str]) -> pl.DataFrame:
         """The series of some columns side by side: a row for every time, blank where a series has no sample.

@@ -1,0 +1,107 @@
+"""What series mean whose format does not say so: guesses from the names of their columns."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.guess import SETTINGS, Guess, GuessedMapping, guess_table
+from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.identification.logs.run import UNITS
+from undertow.model.catalogue import catalogue, logged_quantities
+from undertow.model.units import scale_offset
+
+from .fieldlog import Series
+
+_TIME = "time [s]"
+Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
+
+
+def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | None = None) -> Meaning:
+    """Guess a mapping and the commands of series.
+
+    Parameters
+    ----------
+    path : Path
+        The log that they come from.
+    series : sequence of Series
+        Those that know most of the motion are believed first.
+    known : mapping of Column, optional
+        What is understood already, by ``series.column``: no channel of it is guessed.
+
+    Returns
+    -------
+    LogMapping, columns of the numbered commands in their order, and questions.
+    """
+    columns, notes, frames = dict(known or {}), [], Frames()
+    taken = {column.channel for column in columns.values()}
+    driving: list[str] = []
+    found = [(one, _guess(path, one)) for one in series if len(one.t) > 1]
+    found.sort(key=lambda pair: -sum(guess.channel in UNITS for guess in pair[1].columns))
+    for number, (one, guess) in enumerate(found):
+        new = [g for g in guess.columns if g.channel in UNITS and g.channel not in taken and _can_be(one, g)]
+        columns |= {f"{one.name}.{_plain(one, g)}": _column(one, g) for g in new}
+        taken |= {g.channel for g in new}
+        driving += [f"{one.name}.{_plain(one, g)}" for g in guess.columns if g.channel not in UNITS]
+        doubtful = [g for g in new if g.doubt and _plain(one, g) not in one.units]
+        doubts = [f"{one.name}.{_plain(one, g)}: {g.doubt}" for g in doubtful]
+        notes += [*doubts, *(guess.axes.questions if number == 0 and new else ())]
+        if number == 0 and not known:
+            frames = Frames.model_validate(guess.axes.entry)
+    return LogMapping(columns=columns, frames=frames), _numbered(driving, columns), notes
+
+
+def _guess(path: Path, one: Series) -> GuessedMapping:
+    """The guess for a series, whose columns have the units that are known in their names."""
+    rows = slice(None, SETTINGS.rows)
+    table = {_TIME: one.t[rows]} | {_called(one, name): column[rows] for name, column in one.columns.items()}
+    return guess_table(pl.DataFrame(table, nan_to_null=True), path)
+
+
+def _called(one: Series, name: str) -> str:
+    return f"{name} [{one.units[name]}]" if name in one.units else name
+
+
+def _plain(one: Series, guess: Guess) -> str:
+    return next(name for name in one.columns if _called(one, name) == guess.column)
+
+
+def _can_be(one: Series, guess: Guess) -> bool:
+    """Whether the unit that the log states is one of the channel."""
+    return fits(one.units.get(_plain(one, guess)), guess.channel)
+
+
+def fits(unit: str | None, channel: str) -> bool:
+    """Whether a unit is one of a channel; none is."""
+    wanted = UNITS.get(channel) or logged_quantities(catalogue()).get(channel, "1")
+    try:
+        scale_offset(unit or wanted, wanted, of="unit")
+    except UndertowError:
+        return False
+    return True
+
+
+def _column(one: Series, guess: Guess) -> Column:
+    name, entry = _plain(one, guess), dict(guess.entry)
+    entry["unit"] = one.units.get(name, entry["unit"])
+    flag = next((n for n in one.columns if _called(one, n) == entry.get("fresh")), "")
+    # Where samples are blank these tell which are new.
+    entry["fresh"] = f"{one.name}.{flag}" if flag and not np.isnan(one.columns[name]).any() else None
+    return Column.model_validate(entry)
+
+
+def _numbered(names: Sequence[str], columns: Mapping[str, Column]) -> tuple[tuple[str, Column], ...]:
+    """Of columns whose names differ in their last number the most numerous, in its order."""
+    groups: dict[str, list[tuple[int, str]]] = defaultdict(list)
+    for name in names:
+        number = re.search(r"(\d+)\D*$", name)
+        if number and name not in columns:
+            groups[f"{name[: number.start(1)]}#{name[number.end(1) :]}"].append((int(number[1]), name))
+    most = max(groups.values(), key=len, default=[])
+    return tuple((name, Column(channel=f"motor{k}")) for k, (_, name) in enumerate(sorted(most), 1))

@@ -1,0 +1,179 @@
+"""MATLAB: .mat, by SciPy up to version 7 and by h5py for version 7.3.
+
+The workspace and every struct in it are series: vectors as long as a vector of time are their columns. A
+struct without a time of its own takes that of the struct it is in. Columns of matrices are numbered from one
+as in MATLAB (``u1``), or named by axis where they are three or six (``pos_x``, ``eta_psi``). What they mean
+is guessed from their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.guess import Name, is_time
+from undertow.identification.logs.run import FORCES
+from undertow.model.symbols import POSE
+from undertow.typing import Array
+
+from .by_name import guessed
+from .fieldlog import FieldLog, Format, Series, library
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_WORKSPACE = "workspace"
+_SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+# Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
+_MOVES = ("surge", "sway", "heave", "p", "q", "r")
+_SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
+_TURNS = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
+_ITSELF = {"values", "value", "data"}  # a member that is what its struct is called
+
+
+@dataclass(frozen=True)
+class MatlabSettings:
+    """Numbers that decide what of a file is read."""
+
+    widest: int = 16  # columns of a matrix that are measurements of their own
+    # Numbers of days that are dates (datenum): from 1970 to 2100.
+    dates: tuple[float, float] = (719_529.0, 767_011.0)
+    since: float = 1e6  # s; a clock that begins later does not begin with the log
+
+
+SETTINGS = MatlabSettings()
+
+
+def _read(path: Path, messages: Path | None) -> FieldLog:
+    with path.open("rb") as stream:
+        hdf5 = _HDF5 in stream.read(1024)[:520]
+    content, hidden = _with_h5py(path) if hdf5 else _with_scipy(path)
+    notes = [
+        f"{name} is an object of MATLAB: save it as a struct, for a table or timetable by S = "
+        f"table2struct(timetable2table({name}), 'ToScalar', true)"
+        for name in hidden
+    ]
+    found = list(_series(_WORKSPACE, content, {}))
+    if not found:
+        what = f" {notes[0]}" if notes else ""
+        names = ", ".join(content) or "nothing"
+        raise UndertowError(
+            f"log {path} has no vector of time with others as long as it (it has {names}): call one of them "
+            f"time or t.{what}"
+        )
+    begin = min(float(one.t[0]) for one in found)
+    if abs(begin) > SETTINGS.since:
+        found = [Series(one.name, one.t - begin, one.columns, one.units) for one in found]
+    mapping, actuators, questions = guessed(path, found)
+    series = {one.name: one for one in found}
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=(*notes, *questions))
+
+
+# --- from the file to names and arrays ------------------------------------------------------------
+def _with_scipy(path: Path) -> tuple[dict[str, Any], list[str]]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatlabOpaque
+
+    raw = loadmat(str(path), simplify_cells=True)
+    content = {name: value for name, value in raw.items() if not name.startswith("__") and name != "None"}
+    hidden = [name for name, value in content.items() if isinstance(value, MatlabOpaque)]
+    opaque = raw.get("None")
+    if isinstance(opaque, MatlabOpaque):
+        hidden += [bytes(name).decode() for name in np.atleast_1d(opaque["s0"])]
+    return {name: value for name, value in content.items() if name not in hidden}, hidden
+
+
+def _with_h5py(path: Path) -> tuple[dict[str, Any], list[str]]:
+    h5py = library("h5py", "a file of MATLAB 7.3")
+    with h5py.File(path, "r") as file:
+        names = [name for name in file if not name.startswith("#")]
+        hidden = [name for name in names if "MATLAB_object_decode" in file[name].attrs]
+        return {name: _plain(file[name], file) for name in names if name not in hidden}, hidden
+
+
+def _plain(item: Any, file: Any) -> Any:
+    """Groups as dictionaries, arrays of references as lists, arrays turned as MATLAB has them."""
+    if hasattr(item, "keys"):
+        return {name: _plain(item[name], file) for name in item}
+    if item.dtype.kind == "O":
+        return [_plain(file[reference], file) for reference in np.ravel(item[()]) if reference]
+    return np.squeeze(np.transpose(item[()])) if item.dtype.kind in "biuf" else None
+
+
+# --- from names and arrays to series --------------------------------------------------------------
+def _series(name: str, members: Mapping[str, Any], clocks: Mapping[int, Array]) -> Iterator[Series]:
+    """Series of a struct and of those in it; `clocks` are the times of what it is in, by their number."""
+    arrays = {n: a for n, value in members.items() if (a := _numbers(value)) is not None}
+    times = {n: t for n, a in arrays.items() if is_time(n) and (t := _seconds(n, a)) is not None}
+    own = {len(t): t for t in reversed(times.values())}
+    known = {**clocks, **own}
+    by_length: dict[int, dict[str, Array]] = {}
+    for field, array in arrays.items():
+        if field not in times:
+            called = name.rsplit(".", 1)[-1] if field.lower() in _ITSELF and name != _WORKSPACE else field
+            length, columns = _columns(called, array, known)
+            by_length.setdefault(length, {}).update(columns)
+    several = sum(length in known for length in by_length) > 1
+    for length, columns in by_length.items():
+        if length in known and columns:
+            yield Series(f"{name}[{length}]" if several else name, known[length], columns)
+    inside = name if name != _WORKSPACE else ""
+    for field, value in members.items():
+        for label, struct in _structs(field, value):
+            yield from _series(f"{inside}.{label}" if inside else label, struct, known)
+
+
+def _structs(name: str, value: Any) -> list[tuple[str, Mapping[str, Any]]]:
+    """Structs in a member: itself, or the elements of an array of structs, counted from one."""
+    if isinstance(value, Mapping):
+        return [(name, value)]
+    if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
+        return [(f"{name}({k})", one) for k, one in enumerate(value, 1) if isinstance(one, Mapping)]
+    return []
+
+
+def _numbers(value: Any) -> Array | None:
+    """Vectors and matrices of real numbers."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf" or value.ndim not in (1, 2):
+        return None
+    return value.astype(np.float64) if value.size > 1 else None
+
+
+def _seconds(name: str, values: Array) -> Array | None:
+    """A vector of time, s; None for what does not rise."""
+    t = np.squeeze(values)
+    if t.ndim != 1 or len(t) < 2 or not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0) or t[-1] <= t[0]:
+        return None
+    if SETTINGS.dates[0] < t[0] < SETTINGS.dates[1] and t[-1] - t[0] < 366:
+        return (t - t[0]) * 86400.0
+    return t * _SECONDS.get(Name.of(name).unit, 1.0)
+
+
+def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int, dict[str, Array]]:
+    """Columns of a vector or matrix, which may lie on its side, and how many samples they have."""
+    if array.ndim == 1:
+        return len(array), {name: array}
+    upright = array if array.shape[0] in clocks or array.shape[1] not in clocks else array.T
+    rows, width = upright.shape
+    if width > SETTINGS.widest:
+        return rows, {}
+    return rows, dict(zip(_names(name, width), upright.T, strict=True))
+
+
+def _names(name: str, width: int) -> list[str]:
+    if width == 6 and name.lower() in _SIX:
+        return [f"{name}_{axis}" for axis in _SIX[name.lower()]]
+    if width == 3:
+        axes = ("phi", "theta", "psi") if set(Name.of(name).words) & _TURNS else ("x", "y", "z")
+        return [f"{name}_{axis}" for axis in axes]
+    return [name] if width == 1 else [f"{name}{k}" for k in range(1, width + 1)]
+
+
+def _accepts(path: Path, head: bytes) -> bool:
+    return head.startswith(b"MATLAB ") or (path.suffix == ".mat" and bool(head))
+
+
+FORMAT = Format("MATLAB", (".mat",), _accepts, _read)

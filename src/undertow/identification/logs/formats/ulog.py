@@ -1,0 +1,169 @@
+"""PX4: .ulg, by pyulog.
+
+Every message is a series, one of several instances with its number in brackets (``battery_status[1]``).
+Times are those at which a sensor or the estimator was true (timestamp_sample) where PX4 says so. What the
+estimator does not vouch for (xy_valid and the like) is blank. Besides the columns of the file,
+vehicle_attitude has phi, theta, psi of its quaternion, rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.typing import Array
+
+from .ardupilot import armed_stretches, used_stretches
+from .attitude import ANGLES, angles
+from .fieldlog import FieldLog, Format, Series, library, outputs_of
+
+_SIGNATURE = b"ULog\x01\x12\x35"
+_ARMED = 2  # vehicle_status.arming_state
+_POSITION, _ATTITUDE, _RATE = "vehicle_local_position", "vehicle_attitude", "vehicle_angular_velocity"
+_SAMPLED = (_POSITION, _ATTITUDE, _RATE)
+# Flags of vehicle_local_position, and the columns that mean nothing where they are not set.
+_VOUCHED = {
+    "xy_valid": ("x", "y"),
+    "z_valid": ("z",),
+    "v_xy_valid": ("vx", "vy"),
+    "v_z_valid": ("vz",),
+}
+# The estimator of PX4 gives all in NED and forward-right-down axes, velocities along north, east, down.
+_KNOWN = {
+    _POSITION: {"x": "x", "y": "y", "z": "z", "vx": "u", "vy": "v", "vz": "w"},
+    _ATTITUDE: {name: name for name in ANGLES},
+    _RATE: {"xyz[0]": "p", "xyz[1]": "q", "xyz[2]": "r"},
+    "battery_status": {"voltage_v": "voltage"},
+}
+_UNITS = {"x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "voltage_v": "V"}
+_UNITS |= {**dict.fromkeys(ANGLES, "rad"), **{f"xyz[{k}]": "rad/s" for k in range(3)}}
+_FRAMES = Frames(position="NED", body="FRD", velocity="NED")
+
+
+def _read(path: Path, messages: Path | None) -> FieldLog:
+    said = StringIO()  # pyulog prints what it finds damaged
+    with redirect_stdout(said):
+        log = _opened(path)
+    if not log.data_list:
+        raise UndertowError(f"log {path} has no data: check that it was written to its end")
+    found = {_name(data): data.data for data in log.data_list}
+    begin = log.start_timestamp
+    series = {name: _series(name, data, begin) for name, data in found.items()}
+    known = {
+        f"{name}.{column}": Column(channel=channel, unit=_UNITS.get(column))
+        for name, meaning in _KNOWN.items()
+        for column, channel in meaning.items()
+        if column in series.get(name, _NOTHING).columns and _some(series[name].columns[column])
+    }
+    notes = [f"damaged: {line}" for line in said.getvalue().splitlines()[:1]]
+    lost = sum(dropout.duration for dropout in log.dropouts) / 1000
+    notes += [f"{len(log.dropouts)} dropouts of the logger, {lost:.3g} s in all"] if log.dropouts else []
+    actuators = _actuators(series)
+    pieces, cuts = _stretches(series, actuators)
+    return FieldLog(
+        path,
+        FORMAT.name,
+        series,
+        LogMapping(columns=known, frames=_FRAMES),
+        actuators,
+        {name: value for name, value in log.initial_parameters.items() if isinstance(value, (int, float))},
+        pieces,
+        (*notes, *cuts),
+    )
+
+
+def _opened(path: Path) -> Any:
+    pyulog = library("pyulog", "a log of PX4")
+    with path.open("rb") as stream:
+        return pyulog.ULog(stream)
+
+
+_NOTHING = Series("", np.zeros(0), {})
+
+
+def _name(data: Any) -> str:
+    """The name of a message; of several instances, those after the first with their number."""
+    return f"{data.name}[{data.multi_id}]" if data.multi_id else str(data.name)
+
+
+def _series(name: str, data: Mapping[str, Array], begin: int) -> Series:
+    stamps = data["timestamp"]
+    sampled = data.get("timestamp_sample")
+    if name in _SAMPLED and sampled is not None:
+        stamps = np.where(sampled > 0, sampled, stamps)
+    t = (stamps.astype(np.int64) - begin).astype(np.float64) * 1e-6
+    columns = dict(data)
+    if name == _POSITION:
+        columns |= _vouched(columns)
+    if name == _ATTITUDE:
+        columns |= angles(*(columns[f"q[{k}]"].astype(float) for k in range(4)))
+    return Series(name, t, columns, {n: unit for n, unit in _UNITS.items() if n in columns})
+
+
+def _vouched(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Position and velocity, blank where the estimator does not vouch for them."""
+    return {
+        name: np.where(columns[flag] > 0, columns[name], np.nan)
+        for flag, names in _VOUCHED.items()
+        for name in names
+        if flag in columns and name in columns
+    }
+
+
+def _some(column: Array) -> bool:
+    return bool(np.any(np.isfinite(column)))
+
+
+def _actuators(series: Mapping[str, Series]) -> tuple[tuple[str, Column], ...]:
+    """Outputs of the motors that the vehicle has: of the allocation, or as pulses of the first output."""
+    for name, column in (("actuator_motors", "control[{}]"), ("actuator_outputs", "output[{}]")):
+        data = series.get(name, _NOTHING).columns
+        count = int(np.max(data["noutputs"])) if "noutputs" in data else 16
+        there = [n for k in range(count) if (n := column.format(k)) in data and _some(data[n])]
+        if there:
+            return tuple((f"{name}.{n}", Column(channel=f"motor{k}")) for k, n in enumerate(there, 1))
+    return ()
+
+
+def _stretches(
+    series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]
+) -> tuple[tuple[tuple[float, float], ...], list[str]]:
+    """Where the vehicle was armed and moved, cut where the estimator was reset, and what is said about it."""
+    clocks = [series[name].t for name in _SAMPLED if name in series] or [s.t for s in series.values()]
+    span = min(float(t[0]) for t in clocks), max(float(t[-1]) for t in clocks)
+    jumps = {t for name in (_POSITION, _ATTITUDE) for t in _resets(series.get(name, _NOTHING))}
+    known = any(name.startswith("actuator_motors.") for name, _ in actuators)  # pulses have no known rest
+    outputs = outputs_of(series, actuators) if known else None
+    armed = _armed(series.get("vehicle_status", _NOTHING), span)
+    used, notes = used_stretches(span, armed, outputs, sorted(jumps))
+    return (() if used == (span,) else used), notes
+
+
+def _armed(status: Series, span: tuple[float, float]) -> list[tuple[float, float]]:
+    """Spells in which the vehicle was armed; all of a log that does not say so."""
+    if "arming_state" not in status.columns or not len(status.t):
+        return [span]
+    on = status.columns["arming_state"] == _ARMED
+    changed = np.flatnonzero(np.diff(on.astype(int))) + 1
+    events = [(float(status.t[k]), bool(on[k])) for k in changed]
+    return armed_stretches([(min(span[0], float(status.t[0])), bool(on[0])), *events], span)
+
+
+def _resets(estimate: Series) -> list[float]:
+    """Times of the first samples after the estimator jumped."""
+    counters = [column for name, column in estimate.columns.items() if name.endswith("reset_counter")]
+    return [float(estimate.t[k + 1]) for c in counters for k in np.flatnonzero(np.diff(c.astype(int)))]
+
+
+def _accepts(path: Path, head: bytes) -> bool:
+    return head.startswith(_SIGNATURE) or path.suffix == ".ulg"
+
+
+FORMAT = Format("PX4 ULog", (".ulg",), _accepts, _read)

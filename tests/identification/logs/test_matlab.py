@@ -1,0 +1,110 @@
+"""Files of MATLAB: the dive comes back from structs of both versions, names say what is what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.reading import read_log, read_logs
+from undertow.model.loading import load_vehicle
+
+from .dive import Dive, dive
+from .written import assert_the_dive, cut_off, mat, mat73
+
+_WRITERS = [mat, mat73]
+Write = Callable[[Path, Dive], Path]
+
+
+@pytest.mark.parametrize("write", _WRITERS)
+def test_the_dive_comes_back(tmp_path: Path, write: Write) -> None:
+    path = write(tmp_path / "dive.mat", dive())
+    (run,) = read_logs([path], load_vehicle("bluerov2"))
+    assert_the_dive(run, dive(), 1e-12)
+    log = read_field_log(path)
+    assert list(log.series) == ["nav", "thruster"]
+    assert [name for name, _ in log.actuators] == [f"thruster.f{k}" for k in range(1, 9)]
+
+
+def _written(folder: Path, content: dict[str, Any]) -> Path:
+    savemat(folder / "log.mat", content, oned_as="row")
+    return folder / "log.mat"
+
+
+def test_vectors_of_the_workspace_are_columns_whichever_way_they_lie(tmp_path: Path) -> None:
+    t = np.arange(40) * 0.1
+    content = {"time": t, "pos": np.vstack([t, 2 * t, 3 * t]), "yaw_deg": 90 * np.sin(t), "gain": 3.0}
+    log = read_field_log(_written(tmp_path, content))
+    assert {c.channel: (n, c.unit) for n, c in log.mapping.columns.items()} == {
+        "x": ("workspace.pos_x", "m"),
+        "y": ("workspace.pos_y", "m"),
+        "z": ("workspace.pos_z", "m"),
+        "psi": ("workspace.yaw_deg", "deg"),
+    }
+    run = read_log(log.path)
+    assert run.channels["y"] == pytest.approx(2 * t)
+    assert run.channels["psi"] == pytest.approx(np.pi / 2 * np.sin(t))
+
+
+def test_structs_have_clocks_of_their_own_and_those_inside_take_that_of_the_outer(tmp_path: Path) -> None:
+    slow, fast = np.arange(10.0), np.arange(100) * 0.1
+    simulink = {"time": fast, "signals": {"values": np.cos(fast)}}
+    content = {"gps": {"t": slow, "x": slow**2}, "heading": simulink, "note": "text"}
+    log = read_field_log(_written(tmp_path, content))
+    assert {name: len(one.t) for name, one in log.series.items()} == {"gps": 10, "heading.signals": 100}
+    assert log.series["heading.signals"].columns["signals"] == pytest.approx(np.cos(fast))
+
+
+def test_dates_of_matlab_count_from_the_start(tmp_path: Path) -> None:
+    t = 739_000.25 + np.arange(30) / 86400.0
+    log = read_field_log(_written(tmp_path, {"time": t, "depth": np.linspace(0, 5, 30)}))
+    assert log.series["workspace"].t == pytest.approx(np.arange(30.0), abs=1e-4)
+
+
+def test_a_clock_since_1970_counts_from_the_start(tmp_path: Path) -> None:
+    t = 1.7e9 + np.arange(30) * 0.5
+    log = read_field_log(
+        _written(tmp_path, {"a": {"t": t, "x": t - 1.7e9}, "b": {"t": t + 2.0, "y": t - 1.7e9}})
+    )
+    assert log.series["a"].t[0] == 0.0
+    assert log.series["b"].t[0] == 2.0
+
+
+def test_what_is_wanted_of_a_vehicle_is_not_taken_for_its_motion(tmp_path: Path) -> None:
+    t = np.arange(30.0)
+    content = {"log": {"t": t, "depth": t / 10, "depth_des": t / 5, "psi_ref": t / 50, "psi": t / 60}}
+    columns = read_field_log(_written(tmp_path, content)).mapping.columns
+    assert {name: column.channel for name, column in columns.items()} == {"log.depth": "z", "log.psi": "psi"}
+
+
+def test_commands_are_taken_by_their_names_where_these_are_those_of_the_vehicle(tmp_path: Path) -> None:
+    t = np.arange(30.0)
+    content = {"log": {"t": t, "starboard": t, "port": -t, "u": np.sin(t)}}
+    mapping = read_field_log(_written(tmp_path, content)).mapping_for(["port", "starboard"])
+    drives = {n: c.channel for n, c in mapping.columns.items() if c.channel in ("port", "starboard")}
+    assert drives == {"log.port": "port", "log.starboard": "starboard"}
+
+
+def test_a_file_without_time_is_refused_with_its_names(tmp_path: Path) -> None:
+    path = _written(tmp_path, {"speed": np.ones(20), "depth": np.ones(20)})
+    with pytest.raises(UndertowError, match=r"no vector of time .*it has speed, depth.*call one of them"):
+        read_log(path)
+
+
+def test_hdf5_is_told_by_what_is_in_it(tmp_path: Path) -> None:
+    path = mat73(tmp_path / "dive.mat", dive())
+    other = path.rename(tmp_path / "dive.data")
+    found = format_of(other)
+    assert found is not None
+    assert found.name == "MATLAB"
+
+
+@pytest.mark.parametrize("write", _WRITERS)
+def test_files_that_are_cut_off_are_read_or_refused_in_a_line(tmp_path: Path, write: Write) -> None:
+    cut_off(write(tmp_path / "dive.mat", dive()), read_log)

@@ -1,0 +1,214 @@
+"""Bags of ROS: the dive comes back from every kind, frames and message types are what they say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from undertow.errors import UndertowError
+from undertow.identification.doctor.examine import examine
+from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.reading import read_log, read_logs
+from undertow.model.loading import load_vehicle
+
+from .dive import dive
+from .written import BAGS, BagWriter, assert_the_dive, bag, cut_off, enu
+
+pytest.importorskip("rosbags")
+_REAL = Path(__file__).parents[4] / "dev" / "field" / "ros2"
+_BAGS = sorted(BAGS)
+
+
+@pytest.mark.parametrize("name", _BAGS)
+def test_the_dive_comes_back(tmp_path: Path, name: str) -> None:
+    path = bag(tmp_path / name, dive())
+    (run,) = read_logs([path], load_vehicle("bluerov2"))
+    assert_the_dive(run, dive(), 1e-9)
+    assert run.mapping is not None
+    assert (run.mapping.frames.position, run.mapping.frames.body) == ("ENU", "FLU")
+
+
+def test_a_folder_of_rosbag2_is_one_log(tmp_path: Path) -> None:
+    path = bag(tmp_path / "dive.mcap", dive()).parent
+    assert (path / "metadata.yaml").exists()
+    (run,) = read_logs([path], load_vehicle("bluerov2"))
+    assert_the_dive(run, dive(), 1e-9)
+    assert format_of(tmp_path) is None
+
+
+def test_frames_that_say_ned_and_frd_are_taken_so(tmp_path: Path) -> None:
+    path = bag(tmp_path / "dive.db3", dive(), down=True)
+    (run,) = read_logs([path], load_vehicle("bluerov2"))
+    assert_the_dive(run, dive(), 1e-9)
+    assert run.mapping is not None
+    assert (run.mapping.frames.position, run.mapping.frames.body) == ("NED", "FRD")
+
+
+def test_a_twist_along_the_axes_of_the_world_is_found_by_the_doctor(tmp_path: Path) -> None:
+    path, vehicle = bag(tmp_path / "dive.mcap", dive(), world=True), load_vehicle("bluerov2")
+    found = examine(vehicle, read_logs([path], vehicle))
+    (mistake,) = [finding for finding in found.result.findings if finding.severity == "mistake"]
+    assert mistake.mapping == '[frames]\nvelocity = "ENU"'
+    assert_the_dive(found.mended[0], dive(), 1e-9)
+    right = examine(vehicle, read_logs([bag(tmp_path / "body.mcap", dive())], vehicle))
+    assert not [finding for finding in right.result.findings if finding.severity == "mistake"]
+
+
+def test_a_twist_in_the_frame_of_the_pose_is_taken_along_its_axes(tmp_path: Path) -> None:
+    position, q, twist, east_north_up = enu(dive())
+    with BagWriter(tmp_path / "dive.mcap") as out:
+        for k, t in enumerate(dive().t):
+            moved = np.hstack([east_north_up[k], twist[k, 3:]])
+            out.write("/odom", t, out.odometry(float(t), ("map", "map"), position[k], q[k], moved))
+    run = read_log(out.path)
+    for name, values in zip("uvw", dive().velocity.T, strict=True):
+        assert run.channels[name] == pytest.approx(values, abs=1e-9)
+    assert "p" not in run.channels
+
+
+def test_of_two_odometries_the_one_that_reports_most_is_taken(tmp_path: Path) -> None:
+    position, q, twist, _ = enu(dive())
+    with BagWriter(tmp_path / "dive.bag") as out:
+        for k, t in enumerate(dive().t):
+            frames = ("odom", "base_link")
+            out.write("/fast", t, out.odometry(float(t), frames, position[k], q[k], twist[k]))
+            if k % 4 == 0:
+                out.write("/slow", t, out.odometry(float(t), frames, 2 * position[k], q[k], twist[k]))
+    log = read_field_log(out.path)
+    assert {name.split(".")[0] for name in log.mapping.columns} == {"/fast"}
+    assert any("/slow" in note and "not used" in note for note in log.notes)
+
+
+_DVL = """
+uint8 DVL_MODE_BOTTOM=1
+uint8 DVL_MODE_WATER=2
+std_msgs/Header header
+uint8 velocity_mode
+geometry_msgs/Vector3 velocity
+float64 altitude
+bool beam_velocities_valid
+"""
+
+
+def _sensors(path: Path) -> BagWriter:
+    """An inertial unit, a pressure sensor in hPa and a Doppler log that loses the bottom for 10 s."""
+    _, q, twist, _ = enu(dive())
+    none = np.zeros(9)
+    with BagWriter(path) as out:
+        out.define(_DVL, "marine_acoustic_msgs/msg/Dvl")
+        for k, t in enumerate(dive().t):
+            at: dict[str, Any] = {"header": (float(t), "imu_link")}
+            imu = out.message(
+                "sensor_msgs/msg/Imu", **at, orientation=out.quaternion(*map(float, q[k])),
+                angular_velocity=out.vector(*twist[k, 3:]), linear_acceleration=out.vector(0, 0, 9.81),
+                orientation_covariance=none, angular_velocity_covariance=none,
+                linear_acceleration_covariance=none)  # fmt: skip
+            pressure = 1013.25 + dive().pose[k, 2] * 1025.0 * 9.81 / 100.0
+            baro = out.message(
+                "sensor_msgs/msg/FluidPressure", header=(float(t), ""), fluid_pressure=pressure, variance=0.0
+            )
+            water = 20.0 <= t < 30.0
+            lost = 40.0 <= t < 41.0
+            dvl = out.message(
+                "marine_acoustic_msgs/msg/Dvl", header=(float(t), "dvl"), velocity_mode=2 if water else 1,
+                velocity=out.vector(*(dive().velocity[k] + (0.5 if water else 0.0))), altitude=7.5,
+                beam_velocities_valid=not lost)  # fmt: skip
+            for topic, message in (("/imu/data", imu), ("/baro", baro), ("/dvl", dvl)):
+                out.write(topic, float(t), message)
+    return out
+
+
+@pytest.mark.parametrize("name", _BAGS)
+def test_sensors_without_odometry(tmp_path: Path, name: str) -> None:
+    log = read_field_log(_sensors(tmp_path / name).path)
+    run = read_log(log.path)
+    t = dive().t
+    bottom = ((t < 20.0) | (t >= 30.0)) & ((t < 40.0) | (t >= 41.0))
+    for channel, values in zip("uvw", dive().velocity.T, strict=True):
+        assert run.channels[channel][bottom] == pytest.approx(values[bottom], abs=1e-9)
+        assert np.isnan(run.channels[channel][~bottom]).all()
+    assert run.channels["z"] == pytest.approx(dive().pose[:, 2], abs=1e-6)
+    assert run.channels["r"] == pytest.approx(dive().rates[:, 2], abs=1e-9)
+    assert run.channels["theta"] == pytest.approx(dive().pose[:, 4], abs=1e-9)
+    assert run.channels["altitude"] == pytest.approx(7.5)
+    water = log.series["/dvl"].columns["water.x"]
+    assert np.array_equal(np.isfinite(water), (t >= 20.0) & (t < 30.0))
+    assert any("hPa" in note and "1025 kg/m^3" in note for note in log.notes)
+
+
+def test_commands_one_by_one_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "dive.mcap") as out:
+        float_ = out.store.types["std_msgs/msg/Float64"]
+        for t in np.arange(20) * 0.1:
+            for k in (10, 2, 0):
+                out.write(f"/rov/thrusters/{k}/input", float(t), float_(data=float(k)))
+    actuators = read_field_log(out.path).actuators
+    assert [name for name, _ in actuators] == [f"/rov/thrusters/{k}/input.data" for k in (0, 2, 10)]
+
+
+def test_messages_of_ones_own_are_read_by_their_definition_from_a_folder(tmp_path: Path) -> None:
+    text = "std_msgs/Header header\nfloat32 rpm\nuint8[3] state\nmy_msgs/Cell[] cells\n"
+    with BagWriter(tmp_path / "esc.db3") as out:
+        out.define("float32 volt\n", "my_msgs/msg/Cell")
+        out.define(text, "my_msgs/msg/Esc")
+        cell = out.store.types["my_msgs/msg/Cell"]
+        for k in range(5):
+            message = out.message(
+                "my_msgs/msg/Esc", header=(0.1 * k, "esc"), rpm=float(k), state=np.array([1, 2, k], np.uint8),
+                cells=[cell(volt=4.0)] * (k % 3))  # fmt: skip
+            out.write("/esc", 0.1 * k, message)
+    _forget_definitions(out.path)
+    with pytest.raises(UndertowError, match="no message with numbers"):
+        read_field_log(out.path)
+    folder = tmp_path / "ws" / "my_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Esc.msg").write_text(text, encoding="utf-8")
+    (folder / "Cell.msg").write_text("float32 volt\n", encoding="utf-8")
+    columns = read_field_log(out.path, tmp_path / "ws").series["/esc"].columns
+    assert columns["rpm"] == pytest.approx(np.arange(5.0))
+    assert columns["state[2]"] == pytest.approx(np.arange(5.0))
+    assert columns["cells[1].volt"] == pytest.approx([np.nan, np.nan, 4.0, np.nan, np.nan], nan_ok=True)
+
+
+def _forget_definitions(path: Path) -> None:
+    """As ROS 2 wrote bags before Iron: without the definitions of messages."""
+    import sqlite3
+
+    base = sqlite3.connect(path)
+    base.execute("DELETE FROM message_definitions")
+    base.commit()
+    base.close()
+
+
+def test_stamps_of_another_clock_are_not_mixed_with_that_of_the_bag(tmp_path: Path) -> None:
+    position, q, twist, _ = enu(dive())
+    with BagWriter(tmp_path / "dive.bag", begin=0) as out:
+        for k, t in enumerate(dive().t[:50]):
+            message = out.odometry(float(t) + 0.1, ("odom", "base_link"), position[k], q[k], twist[k])
+            out.write("/odom", 1000.0 + 2.0 * float(t), message)
+    log = read_field_log(out.path)
+    assert log.series["/odom"].t == pytest.approx(2.0 * dive().t[:50])
+    assert any("off the clock of the bag" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("name", _BAGS)
+def test_bags_that_are_cut_off_are_read_or_refused_in_a_line(tmp_path: Path, name: str) -> None:
+    cut_off(bag(tmp_path / name, dive()), read_log)
+
+
+@pytest.mark.parametrize(
+    ("name", "series"),
+    [("wbag/wbag_0.db3", 8), ("wbag", 8), ("cdr_test/cdr_test_0.mcap", 2), ("cdr_test", 2)],
+)
+def test_bags_of_ros2_itself_are_read(name: str, series: int) -> None:
+    if not (_REAL / name).exists():
+        pytest.skip(f"the bag of rosbag2 is not at {_REAL / name}")
+    log = read_field_log(_REAL / name)
+    assert len(log.series) == (2 if "cdr" in name else 8)
+    with pytest.raises(UndertowError, match=r"none of its series is known to be a motion.*--list"):
+        read_log(log.path)
+    if "cdr" in name:
+        assert list(log.series["/test_topic"].columns["int32_value"]) == [123.0] * 3
