@@ -39,6 +39,8 @@ class Column(_Strict):
     # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
     # column itself where no other tells: then a value that differs from the row before is new.
     fresh: str | None = Field(default=None, min_length=1)
+    # How late its stamps are, "0.12 s" or a number in s: what is in a row was true that much earlier.
+    delay: str | float = 0.0
     # Standard deviation of the noise of the sensor, "2 cm" or a number in `unit`; None: it is estimated.
     noise: str | float | None = None
 
@@ -48,6 +50,7 @@ class Channel(_Strict):
 
     expression: str  # arithmetic in the cells of columns, see `Formula`
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
+    delay: str | float = 0.0  # as that of a column
 
     @field_validator("expression")
     @classmethod
