@@ -287,7 +287,8 @@ def _reported(found: Mapping[str, Flags], mapping: LogMapping) -> dict[str, Flag
     reported = {turned_name(n, mapping.frames.position): there for n, there in found.items()}
     linear = [n for n in VELOCITY[:3] if n in reported]
     if mapping.frames.velocity != "body" and linear:  # each is made of all three
-        reported |= dict.fromkeys(linear, np.logical_and.reduce([reported[n] for n in linear]))
+        all_three = np.logical_and.reduce([reported[n] for n in linear])
+        reported |= {n: all_three for n in linear}
     return reported
 
 

@@ -166,8 +166,9 @@ class Run:
     @property
     def clock(self) -> NDArray[np.float64]:
         """Times, s, of the measured channel that reports most often: all rows unless each lacks some."""
-        most = max(self.reported.values(), key=np.count_nonzero, default=None)
-        whole = most is None or not {*self.reported} >= MEASURED.intersection(self.channels)
+        every = np.ones(len(self.t), dtype=bool)
+        most = max(self.reported.values(), key=np.count_nonzero, default=every)
+        whole = not {*self.reported} >= MEASURED.intersection(self.channels)
         return self.t if whole or np.count_nonzero(most) < 2 else self.t[most]
 
     @cached_property
@@ -197,11 +198,11 @@ class Run:
         return self._rows(builtins.slice(count))
 
     def _rows(self, rows: Flags | builtins.slice) -> Run:
-        tables = {
-            kind: {name: data[rows] for name, data in getattr(self, kind).items()}
-            for kind in ("channels", "wrapped", "reported")
-        }
-        return replace(self, t=self.t[rows], **tables)
+        channels, wrapped = (
+            {name: data[rows] for name, data in table.items()} for table in (self.channels, self.wrapped)
+        )
+        reported = {name: there[rows] for name, there in self.reported.items()}
+        return replace(self, t=self.t[rows], channels=channels, wrapped=wrapped, reported=reported)
 
     def segments(self, names: Iterable[str] = ()) -> list[builtins.slice]:
         """Return index slices without a time step longer than five usual steps.

@@ -207,7 +207,7 @@ def with_report_noise(run: Run, *, part: bool = False) -> Run:
     return replace(run, sigma=sigma).with_notes(*notes)
 
 
-def filled(run: Run, values: Mapping[str, Array]) -> Run:
+def with_reports(run: Run, values: Mapping[str, Array]) -> Run:
     """A run with other reports of some channels (n,), NaN where there is none; lines in between as before."""
     channels, reported = dict(run.channels), dict(run.reported)
     for name, data in values.items():
