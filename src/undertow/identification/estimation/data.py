@@ -371,7 +371,7 @@ class Segment:
     u: Array  # (N, n_commands) commands
     functions: TestFunctions  # Test functions on the segment
     doubted: Flags | None = None  # (N, 2n) samples that count as hardly known
-    reported: Flags | None = None  # (N, 2n) samples that are no straight lines between others; None: all
+    reported: Flags | None = None  # (N, 2n) samples that were measured; None: all
 
     @property
     def samples(self) -> slice:

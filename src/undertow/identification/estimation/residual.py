@@ -14,6 +14,7 @@ import numpy as np
 from undertow.codegen.engine import at_samples
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification.logs.series import between
 from undertow.typing import Array, Flags, Index
 
 from .by_run import LimitsByRun, RunValues
@@ -432,10 +433,14 @@ def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
     measured, doubted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
     for k in range(measured.shape[1]):
         own = segment.reports(k)
-        if sigma[k] > 0 and k not in derived and len(own) > 4 * SETTINGS.neighbours:
-            clean, spike = despiked(segment.t[own], measured[own, k], float(sigma[k]))
-            measured[:, k] = np.interp(segment.t, segment.t[own], clean)
-            doubted[:, k] = np.interp(segment.t, segment.t[own], spike.astype(float)) > 0.0
+        if not (sigma[k] > 0 and k not in derived and len(own) > 4 * SETTINGS.neighbours):
+            continue
+        measured[own, k], doubted[own, k] = despiked(segment.t[own], measured[own, k], float(sigma[k]))
+        if doubted[:, k].any() and len(own) < len(segment.t):
+            along = between(segment.t, segment.t[own], measured[own, k])
+            beside = np.interp(segment.t, segment.t[own], doubted[own, k].astype(float))
+            measured[:, k] = np.where(np.isnan(along), measured[:, k], along)
+            doubted[:, k] = beside > 0.0
     return replace(segment, measured=measured, doubted=doubted) if doubted.any() else segment
 
 

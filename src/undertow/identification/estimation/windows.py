@@ -115,7 +115,7 @@ class Stretch:
     run: int
     first: int
     t: Array
-    measured: Array  # (N, 2n) with straight lines between the reports of a channel that is slower
+    measured: Array  # (N, 2n) with curves through the reports of a channel that is slower
     reported: Array  # (N, 2n) without them: NaN there
     starts: Index
     stops: Index

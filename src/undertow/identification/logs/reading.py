@@ -271,7 +271,9 @@ def _on_rows(
     late = {c.channel: seconds_of(c.delay, f"{where}: delay of column {n!r}") for n, c in sources.items()}
     late |= {n: seconds_of(c.delay, f"{where}: delay of channel {n!r}") for n, c in mapping.channels.items()}
     slow = any(column.fresh is not None for column in sources.values())
-    if not (slow or any(late.values()) or are_several(t, read)) or np.isnan(list(read.values())).all():
+    table = np.abs(list(read.values()))
+    unreadable = np.isnan(table).all() or (table > checks.MEASURABLE.largest).any()  # refused by name, later
+    if unreadable or not (slow or any(late.values()) or are_several(t, read)):
         return OneClock(t, read, {}, several=False)
     noise = _stated_noise(sources, mapping, where)
     asked = {column.channel: column.wrapped for column in sources.values()}

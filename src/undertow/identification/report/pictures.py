@@ -199,11 +199,18 @@ def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
     ]
     for values, label, how in lines:
         if values is not None:
-            axis.plot(*thinned(trace.t, values), label=label, **how)
+            dots = {"marker": ".", "markersize": 2.0} if _alone(values) else {}
+            axis.plot(*thinned(trace.t, values), label=label, **how, **dots)
     _limits(axis, trace)
     axis.margins(x=0.01)
     axis.set_ylabel(with_unit(trace.channel, trace.unit))
     axis.grid()
+
+
+def _alone(values: Array) -> bool:
+    """Whether samples have no neighbour that a line could go to, as those of a sensor slower than its log."""
+    there = np.concatenate([[False], np.isfinite(values), [False]])
+    return bool(np.any(there[1:-1] & ~there[:-2] & ~there[2:]))
 
 
 def _limits(axis: Any, trace: Trace) -> None:
