@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tri
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
@@ -73,6 +74,9 @@ class BlockSettings:
     # Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there
     # a cubic B-spline has its first zero in frequency.
     knots_per_resolution: float = 2 * np.pi
+    # Knots this many times between reports of the slowest velocity apart: what lies between reports is no
+    # news, and over two of them their noise is as good as white.
+    knots_per_report: float = 2.0
     blocks: int = 24
     longest: float = 5.0  # s
     shortest: float = 1.0  # s
@@ -557,6 +561,8 @@ def _reported(run: Run, names: Sequence[str], piece: slice) -> Flags | None:
 def _spacing(run: Run) -> float:
     """Distance of the knots, s."""
     plain = knot_spacing(run.clock)
+    slowest = max((run.period(n) for n in VELOCITY if n in run.reported), default=0.0)
+    plain = max(plain, BLOCKS.knots_per_report * slowest)
     if not run.derived:
         return plain
     return max(BLOCKS.wider_for_derived * plain, BLOCKS.knots_per_resolution * run.resolution)

@@ -163,6 +163,12 @@ class Run:
         there = self.reported.get(name)
         return 1.0 if there is None else len(self.t) / max(int(np.count_nonzero(there)), 1)
 
+    def period(self, name: str) -> float:
+        """Return the usual time, s, between reports of a channel."""
+        there = self.reported.get(name)
+        few = there is None or np.count_nonzero(there) < 2
+        return float(np.median(np.diff(self.t if few else self.t[there])))
+
     @property
     def clock(self) -> NDArray[np.float64]:
         """Times, s, of the measured channel that reports most often: all rows unless each lacks some."""
