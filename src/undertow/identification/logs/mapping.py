@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
+from undertow.model.units import to_si
 from undertow.typing import Array
 
 from .expressions import Formula
@@ -189,6 +190,14 @@ def _refuse_twins(mapping: LogMapping, path: Path) -> None:
                 f"mapping file {path}: channel {channel!r} is column {seen[channel]!r} and an expression: "
                 "keep one"
             )
+
+
+def seconds_of(given: str | float, what: str) -> float:
+    """A time that is stated as text with a unit, or as a number in s."""
+    try:
+        return to_si(given if isinstance(given, str) else f"{given!r} s", "s")
+    except UndertowError as error:
+        raise UndertowError(f"{what}: {error}") from error
 
 
 Channels = dict[str, Array]

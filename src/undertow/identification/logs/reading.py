@@ -33,12 +33,12 @@ from undertow.identification.logs.table import (
 )
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE, FORCE_UNITS, MOTION_UNITS, VELOCITY
-from undertow.model.units import magnitude, scale_offset, si_unit, to_si
+from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
 
 from . import checks
-from .mapping import Channel, Column, CommandPolicy, LogMapping
+from .mapping import Channel, Column, CommandPolicy, LogMapping, seconds_of
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
 from .series import OneClock, Series, are_several, on_one_clock, with_report_noise
@@ -342,14 +342,6 @@ def _stated_noise(sources: dict[str, Column], mapping: LogMapping, where: str) -
             sigma = magnitude(given, unit, f"{where}: noise of column {name!r}")
             found[turned_name(column.channel, mapping.frames.position)] = sigma
     return found
-
-
-def seconds_of(given: str | float, what: str) -> float:
-    """A time that is stated as text with a unit, or as a number in s."""
-    try:
-        return to_si(given if isinstance(given, str) else f"{given!r} s", "s")
-    except UndertowError as error:
-        raise UndertowError(f"{what}: {error}") from error
 
 
 def stated_disturbance(mapping: LogMapping, where: str = "mapping file") -> dict[str, float]:
