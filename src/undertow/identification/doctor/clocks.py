@@ -14,7 +14,7 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.typing import Array
 
 from .dynamics import Dynamics
-from .findings import Finding, as_toml, delay_edit
+from .findings import Edits, Finding, as_toml, delay_edit
 from .kinematics import Kinematics, Samples, Stretch
 from .mistakes import Undo, with_channels
 from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
@@ -61,10 +61,22 @@ class Latency:
 def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
     """Delay of every source that comes after another, as far as d(eta)/dt = J(eta) nu shows it.
 
-    A sensor may be late, and none comes before its time: so what is earlier counts as prompt.
+    A sensor may be late, and none comes before its time: so what is earlier counts as prompt. Sources that
+    are not clearly late count as one beside those that are.
     """
     channels = kinematics.channels
     sources = [own for group in _SOURCES if (own := tuple(n for n in group if n in channels))]
+    found = _compared(kinematics, runs, sources)
+    late = [one.names for one in found if one.clear(runs[0].step)]
+    prompt = tuple(n for names in sources if names not in late for n in names)
+    beside = [one for one in found if one.names not in late]
+    return [*(one for one in _compared(kinematics, runs, [prompt, *late]) if one.names in late), *beside]
+
+
+def _compared(kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]) -> list[Latency]:
+    """Each source against the one that it comes after most certainly."""
+    if len(sources) < 2:
+        return []
     value, error = _delays(kinematics, runs, sources)
     certain = np.where(np.isfinite(error) & (error > 0), value / np.where(error > 0, error, 1.0), -np.inf)
     other = np.argmax(certain, axis=1)
@@ -219,7 +231,7 @@ def clock_findings(
             delay = one.delay + late.get(one.names[0], 0.0) - max(late.get(n, 0.0) for n in one.poses)
             yield _two_clocks(f"{names} and the pose", how, delay, one.drift, one.drift_error)
     steady = [one for one in found if not drifting & {*one.names}]
-    yield from (_late_source(one, mapping) for one in steady if one.clear(step))
+    yield from (late_source(one, mapping) for one in steady if one.clear(step))
     if steady and any(run.reported for run in runs):
         sizes = (
             f"{', '.join(one.names)} {one.delay:.3f} ± {one.error:.1g} s after {', '.join(one.against)}"
@@ -237,18 +249,23 @@ def _listed(names: tuple[str, ...]) -> tuple[str, str]:
     return ", ".join(names), "is" if len(names) == 1 else "are"
 
 
-def _late_source(one: Latency, mapping: LogMapping) -> Finding:
+def late_source(one: Latency, mapping: LogMapping) -> Finding:
+    """What is said of a source that is late, and the lines of the mapping file that mend it."""
     names, verb = _listed(one.names)
     effect = ", or the effect sensor_delay describes it" if {*one.names} <= {*VELOCITY[:3]} else ""
-    edits = tuple(delay_edit(mapping, n, one.delay) for n in one.names)
     return Finding(
         id="late_velocity" if one.names[0] in VELOCITY else "late_pose",
         severity="warning",
         text=f"{names} {verb} {one.delay:.3f} ± {one.error:.1g} s late against {', '.join(one.against)}; a "
         f"`delay` in the mapping file mends it{effect}",
         evidence={"delay": one.delay, "error": one.error},
-        mapping=as_toml(edits),
+        mapping=as_toml(delay_edits(one, mapping)),
     )
+
+
+def delay_edits(one: Latency, mapping: LogMapping) -> Edits:
+    """Changes of a mapping file by which a source is no longer late."""
+    return tuple(delay_edit(mapping, n, one.delay) for n in one.names)
 
 
 def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:

@@ -17,7 +17,7 @@ from undertow.typing import Array, Progress
 from undertow.version import __version__
 
 from . import mistakes, sensors
-from .clocks import clock_findings, command_clock, latencies, without_latencies
+from .clocks import clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .dynamics import (
     Dynamics,
     dynamic_mistakes,
@@ -273,6 +273,9 @@ class _Examiner:
             self.findings += sensors.sensor_findings(kinematics, prompt)
             self.findings += clock_findings(kinematics, self.runs, found, self.mapping)
             self.findings.append(sensors.agreement(kinematics, prompt))
+            for one in found:
+                self._write(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
+            self.runs = prompt
 
     def _afresh(self, run: Run, undo: Undo) -> Run:
         """A run without a mistake, its velocities derived anew where they were derived from its pose."""
