@@ -42,7 +42,7 @@ class Dive:
 
     def __init__(self, seed: int, seconds: float = 80.0, vehicle: Vehicle | None = None) -> None:
         vehicle = truth() if vehicle is None else vehicle
-        self.random = np.random.default_rng(seed)
+        self.seed, self.random = seed, np.random.default_rng(seed)
         self.t = np.arange(0.0, seconds, FINE)
         self.at_command = np.arange(0.0, seconds, 1 / COMMANDS)
         self.commands = self._commands(vehicle)
@@ -82,6 +82,7 @@ class Dive:
 
         Reports of a source in `late` are stamped that many seconds after what they report.
         """
+        self.random = np.random.default_rng([self.seed, 1])
         parts = [pl.DataFrame({"t": self.at_command, **self.commands})]
         for source, names in SOURCES.items():
             when = self._clock(rates[source])
@@ -91,6 +92,7 @@ class Dive:
 
     def dense(self, rate: float = 50.0) -> pl.DataFrame:
         """A log on one clock, every channel in every row."""
+        self.random = np.random.default_rng([self.seed, 2])
         t = np.arange(0.0, self.t[-1], 1 / rate)
         held = np.searchsorted(self.at_command, t + 1e-9, side="right") - 1
         columns = {n: self.reports(n, t) for names in SOURCES.values() for n in names if n in self.motion}
