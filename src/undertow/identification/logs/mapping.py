@@ -37,10 +37,12 @@ class Column(_Strict):
     power: float = Field(default=1.0, gt=0)
     wrapped: bool | None = None  # whether the angle jumps by a turn and is to be unwrapped; None: only psi is
     optional: bool = False  # whether a log may lack this column
-    # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
-    # column itself where no other tells: then a value that differs from the row before is new.
+    # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log that
+    # repeats its values (blank cells need no word); the column itself where no other tells: then a value that
+    # differs from the row before is new.
     fresh: str | None = Field(default=None, min_length=1)
-    # How late its stamps are, "0.12 s" or a number in s: what is in a row was true that much earlier.
+    # How late its stamps are, "0.12 s" or a number in s, as the doctor finds it: what is in a row was true
+    # that much earlier.
     delay: str | float = 0.0
     # Standard deviation of the noise of the sensor, "2 cm" or a number in `unit`; None: it is estimated.
     noise: str | float | None = None
