@@ -83,11 +83,12 @@ class Dive:
         Reports of a source in `late` are stamped that many seconds after what they report.
         """
         self.random = np.random.default_rng([self.seed, 1])
-        parts = [pl.DataFrame({"t": self.at_command, **self.commands})]
+        late = late or {}
+        parts = [pl.DataFrame({"t": self.at_command + late.get("commands", 0.0), **self.commands})]
         for source, names in SOURCES.items():
             when = self._clock(rates[source])
             columns = {n: self.reports(n, when) for n in names if n in self.motion}
-            parts.append(pl.DataFrame({"t": when + (late or {}).get(source, 0.0), **columns}))
+            parts.append(pl.DataFrame({"t": when + late.get(source, 0.0), **columns}))
         return pl.concat(parts, how="diagonal").group_by("t").agg(pl.all().drop_nulls().first()).sort("t")
 
     def dense(self, rate: float = 50.0) -> pl.DataFrame:

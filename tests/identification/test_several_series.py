@@ -228,6 +228,29 @@ def test_latencies_of_prompt_series_are_said_with_their_errors(union: list[Run])
     assert all(abs(value) < 0.05 for value in said.evidence.values())
 
 
+def test_commands_of_another_clock_are_found_and_mended(dives: list[Dive], tmp_path: Path) -> None:
+    """Stamped too late, they seem to come after the motion; no vehicle does that."""
+    names = [*model().command_names]
+    path = written(dives[0].table(late={"commands": 0.3}), tmp_path / "late.parquet")
+    (found,) = [f for f in examine(truth(), [_read(path)]).result.findings if f.id == "late_commands"]
+    assert abs(found.evidence["delay"] + 0.3) < max(3 * found.evidence["error"], 0.02)
+    assert all(f'{n} = {{ channel = "{n}", delay = "0.3' in found.mapping for n in names)
+    columns = {n: {"channel": n, "delay": "300 ms"} for n in names}
+    mended = _read(path, LogMapping.model_validate({"columns": columns}))
+    assert "f1 by 0.3 s" in " ".join(mended.notes)
+    findings = examine(truth(), [mended]).result.findings
+    (said,) = [f for f in findings if f.id == "command_latency"]
+    assert abs(said.evidence["delay"]) < 0.02
+
+
+def test_degrees_are_found_in_a_heading_that_is_a_series(dives: list[Dive], tmp_path: Path) -> None:
+    degrees = np.degrees(pl.col("psi"))
+    table = dives[0].table().with_columns((degrees - 360.0 * (degrees / 360.0).round()).alias("psi"))
+    run = _read(written(table, tmp_path / "degrees.parquet"))
+    (found,) = [f for f in examine(truth(), [run]).result.mistakes]
+    assert found.id == "degrees_for_radians"
+
+
 def test_a_delay_that_is_no_time_is_refused(late: list[Path]) -> None:
     columns = {"x": {"channel": "x", "delay": "3 m"}}
     with pytest.raises(UndertowError, match="delay of column 'x'"):

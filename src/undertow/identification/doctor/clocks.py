@@ -271,8 +271,9 @@ def delay_edits(one: Latency, mapping: LogMapping) -> Edits:
 def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     """Tell how late the motion follows the commands, or whether that grows or shrinks along the logs.
 
-    None where it does neither. A constant delay is an effect of its own (actuation_delay), which real
-    vehicles have; a motion before its command, or a delay that drifts, is a matter of the clocks.
+    None where it does neither, unless commands are a series with stamps of its own. A constant delay is an
+    effect of its own (actuation_delay), which real vehicles have; a motion before its command, or a delay
+    that drifts, is a matter of the clocks.
     """
     step = at.runs[0].step
     start = float(np.sum(at.fit.at.r**2))
@@ -292,7 +293,16 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
         SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step
     ):
         return _late(at, float(found[0]), float(error[0]), mapping)
-    return None
+    return _prompt(float(found[0]), float(error[0])) if any(run.reported for run in at.runs) else None
+
+
+def _prompt(delay: float, error: float) -> Finding:
+    return Finding(
+        id="command_latency",
+        severity="note",
+        text=f"the motion follows the commands by {delay:+.3f} ± {error:.1g} s",
+        evidence={"delay": delay, "error": error},
+    )
 
 
 def _nearest(at: Dynamics, step: float) -> float:

@@ -257,9 +257,10 @@ class _Examiner:
 
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""
-        if at.unexplained:
+        if at.unexplained or any(run.reported for run in self.runs):
             clock = command_clock(at, self.mapping)
             self.findings += [] if clock is None else [clock]
+        if at.unexplained:
             self.findings += lost_signs(at)
         if (mass := other_mass(at)) is not None:
             self.findings.append(mass)

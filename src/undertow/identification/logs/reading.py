@@ -159,6 +159,7 @@ def run_of_table(
         t=own.t,
         channels=channels,
         reported=_reported(own.reported, mapping),
+        wrapped=swap_attitude(own.wrapped) if _attitude(mapping) == "ENU" else own.wrapped,
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         sigma=_stated_noise(sources, mapping, where),
@@ -277,11 +278,13 @@ def _on_rows(
         return OneClock(t, read, {}, several=False)
     noise = _stated_noise(sources, mapping, where)
     asked = {column.channel: column.wrapped for column in sources.values()}
-    series = {}
-    for name, column in read.items():
+    series, angles = {}, {n: unwrapped(column) for n, column in read.items() if _jumps(n, asked)}
+    for name, column in {**read, **angles}.items():
         stated = noise.get(turned_name(name, mapping.frames.position))
-        series[name] = Series.of(t - late[name], unwrapped(column) if _jumps(name, asked) else column, stated)
-    return on_one_clock(series, before, t if slow else None)
+        series[name] = Series.of(t - late[name], column, stated)
+    own = on_one_clock(series, before, t if slow else None)
+    jumping = {n: read[n] for n, whole in angles.items() if not np.array_equal(whole, read[n], True)}
+    return replace(own, wrapped={n: own.in_rows(n, column) for n, column in jumping.items()})
 
 
 def _reported(found: Mapping[str, Flags], mapping: LogMapping) -> dict[str, Flags]:
@@ -382,7 +385,7 @@ def _unwrapped(run: Run, columns: Iterable[Column]) -> Run:
     angles = [name for name in run.channels if _jumps(name, asked)]
     whole = {name: unwrapped(run.channels[name]) for name in angles}
     jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
-    return replace(run, channels={**run.channels, **whole}, wrapped=jumping)
+    return replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
 
 
 def _jumps(name: str, asked: Mapping[str, bool | None]) -> bool:
@@ -400,6 +403,9 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
     ]
     changed += [f"{n} = {c.expression} {c.unit or ''}".rstrip() for n, c in mapping.channels.items()]
     notes = [f"converted: {', '.join(changed)}"] if changed else []
+    late = {n: c.delay for n, c in mapping.channels.items()} | {c.channel: c.delay for c in sources.values()}
+    shifted = [f"{n} by {seconds_of(delay, n):g} s" for n, delay in late.items() if seconds_of(delay, n)]
+    notes += [f"taken as late: {', '.join(shifted)}"] if shifted else []
     spec = mapping.frames
     if "ENU" in (spec.position, _attitude(mapping)) or spec.body == "FLU":
         notes.append(

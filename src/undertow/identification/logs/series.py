@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -73,6 +73,13 @@ class OneClock:
     channels: dict[str, Array]  # (n,) each, NaN where a channel was not known
     reported: dict[str, Flags]  # (n,) rows with a report, of measured channels that do not report in all
     several: bool = True  # whether there was more than one
+    wrapped: dict[str, Array] = field(default_factory=dict)  # (n,) reports of angles that jump, as logged
+
+    def in_rows(self, name: str, column: Array) -> Array:
+        """Cells of a column (with blanks) in the rows of its reports, NaN in the others."""
+        found = np.full(len(self.t), np.nan)
+        found[self.reported.get(name, slice(None))] = column[~np.isnan(column)]
+        return found
 
 
 def are_several(t: Array, table: Mapping[str, Array]) -> bool:
