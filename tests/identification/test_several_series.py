@@ -18,6 +18,7 @@ from undertow.identification.estimation.output_error import fit_output_error
 from undertow.identification.estimation.prediction_error import fit_prediction_error
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.estimation.windows import cut
+from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
@@ -111,6 +112,14 @@ def test_a_slow_column_with_blanks_is_the_same_as_one_with_a_flag(dives: list[Di
     assert fits[0].values == fits[1].values
 
 
+def test_a_sensor_with_hardly_a_report_is_left_out(dives: list[Dive], tmp_path: Path) -> None:
+    surfaced = pl.col("t") < 1.0
+    table = dives[0].table().with_columns(pl.when(surfaced).then(pl.col("x")).alias("x"))
+    run = _read(written(table, tmp_path / "few.parquet"))
+    assert not run.has("x")
+    assert any(note.startswith("x: left out, as it has") for note in run.notes)
+
+
 def test_a_dropout_of_one_sensor_stays_a_gap(dives: list[Dive], tmp_path: Path) -> None:
     lost = pl.col("t").is_between(30.0, 33.0)
     table = dives[0].table().with_columns(*(pl.when(~lost).then(pl.col(n)).alias(n) for n in "uvw"))
@@ -137,6 +146,23 @@ def test_commands_that_stop_are_asked_about(dives: list[Dive], tmp_path: Path) -
         _read(path)
     held = _read(path, LogMapping(missing_commands="hold"))
     assert np.ptp(held.channels["f2"][(held.t > 40.1) & (held.t < 44.9)]) == 0.0
+
+
+def test_a_log_in_parts_has_the_same_reports(dives: list[Dive], tmp_path: Path) -> None:
+    path = written(dives[0].table(), tmp_path / "long.parquet")
+    whole, names = _read(path), model().command_names
+    parts = [part.run for part in LongLog(path, LogMapping(), names).parts(2000, 400)]
+    assert len(parts) > 2
+    for part in parts:
+        inside = part.t[(part.t > part.t[0] + 1.0) & (part.t < part.t[-1] - 1.0)]
+        for name in ("u", "psi"):
+            reports, others = (dict(zip(r.t, r.reports(name), strict=True)) for r in (whole, part))
+            known = [(reports[t], others[t]) for t in inside if t in reports]
+            assert len(known) > 0.95 * len(inside)
+            ours, theirs = np.array(known).T
+            np.testing.assert_array_equal(ours, theirs)
+        begun = part.t > part.t[0] + 1.0
+        np.testing.assert_array_equal(np.isfinite(part.channels["f2"][begun]), True)
 
 
 def test_angles_go_on_across_a_turn_between_reports(dives: list[Dive], tmp_path: Path) -> None:

@@ -166,7 +166,8 @@ def run_of_table(
         mapping=mapping,
         dropped=rows - table.height,
     ).slice(*window)
-    run = with_report_noise(_unwrapped(run, list(sources.values())), part=before is not None)
+    slow = {turned_name(c.channel, mapping.frames.position) for c in sources.values() if c.fresh is not None}
+    run = with_report_noise(_unwrapped(run, list(sources.values())), slow, part=before is not None)
     if own.several:
         run = _where_commanded(run, [*commands, *FORCES], policy, before)
     return _checked(run, [*commands, *FORCES], policy, where, before)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ class SeriesSettings:
     # Share of the clock's step that stamps of one time may differ by: they were rounded.
     together: float = 1e-3
     order: int = 3  # a difference of this order leaves little of a smooth motion
+    places: int = 100_000  # reports at which it is taken: they know the noise to half a per cent
     gaussian_mad: float = 1.4826  # standard deviation over median magnitude, of a Gaussian
     # Standard deviations from which a difference is not noise, and the variance of a Gaussian cut off there.
     outlying: float = 3.5
@@ -191,7 +192,8 @@ def report_noise(t: Array, y: Array) -> float:
     count = SETTINGS.order + 1
     if len(t) <= count:
         return 0.0
-    index = np.arange(len(t) - SETTINGS.order)[:, None] + np.arange(count)
+    first = np.linspace(0, len(t) - count, min(len(t) - SETTINGS.order, SETTINGS.places)).astype(np.intp)
+    index = first[:, None] + np.arange(count)
     apart = t[index][:, :, None] - t[index][:, None, :]
     weight = 1.0 / np.prod(apart + np.eye(count), axis=2)
     wild = np.sum(weight * y[index], axis=1) / np.linalg.norm(weight, axis=1)
@@ -201,28 +203,32 @@ def report_noise(t: Array, y: Array) -> float:
     return float(np.sqrt(np.mean(within**2) / SETTINGS.variance_within)) if len(within) else 0.0
 
 
-def with_report_noise(run: Run, *, part: bool = False) -> Run:
+def with_report_noise(run: Run, must: Collection[str] = (), *, part: bool = False) -> Run:
     """Estimate the noise of channels that do not report in every row, where it is not stated.
 
-    Differences from row to row would not show it: in between lie smooth curves. A `part` of a log may have
-    hardly a report.
+    Differences from row to row would not show it: in between lie smooth curves. A channel with hardly a
+    report is left out, or refused if it is among those that `must` be there; a `part` of a log may have one.
     """
-    sigma, notes = dict(run.sigma), []
+    sigma, notes, few = dict(run.sigma), [], []
     for name, there in run.reported.items():
         t, reports = run.t[there], run.channels[name][there]
-        if len(t) < SETTINGS.fewest and part:
-            continue
-        if len(t) < SETTINGS.fewest:
+        if len(t) >= SETTINGS.fewest:
+            sigma[name] = sigma.get(name) or report_noise(t, reports)
+            notes.append(
+                f"{name}: {len(t)} reports in {len(run.t)} rows; noise of a report {sigma[name]:.2g} "
+                f"{UNITS.get(name, '')}".rstrip()
+            )
+        elif name in must and not part:
             raise UndertowError(
                 f"run {run.name!r}: channel {name!r} has {len(t)} new reports, at least {SETTINGS.fewest} "
                 "are needed: give a longer log, or leave the column out (`ignore` in the mapping file)"
             )
-        sigma[name] = sigma.get(name) or report_noise(t, reports)
-        notes.append(
-            f"{name}: {len(t)} reports in {len(run.t)} rows; noise of a report {sigma[name]:.2g} "
-            f"{UNITS.get(name, '')}".rstrip()
-        )
-    return replace(run, sigma=sigma).with_notes(*notes)
+        elif not part:
+            few.append(name)
+            notes.append(f"{name}: left out, as it has {len(t)} reports; {SETTINGS.fewest} are needed")
+    channels = {n: data for n, data in run.channels.items() if n not in few}
+    reported = {n: there for n, there in run.reported.items() if n not in few}
+    return replace(run, channels=channels, reported=reported, sigma=sigma).with_notes(*notes)
 
 
 def with_reports(run: Run, values: Mapping[str, Array]) -> Run:
