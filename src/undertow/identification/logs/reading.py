@@ -60,7 +60,10 @@ def read_log(
     also: Iterable[str] = (),
     limits: LogLimits = WHOLE,
 ) -> Run:
-    """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
+    """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN.
+
+    A table with blanks in a regular pattern is read as several series (see `logs.series`).
+    Of other logs nothing is interpolated.
 
     `channels` are commands that must be in the log, `also` those that are read where it has them. Without a
     mapping, columns must have the channel names and SI units of undertow. The window, in s, is on the clock
