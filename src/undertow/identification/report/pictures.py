@@ -24,8 +24,8 @@ from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
 
 _MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"
-# Spans of the measurement by which a simulation may leave it before it is cut off.
 _LOST = 3.0  # usual times between samples without one that break a line
+# Spans of the measurement by which a simulation may leave it before it is cut off.
 _SPANS = 1.0
 # Few enough colours that the colour bar is drawn as lines and not put into the page as an image.
 _HEAT = colormaps["YlOrRd"].resampled(40)
@@ -200,9 +200,8 @@ def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
     ]
     for values, label, how in lines:
         if values is not None:
-            alone = _alone(values)
-            dots = {"marker": ".", "markersize": 2.0} if alone else {}
-            shown = _reports(trace.t, values) if alone else (trace.t, values)
+            dots = {"marker": ".", "markersize": 2.0} if _alone(values) else {}
+            shown = _reports(trace.t, values) if values is trace.measured else (trace.t, values)
             axis.plot(*thinned(*shown), label=label, **how, **dots)
     _limits(axis, trace)
     axis.margins(x=0.01)
