@@ -219,7 +219,7 @@ def _reports(t: Array, values: Array) -> tuple[Array, Array]:
     """Samples without the blank rows between them; the line breaks where samples are lost."""
     at = np.flatnonzero(np.isfinite(values))
     apart = np.diff(t[at])
-    lost = np.flatnonzero(apart > _LOST * np.median(apart)) + 1 if len(apart) else []
+    lost = np.flatnonzero(apart > _LOST * (np.median(apart) if len(apart) else 0.0)) + 1
     return np.insert(t[at], lost, t[at][lost]), np.insert(values[at], lost, np.nan)
 
 
