@@ -20,6 +20,7 @@ from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.estimation.windows import cut
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.identification.report.tables import traces
@@ -168,6 +169,30 @@ def test_angles_go_on_across_a_turn_between_reports(dives: list[Dive], tmp_path:
     turns = (whole.channels["psi"] - again.channels["psi"]) / (2 * np.pi)
     known = turns[np.isfinite(turns)]
     np.testing.assert_allclose(known, np.round(known[0]), atol=1e-9)
+
+
+def test_series_in_other_axes_are_the_same_series(
+    dives: list[Dive], union: list[Run], tmp_path: Path
+) -> None:
+    east, north = pl.col("y").alias("x"), pl.col("x").alias("y")
+    turned = (-pl.col(n) for n in ("z", "v", "w", "r"))
+    table = dives[0].table().with_columns(east, north, (np.pi / 2 - pl.col("psi")).alias("psi"), *turned)
+    axes = LogMapping.model_validate({"frames": {"position": "ENU", "body": "FLU"}})
+    run = _read(written(table, tmp_path / "enu.parquet"), axes)
+    for name in MOTION:
+        np.testing.assert_array_equal(run.reported[name], union[0].reported[name])
+        np.testing.assert_allclose(run.channels[name], union[0].channels[name], atol=1e-9)
+        assert run.sigma[name] == pytest.approx(union[0].sigma[name])
+
+
+def test_velocities_come_from_the_reports_of_a_slow_pose(dives: list[Dive], tmp_path: Path) -> None:
+    path = written(dives[0].table().drop("u", "v", "w", "r"), tmp_path / "pose.parquet")
+    run = velocities_from_pose(_read(path), model().degrees_of_freedom)
+    assert not run.reported.keys() & {*"uvwr"}
+    for name in "uvwr":
+        true = np.interp(run.t, dives[0].t, dives[0].motion[name])
+        error = np.sqrt(np.nanmean((run.channels[name] - true) ** 2))
+        assert 0.5 * run.sigma[name] < error < 1.2 * run.sigma[name]
 
 
 # --- fits and judgements --------------------------------------------------------------------------
