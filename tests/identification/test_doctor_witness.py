@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from benchmarks.hidden_effects import Case, make_case
 from tests.cli.bad import text_of
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.quick import first_quick
-from undertow.identification.doctor.clocks import Shift, _remedy  # its words for every kind of shift
+from undertow.identification.doctor.clocks import Latency, late_source
 from undertow.identification.doctor.dynamics import best_of, dynamic_mistakes, dynamics_of, reversed_commands
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Finding, edited
@@ -151,16 +152,14 @@ def test_what_could_not_be_compared_is_said(auv: Case, examined: Callable[..., E
     assert "w with the rate of z" in _by_id(examine(vehicle, [lacking]))["not_compared"].text
 
 
-@pytest.mark.parametrize(
-    ("names", "delay", "effect"), [(("u", "v", "w"), 0.2, True), (("r",), 0.2, False), (("u",), -0.2, False)]
-)
-def test_the_remedy_for_late_velocities_is_one_that_works(
-    names: tuple[str, ...], delay: float, effect: bool
-) -> None:
-    """The effect sensor_delay delays u, v, w and nothing else."""
-    text = _remedy(Shift(names, delay, 1e-3, 0.0, 1e-3))
-    assert ("sensor_delay" in text) is effect
-    assert effect or f"add {-delay:+.3f} s to their stamps" in text
+@pytest.mark.parametrize(("names", "effect"), [(("u", "v", "w"), True), (("r",), False), (("x", "y"), False)])
+def test_the_remedy_for_a_late_source_is_one_that_works(names: tuple[str, ...], effect: bool) -> None:
+    """The effect sensor_delay delays u, v, w and nothing else; the mapping file moves any column."""
+    mapping = LogMapping.model_validate({"columns": {n: {"channel": n, "delay": "50 ms"} for n in names}})
+    finding = late_source(Latency(names, ("psi",), 0.2, 1e-3), mapping)
+    assert ("sensor_delay" in finding.text) is effect
+    mended = LogMapping.model_validate(tomllib.loads(finding.mapping))
+    assert {n: c.delay for n, c in mended.columns.items()} == dict.fromkeys(names, "0.25 s")
 
 
 # --- the mass --------------------------------------------------------------------------------------------

@@ -41,9 +41,10 @@ def test_rows_between_reports_are_not_late(slow_log):
     assert np.std(held.channels["u"] - true) > 8 * error
 
 
-def test_the_noise_is_that_of_means_over_seconds(slow_log):
+def test_the_noise_is_that_of_a_report(slow_log):
     run = read_log(slow_log[0], mapping())
-    assert run.sigma["u"] == pytest.approx(0.01 * np.sqrt(RATE * PERIOD), rel=0.35)
+    assert run.sigma["u"] == pytest.approx(0.01, rel=0.35)
+    assert run.rows_per_report("u") == RATE * PERIOD
     assert any("60 reports in 360 rows" in note for note in run.notes)
 
 

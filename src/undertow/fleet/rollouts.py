@@ -233,9 +233,9 @@ def shares_within(bands: Sequence[Band]) -> dict[str, float]:
     found = {}
     for i, name in enumerate(bands[0].names):
         inside = [
-            (b.low[1:, i] <= m) & (m <= b.high[1:, i])
+            ((b.low[1:, i] <= m) & (m <= b.high[1:, i]))[np.isfinite(m)]
             for b in bands
-            if np.isfinite(m := b.measured[1:, i]).all()
+            if np.isfinite(m := b.measured[1:, i]).any()
         ]
         if inside:
             found[name] = float(np.mean(np.concatenate(inside)))

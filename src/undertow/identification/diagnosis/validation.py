@@ -146,13 +146,18 @@ class Contender:
 
 
 def relative_squares(prediction: Prediction) -> Array:
-    """Mean square of the error of every velocity in every window over that of its motion in all, (b, n)."""
+    """Mean square of the error of every velocity in every window over that of its motion in all, (b, n).
+
+    A window in which a slow sensor has no report counts as the others on average.
+    """
     half = len(prediction.names) // 2
     measured = prediction.windows.measured[:, 1:, half:]
     error, inside = prediction.residual[:, 1:, half:], prediction.windows.inside
     lost = np.any(~np.isfinite(prediction.predicted).all(axis=2) & inside, axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
-        square = np.nanmean(error**2, axis=1) / np.nanmean(measured**2, axis=(0, 1))
+        total, count = np.nansum(error**2, axis=1), np.count_nonzero(np.isfinite(measured), axis=1)
+        mean = np.where(count > 0, total / np.maximum(count, 1), total.sum(axis=0) / count.sum(axis=0))
+        square = mean / np.nanmean(measured**2, axis=(0, 1))
     return np.where(np.isfinite(square) & ~lost[:, None], np.minimum(square, _BEYOND), _BEYOND)
 
 

@@ -1,4 +1,4 @@
-"""Clocks that differ in one log: velocities or commands that are late against the rest."""
+"""Clocks that differ in one log: sources or commands that are late against the rest."""
 
 from __future__ import annotations
 
@@ -8,20 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.identification.estimation.residual import whitened
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.typing import Array
 
 from .dynamics import Dynamics
-from .findings import Finding
+from .findings import Edits, Finding, as_toml, delay_edit
 from .kinematics import Kinematics, Samples, Stretch
 from .mistakes import Undo, with_channels
-from .sensors import Sensor, clustered_least_squares, fit_sensor
+from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
 
-_GROUPS = {
-    "linear": (("u", "v", "w"), ("x", "y", "z")),
-    "angular": (("p", "q", "r"), ("phi", "theta", "psi")),
-}
+_SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
+"""Channels that one sensor reports: a position fix, a compass or gyroscope, a Doppler log, a gyroscope."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,9 @@ class ClockSettings:
 
     rounds: int = 5  # Gauss-Newton steps for velocities
     converged: float = 0.02  # change, in sampling steps, that ends them
-    sure: float = 5.0  # standard errors of a shift of velocities
+    sure: float = 5.0  # standard errors of a shift of a source
     steps: float = 0.5  # sampling steps below which such a shift does not matter
+    longest: float = 1.0  # s that a step may change a shift by
     command_rounds: int = 8  # the same for commands
     command_sure: float = 6.0
     command_steps: float = 3.0
@@ -44,10 +44,110 @@ SETTINGS = ClockSettings()
 
 
 @dataclass(frozen=True)
-class Shift:
-    """How late velocities are against the rate of the pose."""
+class Latency:
+    """How late a source is against another, the one against which that is most certain."""
 
     names: tuple[str, ...]
+    against: tuple[str, ...]
+    # delay, error: and its standard error, s.
+    delay: float
+    error: float
+
+    def clear(self, step: float) -> bool:
+        """Whether the delay is certain, and matters at a sampling step of so many s."""
+        return self.delay > max(SETTINGS.sure * self.error, SETTINGS.steps * step)
+
+
+def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
+    """Delay of every source that comes after another, as far as d(eta)/dt = J(eta) nu shows it.
+
+    A sensor may be late, and none comes before its time: so what is earlier counts as prompt. Sources that
+    are not clearly late count as one beside those that are.
+    """
+    channels = kinematics.channels
+    sources = [own for group in _SOURCES if (own := tuple(n for n in group if n in channels))]
+    found = _compared(kinematics, runs, sources)
+    late = [one.names for one in found if one.clear(runs[0].step)]
+    prompt = tuple(n for names in sources if names not in late for n in names)
+    beside = [one for one in found if one.names not in late]
+    return [*(one for one in _compared(kinematics, runs, [prompt, *late]) if one.names in late), *beside]
+
+
+def _compared(kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]) -> list[Latency]:
+    """Each source against the one that it comes after most certainly."""
+    if len(sources) < 2:
+        return []
+    value, error = _delays(kinematics, runs, sources)
+    certain = np.where(np.isfinite(error) & (error > 0), value / np.where(error > 0, error, 1.0), -np.inf)
+    other = np.argmax(certain, axis=1)
+    return [
+        Latency(names, sources[j], float(value[i, j]), float(error[i, j]))
+        for i, (names, j) in enumerate(zip(sources, other.tolist(), strict=True))
+        if certain[i, j] > 0
+    ]
+
+
+def _delays(
+    kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]
+) -> tuple[Array, Array]:
+    """Delay of each source against each by Gauss-Newton, (k, k), and its error; infinite where none shows.
+
+    What else sensors do to velocities is fitted beside them: in a steady turn a late position looks like one
+    of a sensor off the origin.
+    """
+    known = kinematics.rates(runs)
+    weight = 1.0 / np.sqrt(known.variance + 1e-12 * np.mean(known.pose**2 + known.velocity**2, axis=0))
+    step, count, size = runs[0].step, len(sources), SETTINGS.cluster * len(kinematics.rows)
+
+    def left(shift: Array) -> Array:
+        rates = kinematics.rates([_earlier(run, sources, shift) for run in runs])
+        return np.asarray(((rates.pose - rates.velocity) * weight).ravel())
+
+    def table(shift: Array) -> Array:
+        slopes = [(left(shift + d) - left(shift - d)) / (2 * step) for d in step * np.eye(count)]
+        moved = [_earlier(run, sources, shift) for run in runs]
+        others = [regressor_of(kinematics, moved, s) for s in sensors(kinematics) if s.id != "sensor_delay"]
+        return np.column_stack([*slopes, *((o * weight[:, :, None]).reshape(-1, o.shape[2]) for o in others)])
+
+    found = np.zeros(count)
+    for _ in range(SETTINGS.rounds):
+        here, slopes = left(found), table(found)
+        change = clustered_least_squares(slopes[:, 1:], -here, size)[0][: count - 1]
+        change = np.clip(change, -SETTINGS.longest, SETTINGS.longest)
+        if np.all(np.abs(change) < SETTINGS.converged * step):
+            break
+        found[1:] += change
+    value, error = np.zeros((count, count)), np.zeros((count, count))
+    for j in range(count):  # the one that does not move
+        free = [i for i in range(count) if i != j]
+        change, spread = clustered_least_squares(np.delete(slopes, j, axis=1), -here, size)
+        value[free, j] = found[free] - found[j] + change[: count - 1]
+        error[free, j] = spread[: count - 1]
+    return value, error
+
+
+def _earlier(run: Run, sources: Sequence[tuple[str, ...]], delays: Array) -> Run:
+    """A run whose sources report so many seconds, (k,), earlier."""
+    moved = {}
+    for names, delay in zip(sources, delays, strict=True):
+        for name in names if delay else ():
+            there = np.isfinite(run.channels[name])
+            moved[name] = np.interp(run.t + delay, run.t[there], run.channels[name][there])
+    return with_channels(run, moved)
+
+
+def without_latencies(runs: Sequence[Run], found: Sequence[Latency]) -> list[Run]:
+    """Runs as they would be if the sources that are clearly late were not."""
+    late = [one for one in found if one.clear(runs[0].step)]
+    return [_earlier(run, [one.names for one in late], np.array([one.delay for one in late])) for run in runs]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """How late velocities are against the rate of the pose, beside the latencies found."""
+
+    names: tuple[str, ...]
+    poses: tuple[str, ...]  # against whose rates
     # delay, delay_error: in the middle of the runs, s.
     delay: float
     delay_error: float
@@ -58,25 +158,26 @@ class Shift:
 
 def shifts(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Shift]:
     """Shift of linear and of angular velocities, as far as the channels show it."""
-    for velocities, poses in _GROUPS.values():
+    for velocities, poses in zip(_SOURCES[2:], _SOURCES[:2], strict=True):
         names = tuple(n for n in velocities if n in kinematics.channels)
         if names and any(p in kinematics.rows for p in poses):
-            yield _shift(kinematics, list(runs), names)
+            yield _shift(kinematics, list(runs), names, poses)
 
 
-def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...]) -> Shift:
+def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...], poses: tuple[str, ...]) -> Shift:
     """Gauss-Newton on delay and drift; velocities are read earlier or later by what is found."""
     found = np.zeros(2)
-    step = float(np.median(np.diff(runs[0].t)))
+    step = runs[0].step
     sensor = Sensor("sensor_delay", ("delay s", "drift s"), _columns(names, runs))
     for _ in range(SETTINGS.rounds):
         moved = [_moved(run, names, found) for run in runs]
         fit = fit_sensor(kinematics, moved, kinematics.rates(moved), sensor)
-        change = np.clip(fit.value, -1.0, 1.0)
+        change = np.clip(fit.value, -SETTINGS.longest, SETTINGS.longest)
         found = found + change
         if np.all(np.abs(change) < SETTINGS.converged * step):
             break
-    return Shift(names, float(found[0]), float(fit.error[0]), float(found[1]), float(fit.error[1]))
+    (delay, drift), (spread, spread_of_drift) = found.tolist(), fit.error.tolist()
+    return Shift(names, poses, delay, spread, drift, spread_of_drift)
 
 
 def _along(t: Array) -> Array:
@@ -115,40 +216,66 @@ def _columns(names: tuple[str, ...], runs: Sequence[Run]):  # type: ignore[no-un
     return columns
 
 
-def clock_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
-    """Velocities that are late or early, and clocks that drift apart."""
-    step = float(np.median(np.diff(runs[0].t)))
-    for one in shifts(kinematics, runs):
-        names = ", ".join(one.names)
-        verb = "is" if len(one.names) == 1 else "are"
+def clock_findings(
+    kinematics: Kinematics, runs: Sequence[Run], found: Sequence[Latency], mapping: LogMapping
+) -> Iterator[Finding]:
+    """Sources that are late, and clocks that drift apart."""
+    step = runs[0].step
+    late = {n: one.delay for one in found if one.clear(step) for n in one.names}
+    drifting: set[str] = set()
+    for one in shifts(kinematics, without_latencies(runs, found)):
         if abs(one.drift) > max(SETTINGS.sure * one.drift_error, step):
+            names, verb = _listed(one.names)
             how = f"{names} {verb} {{:+.2f}} s late at the beginning of a run and {{:+.2f}} s at its end"
-            yield _two_clocks(f"{names} and the pose", how, one.delay, one.drift, one.drift_error)
-        elif abs(one.delay) > max(SETTINGS.sure * one.delay_error, SETTINGS.steps * step):
-            way = "late" if one.delay > 0 else "early"
-            yield Finding(
-                id="late_velocity",
-                severity="warning",
-                text=f"{names} {verb} {abs(one.delay):.3f} ± {one.delay_error:.1g} s {way} against the pose; "
-                + _remedy(one),
-                evidence={"delay": one.delay, "drift": one.drift},
-            )
+            drifting |= {*one.names, *one.poses}
+            delay = one.delay + late.get(one.names[0], 0.0) - max(late.get(n, 0.0) for n in one.poses)
+            yield _two_clocks(f"{names} and the pose", how, delay, one.drift, one.drift_error)
+    steady = [one for one in found if not drifting & {*one.names}]
+    yield from (late_source(one, mapping) for one in steady if one.clear(step))
+    if steady and any(run.reported for run in runs):
+        sizes = (
+            f"{', '.join(one.names)} {one.delay:.3f} ± {one.error:.1g} s after {', '.join(one.against)}"
+            for one in steady
+        )
+        yield Finding(
+            id="latencies",
+            severity="note",
+            text=f"stamps of the sources: {'; '.join(sizes)}",
+            evidence={one.names[0]: one.delay for one in steady},
+        )
 
 
-def _remedy(one: Shift) -> str:
-    """What describes late velocities: the effect delays linear ones, and none comes before its time."""
-    if one.delay > 0 and set(one.names) <= set(_GROUPS["linear"][0]):
-        return "the effect sensor_delay describes it"
-    return f"add {-one.delay:+.3f} s to their stamps, and interpolate them to those of the pose"
+def _listed(names: tuple[str, ...]) -> tuple[str, str]:
+    return ", ".join(names), "is" if len(names) == 1 else "are"
 
 
-def command_clock(at: Dynamics) -> Finding | None:
+def late_source(one: Latency, mapping: LogMapping) -> Finding:
+    """What is said of a source that is late, and the lines of the mapping file that mend it."""
+    names, verb = _listed(one.names)
+    effect = ", or the effect sensor_delay describes it" if {*one.names} <= {*VELOCITY[:3]} else ""
+    return Finding(
+        id="late_velocity" if one.names[0] in VELOCITY else "late_pose",
+        severity="warning",
+        text=f"{names} {verb} {one.delay:.3f} ± {one.error:.1g} s late against {', '.join(one.against)}; a "
+        f"`delay` in the mapping file mends it{effect}",
+        evidence={"delay": one.delay, "error": one.error},
+        mapping=as_toml(delay_edits(one, mapping)),
+    )
+
+
+def delay_edits(one: Latency, mapping: LogMapping) -> Edits:
+    """Changes of a mapping file by which a source is no longer late."""
+    return tuple(delay_edit(mapping, n, one.delay) for n in one.names)
+
+
+def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     """Tell how late the motion follows the commands, or whether that grows or shrinks along the logs.
 
-    None where it does neither. A constant delay is an effect of its own (actuation_delay), which real
-    vehicles have; a motion before its command, or a delay that drifts, is a matter of the clocks.
+    None where it does neither, unless commands are a series with stamps of its own. A constant delay is an
+    effect of its own (actuation_delay), which real vehicles have; a motion before its command, or a delay
+    that drifts, is a matter of the clocks.
     """
-    step = float(np.median(np.diff(at.runs[0].t)))
+    step = at.runs[0].step
     start = float(np.sum(at.fit.at.r**2))
     constant = _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
     both = None if constant is None else _search(at, step, constant[0], drifts=True)
@@ -165,8 +292,17 @@ def command_clock(at: Dynamics) -> Finding | None:
     if constant[2] < (1 - SETTINGS.gained) * start and abs(found[0]) > max(
         SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step
     ):
-        return _late(at, float(found[0]), float(error[0]))
-    return None
+        return _late(at, float(found[0]), float(error[0]), mapping)
+    return _prompt(float(found[0]), float(error[0])) if any(run.reported for run in at.runs) else None
+
+
+def _prompt(delay: float, error: float) -> Finding:
+    return Finding(
+        id="command_latency",
+        severity="note",
+        text=f"the motion follows the commands by {delay:+.3f} ± {error:.1g} s",
+        evidence={"delay": delay, "error": error},
+    )
 
 
 def _nearest(at: Dynamics, step: float) -> float:
@@ -198,7 +334,7 @@ def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Arra
     return found, error, left
 
 
-def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
+def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Finding | None:
     """A delay, where the refitted model is decisively better for it."""
     fit = at.refitted(undo=_later(delay, 0.0))
     if fit is None or not at.gain(fit).decisive:
@@ -216,8 +352,9 @@ def _late(at: Dynamics, delay: float, error: float) -> Finding | None:
     return Finding(
         id="late_commands",
         severity="warning" if delay > 0 else "mistake",
-        text=f"{clause}; if it is the log, add {delay:+.2f} s to the stamps of the commands",
+        text=f"{clause}; if it is the log, a `delay` of {-delay:+.2f} s in the mapping file mends it",
         evidence={"delay": delay, "error": error},
+        mapping=as_toml(delay_edit(mapping, n, -delay) for n in at.fit.vehicle.command_names),
     )
 
 

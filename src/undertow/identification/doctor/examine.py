@@ -17,7 +17,7 @@ from undertow.typing import Array, Progress
 from undertow.version import __version__
 
 from . import mistakes, sensors
-from .clocks import clock_findings, command_clock
+from .clocks import clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .dynamics import (
     Dynamics,
     dynamic_mistakes,
@@ -257,9 +257,10 @@ class _Examiner:
 
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""
-        if at.unexplained:
-            clock = command_clock(at)
+        if at.unexplained or any(run.reported for run in self.runs):
+            clock = command_clock(at, self.mapping)
             self.findings += [] if clock is None else [clock]
+        if at.unexplained:
             self.findings += lost_signs(at)
         if (mass := other_mass(at)) is not None:
             self.findings.append(mass)
@@ -268,9 +269,14 @@ class _Examiner:
         kinematics = self.kinematics
         self.findings += sensors.not_compared(kinematics, self.vehicle)
         if kinematics:
-            self.findings += sensors.sensor_findings(kinematics, self.runs)
-            self.findings += clock_findings(kinematics, self.runs)
-            self.findings.append(sensors.agreement(kinematics, self.runs))
+            found = latencies(kinematics, self.runs)
+            prompt = without_latencies(self.runs, found)
+            self.findings += sensors.sensor_findings(kinematics, prompt)
+            self.findings += clock_findings(kinematics, self.runs, found, self.mapping)
+            self.findings.append(sensors.agreement(kinematics, prompt))
+            for one in found:
+                self._write(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
+            self.runs = prompt
 
     def _afresh(self, run: Run, undo: Undo) -> Run:
         """A run without a mistake, its velocities derived anew where they were derived from its pose."""

@@ -8,7 +8,14 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
-from undertow.identification.logs.mapping import FLIPPED_BODY, SCHEMA, Column, LogMapping, turned_name
+from undertow.identification.logs.mapping import (
+    FLIPPED_BODY,
+    SCHEMA,
+    Column,
+    LogMapping,
+    seconds_of,
+    turned_name,
+)
 
 EXAMINATION_SCHEMA = "undertow/doctor/1"
 Severity = Literal["mistake", "warning", "note"]
@@ -97,6 +104,17 @@ def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
     changed = column.model_copy(update={**scaled, **changes})
     said = changed.model_dump(exclude_defaults=True)
     return Edit("columns", name, {"channel": changed.channel} | said)
+
+
+def delay_edit(mapping: LogMapping, channel: str, more: float) -> Edit:
+    """Add so many seconds to the delay of the column, or of the expression, that becomes a channel."""
+    name = turned_name(channel, mapping.frames.position)
+    computed = mapping.channels.get(name)
+    if computed is None:
+        given = column_of(mapping, channel)[1].delay
+        return column_edit(mapping, channel, delay=f"{seconds_of(given, channel) + more:.3g} s")
+    delay = f"{seconds_of(computed.delay, channel) + more:.3g} s"
+    return Edit("channels", name, computed.model_dump(exclude_defaults=True) | {"delay": delay})
 
 
 def reassigned(mapping: LogMapping, places: TypingMapping[str, tuple[str, float]]) -> Edits:

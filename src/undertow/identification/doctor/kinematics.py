@@ -138,7 +138,7 @@ class Kinematics:
         for piece in run.segments(self.channels):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = test_functions(t, width * knot_spacing(t)) if len(t) > 2 else None
+            functions = test_functions(t, width * knot_spacing(run.clock)) if len(t) > 2 else None
             if functions is not None:
                 result.append(Stretch(index, part, t, functions))
         return result
@@ -179,7 +179,7 @@ class Kinematics:
     def _noise_of(self, run: Run, name: str) -> float:
         """Noise of a channel; most channels stay as they are when a mistake is undone."""
         if name in run.sigma:
-            return run.sigma[name]
+            return run.sigma[name] * float(np.sqrt(run.rows_per_report(name)))
         key = run.channels[name].tobytes()
         if key not in self._known_noise:
             self._known_noise[key] = white_noise(run.t, run.channels[name])

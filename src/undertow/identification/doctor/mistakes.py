@@ -18,6 +18,7 @@ from undertow.identification.logs.mapping import (
     velocity_to_body,
 )
 from undertow.identification.logs.run import Run, unwrapped
+from undertow.identification.logs.series import with_reports
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array
@@ -353,7 +354,7 @@ def _rescaled(names: tuple[str, ...], factor: float, heading_zero: float) -> Und
         new = scaling(dict.fromkeys(names, factor))(run)
         if "psi" in names and run.has("psi"):
             given = run.wrapped.get("psi", run.channels["psi"])
-            new = with_channels(new, {"psi": unwrapped(heading_zero + factor * (given - heading_zero))})
+            new = with_reports(new, {"psi": unwrapped(heading_zero + factor * (given - heading_zero))})
         return new
 
     return undo

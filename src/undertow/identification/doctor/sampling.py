@@ -62,7 +62,7 @@ def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) 
 
 
 def _of_run(run: Run, mapping: LogMapping) -> Iterator[Finding]:
-    step = np.diff(run.t)
+    step = np.diff(run.clock)
     usual = float(np.median(step))
     yield from _disorder(run, mapping)
     yield from _lost_rows(run, step, usual)
@@ -93,11 +93,13 @@ def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
 def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     gaps, few = step[step > SETTINGS.gap * usual], step[(step > 1.5 * usual) & (step <= SETTINGS.gap * usual)]
     lost = float(np.sum(np.round(step / usual)[step > 1.5 * usual] - 1.0))
-    share = lost / (lost + len(run.t))
+    share = lost / (lost + len(run.clock))
     if not len(gaps) and share < SETTINGS.missing:
         return
     longest = (
-        f", the longest of {gaps.max():.3g} s at t = {run.t[int(np.argmax(step))]:.5g} s" if len(gaps) else ""
+        f", the longest of {gaps.max():.3g} s at t = {run.clock[int(np.argmax(step))]:.5g} s"
+        if len(gaps)
+        else ""
     )
     yield Finding(
         id="gaps",

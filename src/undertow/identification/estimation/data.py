@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
 from math import comb
@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tri
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
@@ -73,6 +74,9 @@ class BlockSettings:
     # Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there
     # a cubic B-spline has its first zero in frequency.
     knots_per_resolution: float = 2 * np.pi
+    # Knots this many times between reports of the slowest velocity apart: what lies between reports is no
+    # news, and over two of them their noise is as good as white.
+    knots_per_report: float = 2.0
     blocks: int = 24
     longest: float = 5.0  # s
     shortest: float = 1.0  # s
@@ -371,11 +375,25 @@ class Segment:
     u: Array  # (N, n_commands) commands
     functions: TestFunctions  # Test functions on the segment
     doubted: Flags | None = None  # (N, 2n) samples that count as hardly known
+    reported: Flags | None = None  # (N, 2n) samples that were measured; None: all
 
     @property
     def samples(self) -> slice:
         """Where the segment stands in its run."""
         return slice(self.first, self.first + len(self.t))
+
+    def reports(self, channel: int) -> Index:
+        """Samples in which a channel was measured."""
+        return np.arange(len(self.t)) if self.reported is None else np.flatnonzero(self.reported[:, channel])
+
+    def noise(self, sigma: Array) -> Array:
+        """White noise in every sample that blurs means as much as noise `sigma` (2n,) of the reports does.
+
+        Values between reports are no news. Shape (2n,), or (N, 2n) where samples are doubted.
+        """
+        if self.reported is not None:
+            sigma = sigma * np.sqrt(len(self.t) / np.maximum(np.count_nonzero(self.reported, axis=0), 1))
+        return sigma if self.doubted is None else np.where(self.doubted, NOISE.doubt, 1.0) * sigma
 
     @cached_property
     def rate(self) -> Array:
@@ -483,11 +501,13 @@ def prepare(
 
 def _too_short(runs: Sequence[Run], family: Family) -> str:
     spacing = max((_spacing(r) for r in runs if len(r.t) > 1), default=0.0)
-    step = min((float(np.median(np.diff(r.t))) for r in runs if len(r.t) > 1), default=1.0)
+    step = min((r.step for r in runs if len(r.t) > 1), default=1.0)
     lengths = ", ".join(f"'{r.name}' {len(r.t)} samples" for r in runs)
     enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
     needed = next(enough) if spacing else 2
-    blurred = any(_spacing(r) > knot_spacing(r.t) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1)
+    blurred = any(
+        _spacing(r) > knot_spacing(r.clock) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1
+    )
     form = "integral form" if family is boxes else "weak form"
     why = (
         "; the velocities were taken from a pose that does not show faster motion: "
@@ -525,13 +545,24 @@ def _segments(
         functions = family(t, spacing) if len(t) > 1 else None
         if functions is not None:
             columns = [run.channels[n][piece] if n in needed else np.zeros(len(t)) for n in names]
-            found.append(Segment(index, piece.start, t, np.column_stack(columns), commands[piece], functions))
+            cut = Segment(index, piece.start, t, np.column_stack(columns), commands[piece], functions)
+            found.append(replace(cut, reported=_reported(run, names, piece)))
     return found
+
+
+def _reported(run: Run, names: Sequence[str], piece: slice) -> Flags | None:
+    """Which samples of channels are reports; None where all are."""
+    if not any(n in run.reported for n in names):
+        return None
+    every = np.ones(len(run.t), dtype=bool)
+    return np.column_stack([run.reported.get(n, every)[piece] for n in names])
 
 
 def _spacing(run: Run) -> float:
     """Distance of the knots, s."""
-    plain = knot_spacing(run.t)
+    plain = knot_spacing(run.clock)
+    slowest = max((run.period(n) for n in VELOCITY if n in run.reported), default=0.0)
+    plain = max(plain, BLOCKS.knots_per_report * slowest)
     if not run.derived:
         return plain
     return max(BLOCKS.wider_for_derived * plain, BLOCKS.knots_per_resolution * run.resolution)

@@ -14,10 +14,11 @@ import numpy as np
 from undertow.codegen.engine import at_samples
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification.logs.series import between
 from undertow.typing import Array, Flags, Index
 
 from .by_run import LimitsByRun, RunValues
-from .data import NOISE, Segment, WeakData, Whitening, overlap, residual_covariance
+from .data import Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
 from .pointwise import Limits, Pointwise
 from .scales import largest_values
@@ -351,7 +352,7 @@ class WeakModel:
         function = self._points.noise
         (slope,) = at_samples(function, inputs, len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
-        sigma = data.sigma if s.doubted is None else np.where(s.doubted, NOISE.doubt, 1.0) * data.sigma
+        sigma = s.noise(data.sigma)
         noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
@@ -429,12 +430,17 @@ def without_spikes(data: WeakData) -> WeakData:
 
 
 def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
-    if len(segment.t) <= 4 * SETTINGS.neighbours:
-        return segment
     measured, doubted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
     for k in range(measured.shape[1]):
-        if sigma[k] > 0 and k not in derived:
-            measured[:, k], doubted[:, k] = despiked(segment.t, measured[:, k], float(sigma[k]))
+        own = segment.reports(k)
+        if not (sigma[k] > 0 and k not in derived and len(own) > 4 * SETTINGS.neighbours):
+            continue
+        measured[own, k], doubted[own, k] = despiked(segment.t[own], measured[own, k], float(sigma[k]))
+        if doubted[:, k].any() and len(own) < len(segment.t):
+            along = between(segment.t, segment.t[own], measured[own, k])
+            beside = np.interp(segment.t, segment.t[own], doubted[own, k].astype(float))
+            measured[:, k] = np.where(np.isnan(along), measured[:, k], along)
+            doubted[:, k] = beside > 0.0
     return replace(segment, measured=measured, doubted=doubted) if doubted.any() else segment
 
 

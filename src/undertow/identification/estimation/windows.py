@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeVar
 
 import casadi as ca
@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run
+from undertow.identification.logs.run import Run, unwrapped
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
@@ -115,7 +115,8 @@ class Stretch:
     run: int
     first: int
     t: Array
-    measured: Array
+    measured: Array  # (N, 2n) with curves through the reports of a channel that is slower
+    reported: Array  # (N, 2n) without them: NaN there
     starts: Index
     stops: Index
 
@@ -123,8 +124,12 @@ class Stretch:
         """Reported pose and velocity at some instants, smoothed locally, shape (k, 2n)."""
         left = np.clip(np.searchsorted(self.t, when, side="right") - 1, 0, len(self.t) - 2)
         share = np.clip((when - self.t[left]) / (self.t[left + 1] - self.t[left]), 0.0, 1.0)[:, None]
-        before, after = (start_values(self.t, self.measured, names, sigma, i) for i in (left, left + 1))
+        before, after = (self.values(names, sigma, i) for i in (left, left + 1))
         return before + share * (after - before)
+
+    def values(self, names: tuple[str, ...], sigma: Array, at: Index) -> Array:
+        """The same at some samples."""
+        return start_values(self.t, self.measured, names, sigma, at, self.reported)
 
 
 def cut(
@@ -165,7 +170,7 @@ def cut(
 
 def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
     """Cut every run into windows of so many of its own sampling intervals."""
-    lengths = [intervals * float(np.median(np.diff(run.t))) for run in runs]
+    lengths = [intervals * run.step for run in runs]
     found = [_stretches(i, run, vehicle, lengths[i]) for i, run in enumerate(runs)]
     for run, length, own in zip(runs, lengths, found, strict=True):
         if not any(len(s.starts) for s in own):
@@ -191,18 +196,20 @@ def _stretches(
     found = []
     for piece in run.segments([*needed, *vehicle.command_names]):
         t = run.t[piece]
-        measured = np.column_stack([_column(run, n, piece) for n in names])
+        measured = np.column_stack([_column(run.channels, n, piece) for n in names])
+        own = {n: run.reports(n) for n in run.reported}
+        reported = np.column_stack([_column({**run.channels, **own}, n, piece) for n in names])
         late = int(np.searchsorted(t, run.t[0] + skip)) if skip else 0
         edges = (late + edge for edge in _windows(t[late:], horizon))
-        found.append(Stretch(index, piece.start, t, measured, *edges))
+        found.append(Stretch(index, piece.start, t, measured, reported, *edges))
     return found
 
 
-def _column(run: Run, name: str, piece: slice) -> Array:
-    if not run.has(name):
+def _column(channels: Mapping[str, Array], name: str, piece: slice) -> Array:
+    if name not in channels:
         return np.full(piece.stop - piece.start, np.nan)
-    values = run.channels[name][piece]
-    return np.unwrap(values) if name in _ANGLES else values
+    values = channels[name][piece]
+    return unwrapped(values) if name in _ANGLES else values
 
 
 def _windows(t: Array, horizon: float | None) -> tuple[Index, Index]:
@@ -242,7 +249,7 @@ def _windows_of(
     count = np.concatenate([s.stops - s.starts for s in stretches])
     most = int(count.max())
     pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in stretches]
-    measured = np.concatenate([s.measured[i] for s, i in zip(stretches, pick, strict=True)])
+    measured = np.concatenate([s.reported[i] for s, i in zip(stretches, pick, strict=True)])
     measured[np.arange(most) >= count[:, None]] = np.nan
     return Windows(
         runs=tuple(runs),
@@ -256,7 +263,7 @@ def _windows_of(
         count=count,
         t=np.concatenate([s.t[i] for s, i in zip(stretches, pick, strict=True)]),
         measured=measured,
-        start=np.concatenate([start_values(s.t, s.measured, names, sigma, s.starts) for s in stretches]),
+        start=np.concatenate([s.values(names, sigma, s.starts) for s in stretches]),
         stretches=tuple(stretches),
     )
 
@@ -264,11 +271,14 @@ def _windows_of(
 # --- the measured motion at one instant -----------------------------------------------------------
 
 
-def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, at: Index) -> Array:
+def start_values(
+    t: Array, measured: Array, names: Sequence[str], sigma: Array, at: Index, reported: Array | None = None
+) -> Array:
     """Pose and velocity (k, 2n) at some samples of a stretch without gaps; zero for a channel not measured.
 
     Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what differs
-    from the integral of the measured angular rates: that is kinematics and holds for every model.
+    from the integral of the measured angular rates: that is kinematics and holds for every model. Where some
+    samples are no reports, NaN in `reported`, only the others are smoothed.
     """
     value = np.zeros((len(at), len(names)))
     there = np.isfinite(measured).all(axis=0)
@@ -276,9 +286,20 @@ def start_values(t: Array, measured: Array, names: Sequence[str], sigma: Array, 
     for i in np.flatnonzero(there).tolist():
         known = turned.get(names[i], np.zeros(len(t)))
         widths, degree = (SETTINGS.widths, 2) if names[i] not in turned else (SETTINGS.widths_of_angles, 1)
-        rest = local_value(t, measured[:, i] - known, at, float(sigma[i]), widths, degree)
-        value[:, i] = rest + known[at]
+        rest = measured[:, i] - known
+        own = np.flatnonzero(np.isfinite(rest if reported is None else reported[:, i]))
+        smooth = partial(local_value, t[own], rest[own], sigma=float(sigma[i]), widths=widths, degree=degree)
+        value[:, i] = known[at] + (smooth(at) if len(own) == len(t) else _in_between(t, own, smooth, at))
     return value
+
+
+def _in_between(t: Array, own: Index, smooth: Callable[[Index], Array], at: Index) -> Array:
+    """Smoothed values at samples, from those at the reports before and after."""
+    after = np.clip(np.searchsorted(own, at), min(1, len(own) - 1), len(own) - 1)
+    before = np.maximum(after - 1, 0)
+    low, high = t[own[before]], t[own[after]]
+    share = np.clip((t[at] - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
+    return np.asarray((1.0 - share) * smooth(before) + share * smooth(after))
 
 
 def _angles_turned(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
@@ -538,7 +559,7 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
     known = known[known < HORIZONS.unseen * record]
     wanted = HORIZONS.multiples if len(known) else HORIZONS.shares
     short, middle, long = (m * (float(known[-1]) if len(known) else limit) for m in wanted)
-    sample = max(float(np.median(np.diff(run.t))) for run in runs)
+    sample = max(run.step for run in runs)
     short = max(short, HORIZONS.fewest_samples * sample)
     middle = max(middle, HORIZONS.apart * short)
     long = min(max(long, HORIZONS.apart * middle), limit)

@@ -14,6 +14,7 @@ from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
+from undertow.model.units import to_si
 from undertow.typing import Array
 
 from .expressions import Formula
@@ -38,9 +39,13 @@ class Column(_Strict):
     power: float = Field(default=1.0, gt=0)
     wrapped: bool | None = None  # whether the angle jumps by a turn and is to be unwrapped; None: only psi is
     optional: bool = False  # whether a log may lack this column
-    # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log; the
-    # column itself where no other tells: then a value that differs from the row before is new.
+    # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log that
+    # repeats its values (blank cells need no word); the column itself where no other tells: then a value that
+    # differs from the row before is new.
     fresh: str | None = Field(default=None, min_length=1)
+    # How late its stamps are, "0.12 s" or a number in s, as the doctor finds it: what is in a row was true
+    # that much earlier.
+    delay: str | float = 0.0
     # Standard deviation of the noise of the sensor, "2 cm" or a number in `unit`; None: it is estimated.
     noise: str | float | None = None
 
@@ -50,6 +55,7 @@ class Channel(_Strict):
 
     expression: str  # arithmetic in the cells of columns, see `Formula`
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
+    delay: str | float = 0.0  # as that of a column
 
     @field_validator("expression")
     @classmethod
@@ -212,6 +218,14 @@ def _refuse_twins(mapping: LogMapping, path: Path) -> None:
                 f"mapping file {path}: channel {channel!r} is column {seen[channel]!r} and an expression: "
                 "keep one"
             )
+
+
+def seconds_of(given: str | float, what: str) -> float:
+    """A time that is stated as text with a unit, or as a number in s."""
+    try:
+        return to_si(given if isinstance(given, str) else f"{given!r} s", "s")
+    except UndertowError as error:
+        raise UndertowError(f"{what}: {error}") from error
 
 
 Channels = dict[str, Array]

@@ -15,6 +15,7 @@ from undertow.typing import Array, Flags
 
 from .mapping import to_body
 from .run import UNITS, Run
+from .series import with_reports
 
 ORDER = 3  # position, velocity, acceleration
 # Samples at the start of a lane that say more about `diffuse` than about the ratio.
@@ -323,7 +324,7 @@ def _gross_outliers(t: Array, y: Array) -> Flags:
     seen, result = y[index], np.zeros(len(y), dtype=bool)
     if len(seen) < 2 * ORDER:
         return result
-    close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t)
+    close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t[index])
     odd = np.zeros(len(seen))
     odd[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
     limit = max(5 * SETTINGS.limit * _NORMAL * float(np.median(odd[2:-2])), 2 * _usual_change(y))
@@ -392,12 +393,13 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         return run
     tracks = {name: _tracked(run, name) for name in _pose_needed(run, asked)}
     rates, spread = _body_rates(run, tracks)
-    pose = {name: np.where(one.outlier, np.nan, run.channels[name]) for name, one in tracks.items()}
+    pose = {name: np.where(one.outlier, np.nan, run.reports(name)) for name, one in tracks.items()}
+    run = with_reports(run, pose)
     found = {name: rates[VELOCITY.index(name)] for name in lacking}
     sigma = {name: float(np.nanmedian(spread[VELOCITY.index(name)])) for name in lacking}
     return replace(
         run,
-        channels={**run.channels, **pose, **found},
+        channels={**run.channels, **found},
         sigma={**run.sigma, **sigma},
         derived=run.derived | set(lacking),
         resolution=max((tracks[n].resolution for n in tracks if _moves(run.channels[n])), default=0.0),
@@ -421,14 +423,15 @@ def _pose_needed(run: Run, asked: list[str]) -> list[str]:
 
 
 def _tracked(run: Run, name: str) -> Track:
-    count = int(np.isfinite(run.channels[name]).sum())
+    reports = run.reports(name)
+    count = int(np.isfinite(reports).sum())
     if count < SETTINGS.fewest:
         raise UndertowError(
             f"run {run.name!r}: channel {name!r} has {count} samples, at least {SETTINGS.fewest} are needed "
             "to take a velocity from it: give a longer log"
         )
     try:
-        return track(run.t, run.channels[name])
+        return track(run.t, reports)
     except ValueError as error:
         raise UndertowError(f"run {run.name!r}: no velocity from channel {name!r}: {error}") from error
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import comb
 from pathlib import Path
 
 import numpy as np
@@ -38,14 +37,15 @@ from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE, FORCE_UNITS, MOTION_UNITS, VELOCITY
 from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Progress
+from undertow.typing import Array, Flags, Progress
 
 from . import checks
 from .formats.fieldlog import FieldLog
 from .formats.registry import format_of, read_field_log, readable
-from .mapping import Channel, Column, CommandPolicy, LogMapping
+from .mapping import Channel, Column, CommandPolicy, LogMapping, seconds_of
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
+from .series import OneClock, Series, are_several, on_one_clock, with_report_noise
 
 Commands = dict[str, float]
 
@@ -60,7 +60,10 @@ def read_log(
     also: Iterable[str] = (),
     limits: LogLimits = WHOLE,
 ) -> Run:
-    """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN and nothing is interpolated.
+    """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN.
+
+    A table with blanks in a regular pattern is read as several series (see `logs.series`).
+    Of other logs nothing is interpolated.
 
     `channels` are commands that must be in the log, `also` those that are read where it has them. Without a
     mapping a vehicle's own log means what its format says, and the columns of a table must have the channel
@@ -253,27 +256,32 @@ def run_of_table(
     there = {c.channel for n, c in mapping.columns.items() if n in table.columns}
     there |= {*mapping.channels, *table.columns}
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
+    policy = missing_commands or mapping.missing_commands
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
         read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
         read |= {name: _computed(table, name, c, mapping, where) for name, c in mapping.channels.items()}
-        channels = _turned(read, mapping, where)
+        own = _on_rows(t, read, sources, mapping, where, before or {})
+        channels = _turned(own.channels, mapping, where)
     run = Run(
         name=path.name.split(".")[0],
-        t=t,
+        t=own.t,
         channels=channels,
+        reported=_reported(own.reported, mapping),
+        wrapped=swap_attitude(own.wrapped) if _attitude(mapping) == "ENU" else own.wrapped,
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         sigma=_stated_noise(sources, mapping, where),
         mapping=mapping,
         dropped=rows - table.height,
     ).slice(*window)
-    run = _unwrapped(run, list(sources.values()))
-    slow = [column.channel for column in sources.values() if column.fresh is not None]
-    run = on_the_clock(run, [turned_name(name, mapping.frames.position) for name in slow])
-    return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where, before)
+    slow = {turned_name(c.channel, mapping.frames.position) for c in sources.values() if c.fresh is not None}
+    run = with_report_noise(_unwrapped(run, list(sources.values())), slow, part=before is not None)
+    if own.several:
+        run = _where_commanded(run, [*commands, *FORCES], policy, before)
+    return _checked(run, [*commands, *FORCES], policy, where, before)
 
 
 def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], where: str) -> dict[str, Column]:
@@ -371,6 +379,56 @@ def _values(table: pl.DataFrame, name: str, column: Column, mapping: LogMapping,
     return scale * cells + offset
 
 
+def _on_rows(
+    t: Array,
+    read: Channels,
+    sources: dict[str, Column],
+    mapping: LogMapping,
+    where: str,
+    before: Commands,
+) -> OneClock:
+    """The rows of a table; where it holds several series, the rows that these share."""
+    late = {c.channel: seconds_of(c.delay, f"{where}: delay of column {n!r}") for n, c in sources.items()}
+    late |= {n: seconds_of(c.delay, f"{where}: delay of channel {n!r}") for n, c in mapping.channels.items()}
+    slow = any(column.fresh is not None for column in sources.values())
+    table = np.abs(list(read.values()))
+    unreadable = np.isnan(table).all() or (table > checks.MEASURABLE.largest).any()  # refused by name, later
+    if unreadable or not (slow or any(late.values()) or are_several(t, read)):
+        return OneClock(t, read, {}, several=False)
+    noise = _stated_noise(sources, mapping, where)
+    asked = {column.channel: column.wrapped for column in sources.values()}
+    series, angles = {}, {n: unwrapped(column) for n, column in read.items() if _jumps(n, asked)}
+    for name, column in {**read, **angles}.items():
+        stated = noise.get(turned_name(name, mapping.frames.position))
+        series[name] = Series.of(t - late[name], column, stated)
+    own = on_one_clock(series, before, t if slow else None)
+    jumping = {n: read[n] for n, whole in angles.items() if not np.array_equal(whole, read[n], True)}
+    return replace(own, wrapped={n: own.in_rows(n, column) for n, column in jumping.items()})
+
+
+def _reported(found: Mapping[str, Flags], mapping: LogMapping) -> dict[str, Flags]:
+    """Rows with reports by the names of channels in the axes of undertow."""
+    reported = {turned_name(n, mapping.frames.position): there for n, there in found.items()}
+    linear = [n for n in VELOCITY[:3] if n in reported]
+    if mapping.frames.velocity != "body" and linear:  # each is made of all three
+        all_three = np.logical_and.reduce([reported[n] for n in linear])
+        reported |= {n: all_three for n in linear}
+    return reported
+
+
+def _where_commanded(run: Run, names: Iterable[str], policy: str, before: Commands | None) -> Run:
+    """The run from its first command to its last, which may be held: series do not begin and end at once."""
+    asked = [n for n in names if run.has(n) and n not in _sensed() and n not in (before or {})]
+    known = np.flatnonzero(np.isfinite(run.matrix(asked)).all(axis=1))
+    if not len(known):
+        return run
+    last = -1 if policy == "hold" or before is not None else known[-1]
+    begin, end = float(run.t[known[0]]), float(run.t[last])
+    lost = begin - float(run.t[0]), float(run.t[-1]) - end
+    note = f"{lost[0]:.3g} s at the beginning and {lost[1]:.3g} s at the end without a command left out"
+    return run.slice(begin, end).with_notes(*([note] if any(lost) else []))
+
+
 def _computed(table: pl.DataFrame, name: str, channel: Channel, mapping: LogMapping, where: str) -> Array:
     """Values of a channel that is a formula in columns."""
     formula = channel.formula
@@ -443,12 +501,15 @@ def _attitude(mapping: LogMapping) -> str:
 
 def _unwrapped(run: Run, columns: Iterable[Column]) -> Run:
     asked = {column.channel: column.wrapped for column in columns}
-    angles = [
-        name for name in run.channels if asked.get(name) or (name == "psi" and asked.get(name) is not False)
-    ]
+    angles = [name for name in run.channels if _jumps(name, asked)]
     whole = {name: unwrapped(run.channels[name]) for name in angles}
     jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
-    return replace(run, channels={**run.channels, **whole}, wrapped=jumping)
+    return replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
+
+
+def _jumps(name: str, asked: Mapping[str, bool | None]) -> bool:
+    """Whether an angle may jump by a turn: psi does unless the mapping file denies it."""
+    return bool(asked.get(name) or (name == "psi" and asked.get(name) is not False))
 
 
 def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) -> list[str]:
@@ -461,6 +522,9 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
     ]
     changed += [f"{n} = {c.expression} {c.unit or ''}".rstrip() for n, c in mapping.channels.items()]
     notes = [f"converted: {', '.join(changed)}"] if changed else []
+    late = {n: c.delay for n, c in mapping.channels.items()} | {c.channel: c.delay for c in sources.values()}
+    shifted = [f"{n} by {seconds_of(delay, n):g} s" for n, delay in late.items() if seconds_of(delay, n)]
+    notes += [f"taken as late: {', '.join(shifted)}"] if shifted else []
     spec = mapping.frames
     if "ENU" in (spec.position, _attitude(mapping)) or spec.body == "FLU":
         notes.append(
@@ -487,6 +551,11 @@ def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMappin
     return [f"columns not used: {', '.join(left)}"] if left else []
 
 
+def _sensed() -> set[str]:
+    """Names among those of commands that a sensor reports."""
+    return {*logged_quantities(catalogue()), *MOTION_UNITS}
+
+
 def _checked(
     run: Run, commands: Iterable[str], policy: str, where: str, before: Commands | None = None
 ) -> Run:
@@ -498,7 +567,7 @@ def _checked(
     for name, data in run.channels.items():
         check(name, run.t, data, where)
     notes, filled, known = [], dict(run.channels), before or {}
-    sensed = {*logged_quantities(catalogue()), *MOTION_UNITS}
+    sensed = _sensed()
     for name in commands:
         if run.has(name):
             data, rule, earlier = filled[name], policy, known.get(name, np.nan)
@@ -512,56 +581,3 @@ def _checked(
         text = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
         notes.append(f"constant channels (not used, or a dead sensor): {text}")
     return replace(run, channels=filled).with_notes(*notes)
-
-
-# --- sensors slower than their log ----------------------------------------------------------------
-# Such a table repeats the last report until the next comes, so that most of its rows are late by up to a
-# report. The mapping file names the column that tells new reports from repeated ones; the rows between two
-# new reports then lie on the straight line between them.
-_FEWEST = 10  # reports of a channel
-_LOST = 3.0  # usual times between reports without one: what happened meanwhile is unknown
-_ORDER = 3  # a difference of this order leaves little of a smooth motion
-_NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-
-
-def on_the_clock(run: Run, names: Iterable[str]) -> Run:
-    """Give channels with few samples a value in every row of the log.
-
-    Rows between two reports lie on a straight line; where no report came for three usual times they stay
-    missing. The standard deviation in `sigma` is that of white noise in every row which blurs means over
-    seconds as much as the noise of the few reports does: the values in between are no news.
-    """
-    channels, sigma, notes = dict(run.channels), dict(run.sigma), []
-    for name in names:
-        t, reports = _reports(run, name)
-        noise = sigma.get(name) or _noise(reports)
-        channels[name] = _between(run.t, t, reports)
-        sigma[name] = noise * float(np.sqrt(len(run.t) / len(t)))
-        notes.append(
-            f"{name}: {len(t)} reports in {len(run.t)} rows, straight lines in between; noise of a report "
-            f"{noise:.2g} {UNITS.get(name, '')}".rstrip()
-        )
-    return replace(run, channels=channels, sigma=sigma).with_notes(*notes)
-
-
-def _reports(run: Run, name: str) -> tuple[Array, Array]:
-    there = np.isfinite(run.channels[name])
-    if there.sum() < _FEWEST:
-        raise UndertowError(
-            f"run {run.name!r}: channel {name!r} has {there.sum()} new reports, at least {_FEWEST} are "
-            "needed: give a longer log, or remove `fresh` from the column in the mapping file"
-        )
-    return run.t[there], run.channels[name][there]
-
-
-def _noise(reports: Array) -> float:
-    wild = np.abs(np.diff(reports, n=_ORDER)) / np.sqrt(comb(2 * _ORDER, _ORDER))
-    return float(_NORMAL * np.median(wild))
-
-
-def _between(t: Array, known: Array, reports: Array) -> Array:
-    values = np.interp(t, known, reports, left=np.nan, right=np.nan)
-    after = np.clip(np.searchsorted(known, t), 1, len(known) - 1)
-    apart = known[after] - known[after - 1]
-    lost = (apart > _LOST * np.median(np.diff(known))) & (t > known[after - 1]) & (t < known[after])
-    return np.where(lost, np.nan, values)

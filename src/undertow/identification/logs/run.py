@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +36,8 @@ UNITS = dict(
         strict=True,
     )
 )
+MEASURED = frozenset(POSE + VELOCITY + ACCELERATION)
+"""Channels that a sensor of the motion reports; all others are held until they change."""
 _GAP = 5.0  # a step this many times the median step ends a segment
 
 
@@ -52,12 +55,16 @@ class Run:
         SI values by channel name (``x y z phi theta psi u v w p q r``, ``u_dot`` …, thruster names,
         ``tau_X`` …);
         NED and forward-starboard-down axes; NaN where a sample is missing. Arrays are read-only.
+    reported : dict of (n,) bool arrays
+        Rows in which a channel was measured, for channels that do not report in all of them. In the other
+        rows `channels` has what lies between two reports, which a regressor may be computed from and nothing
+        is judged by.
     source, sha256 : str
         The file the run was read from, and the hash of its bytes.
     notes : tuple of str
         What was converted, dropped or looked odd, one line each.
     sigma : dict of float
-        Known standard deviations of the noise of channels, in the unit of the channel.
+        Known standard deviations of the noise of a report, in the unit of the channel.
     derived : frozenset of str
         Names of channels computed from others (velocities from pose).
     resolution : float
@@ -85,13 +92,14 @@ class Run:
     wrapped: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     dropped: int = 0
     part_of: str = ""
+    reported: Mapping[str, Flags] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", _frozen(self.t))
         for field_name in ("channels", "wrapped"):
             tables = {name: _frozen(data) for name, data in getattr(self, field_name).items()}
             object.__setattr__(self, field_name, tables)
-        for name, data in self.channels.items():
+        for name, data in (*self.channels.items(), *self.reported.items()):
             if data.shape != self.t.shape:
                 raise UndertowError(
                     f"run {self.name!r}: channel {name!r} has shape {data.shape}, t has {self.t.shape}: "
@@ -145,6 +153,35 @@ class Run:
             else np.empty((len(self.t), 0))
         )
 
+    def reports(self, name: str) -> NDArray[np.float64]:
+        """Return a channel with NaN in the rows in which it was not measured, shape (n,)."""
+        there = self.reported.get(name)
+        return self.channels[name] if there is None else np.where(there, self.channels[name], np.nan)
+
+    def rows_per_report(self, name: str) -> float:
+        """Return how many rows there are for each report of a channel; 1 where every row is one."""
+        there = self.reported.get(name)
+        return 1.0 if there is None else len(self.t) / max(int(np.count_nonzero(there)), 1)
+
+    def period(self, name: str) -> float:
+        """Return the usual time, s, between reports of a channel."""
+        there = self.reported.get(name)
+        few = there is None or np.count_nonzero(there) < 2
+        return float(np.median(np.diff(self.t if few else self.t[there])))
+
+    @property
+    def clock(self) -> NDArray[np.float64]:
+        """Times, s, of the measured channel that reports most often: all rows unless each lacks some."""
+        every = np.ones(len(self.t), dtype=bool)
+        most = max(self.reported.values(), key=np.count_nonzero, default=every)
+        whole = not {*self.reported} >= MEASURED.intersection(self.channels)
+        return self.t if whole or np.count_nonzero(most) < 2 else self.t[most]
+
+    @cached_property
+    def step(self) -> float:
+        """Usual time between rows of the clock, s."""
+        return float(np.median(np.diff(self.clock)))
+
     def slice(self, t_min: float | None = None, t_max: float | None = None) -> Run:
         """Return the samples with ``t_min <= t <= t_max`` as a run of its own (None: no limit).
 
@@ -170,10 +207,11 @@ class Run:
         channels, wrapped = (
             {name: data[rows] for name, data in table.items()} for table in (self.channels, self.wrapped)
         )
-        return replace(self, t=self.t[rows], channels=channels, wrapped=wrapped)
+        reported = {name: there[rows] for name, there in self.reported.items()}
+        return replace(self, t=self.t[rows], channels=channels, wrapped=wrapped, reported=reported)
 
     def segments(self, names: Iterable[str] = ()) -> list[builtins.slice]:
-        """Return index slices without a time step longer than five median steps.
+        """Return index slices without a time step longer than five usual steps.
 
         Parameters
         ----------
@@ -187,7 +225,7 @@ class Run:
         """
         whole = np.asarray(np.isfinite(self.matrix(names)).all(axis=1))
         step = np.diff(self.t)
-        together = step <= _GAP * np.median(step) if len(step) else np.empty(0, dtype=bool)
+        together = step <= _GAP * max(np.median(step), self.step) if len(step) else np.empty(0, dtype=bool)
         joined = np.concatenate([[False], together & whole[1:] & whole[:-1], [False]])
         starts, stops = np.flatnonzero(whole & ~joined[:-1]), np.flatnonzero(whole & ~joined[1:]) + 1
         return [builtins.slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]

@@ -25,6 +25,7 @@ from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
 
 _MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"
+_LOST = 3.0  # usual times between samples without one that break a line
 # Spans of the measurement by which a simulation may leave it before it is cut off.
 _SPANS = 1.0
 # Few enough colours that the colour bar is drawn as lines and not put into the page as an image.
@@ -200,11 +201,27 @@ def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
     ]
     for values, label, how in lines:
         if values is not None:
-            axis.plot(*thinned(trace.t, values), label=label, **how)
+            dots = {"marker": ".", "markersize": 2.0} if _alone(values) else {}
+            shown = _reports(trace.t, values) if values is trace.measured else (trace.t, values)
+            axis.plot(*thinned(*shown), label=label, **how, **dots)
     _limits(axis, trace)
     axis.margins(x=0.01)
     axis.set_ylabel(with_unit(trace.channel, trace.unit))
     axis.grid()
+
+
+def _alone(values: Array) -> bool:
+    """Whether samples have no neighbour that a line could go to, as those of a sensor slower than its log."""
+    there = np.concatenate([[False], np.isfinite(values), [False]])
+    return bool(np.any(there[1:-1] & ~there[:-2] & ~there[2:]))
+
+
+def _reports(t: Array, values: Array) -> tuple[Array, Array]:
+    """Samples without the blank rows between them; the line breaks where samples are lost."""
+    at = np.flatnonzero(np.isfinite(values))
+    apart = np.diff(t[at])
+    lost = np.flatnonzero(apart > _LOST * (np.median(apart) if len(apart) else 0.0)) + 1
+    return np.insert(t[at], lost, t[at][lost]), np.insert(values[at], lost, np.nan)
 
 
 def _limits(axis: Any, trace: Trace) -> None:

@@ -70,9 +70,9 @@ def _traces(run: int, models: Mapping[str, Prediction]) -> Iterator[Trace]:
     simulated = {which: _on_clock(prediction, run) for which, prediction in models.items()}
     for i, name in enumerate(first.names):
         if log.has(name):
-            measured = log.channels[name]
-            lines = {which: _like(values[:, i], measured, name) for which, values in simulated.items()}
-            yield Trace(name, UNITS[name], log.t, measured, **lines)
+            along = log.channels[name]
+            lines = {which: _like(values[:, i], along, name) for which, values in simulated.items()}
+            yield Trace(name, UNITS[name], log.t, log.reports(name), **lines)
 
 
 def _on_clock(prediction: Prediction, run: int) -> Array:

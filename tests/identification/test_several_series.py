@@ -1,0 +1,304 @@
+"""Logs whose sensors report at rates of their own: what was measured counts, where it was measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.identification.several import CURRENT, NOISE, Dive, model, truth, written
+from undertow.errors import UndertowError
+from undertow.identification.compare.comparison import compare
+from undertow.identification.diagnose import diagnose
+from undertow.identification.doctor.examine import examine
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.output_error import fit_output_error
+from undertow.identification.estimation.prediction_error import fit_prediction_error
+from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.estimation.windows import cut
+from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
+from undertow.identification.report.tables import traces
+from undertow.model.catalogue import catalogue
+from undertow.model.vehicle import Value, Vehicle
+
+MOTION = tuple(NOISE)
+
+
+@pytest.fixture(scope="module")
+def dives() -> list[Dive]:
+    return [Dive(seed) for seed in range(3)]
+
+
+@pytest.fixture(scope="module")
+def union(dives: list[Dive], tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+    """Every sensor on a clock of its own, blank cells in between."""
+    folder = tmp_path_factory.mktemp("union")
+    return [_read(written(d.table(), folder / f"union{i}.csv")) for i, d in enumerate(dives)]
+
+
+@pytest.fixture(scope="module")
+def dense(dives: list[Dive], tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+    """The same dives with every channel in every row, 50 times a second."""
+    folder = tmp_path_factory.mktemp("dense")
+    return [_read(written(d.dense(), folder / f"dense{i}.parquet")) for i, d in enumerate(dives)]
+
+
+def _read(path: Path, mapping: LogMapping | None = None) -> Run:
+    return read_log(path, mapping, channels=model().command_names)
+
+
+def _with_current() -> Vehicle:
+    start = {n: Value(0.0, estimate=True) for n in CURRENT}
+    return model().with_effect(catalogue()["ocean_current"], start)
+
+
+# --- reading --------------------------------------------------------------------------------------
+def test_rows_are_those_of_the_fastest_sensor_and_few_more(dives: list[Dive], union: list[Run]) -> None:
+    run, table = union[0], dives[0].table()
+    reports = run.reported["psi"].sum()
+    assert run.step == pytest.approx(0.02, rel=0.02)
+    assert reports == table["psi"].drop_nulls().len()
+    assert len(run.t) < reports + 0.6 * (398 + 558)
+    assert len(run.segments([*MOTION, "f1", "f2", "f3", "f4"])) == 1
+
+
+def test_every_report_stands_within_reach_of_its_time(dives: list[Dive], union: list[Run]) -> None:
+    """What a report is moved by can be seen in it by a third of its noise at most."""
+    for name in ("x", "u", "r"):
+        run = union[0]
+        there = run.reported[name]
+        values = dict(zip(run.channels[name][there], run.t[there], strict=True))
+        table = dives[0].table().select("t", name).drop_nulls()
+        moved = [abs(values[y] - t) for t, y in table.iter_rows() if y in values]
+        assert len(moved) == there.sum()
+        speed = np.sqrt(np.mean(np.gradient(dives[0].motion[name], dives[0].t) ** 2))
+        assert max(moved) * speed < 0.35 * NOISE[name]
+
+
+def test_the_noise_is_that_of_the_reports(union: list[Run]) -> None:
+    for name, sigma in NOISE.items():
+        assert union[0].sigma[name] == pytest.approx(sigma, rel=0.12)
+
+
+def test_a_row_has_the_mean_of_what_was_commanded_until_the_next(dives: list[Dive], union: list[Run]) -> None:
+    """So the impulse of a command is kept, whenever it was given."""
+    run, dive = union[0], dives[0]
+    given = np.concatenate([[0.0], np.cumsum(dive.commands["f2"] / 10.0)])
+    edges = np.append(dive.at_command, dive.at_command[-1] + 0.1)
+    impulse = np.interp(run.t, edges, given)
+    found = np.append(0.0, np.cumsum(run.channels["f2"][:-1] * np.diff(run.t)))
+    np.testing.assert_allclose(found, impulse - impulse[0], atol=1e-9)
+
+
+def test_a_slow_column_with_blanks_is_the_same_as_one_with_a_flag(dives: list[Dive], tmp_path: Path) -> None:
+    table = dives[0].dense(20.0).with_row_index("row")
+    every = pl.col("row") % 4 == 0
+    flagged = table.with_columns(*(pl.when(every).then(pl.col(n)).forward_fill().alias(n) for n in "uvw"))
+    blank = table.with_columns(*(pl.when(every).then(pl.col(n)).alias(n) for n in "uvw"))
+    flags = {n: {"channel": n, "fresh": "new"} for n in "uvw"}
+    mapping = LogMapping.model_validate({"columns": flags, "ignore": ["row", "new"]})
+    with_flag = _read(written(flagged.with_columns(every.alias("new")), tmp_path / "a.parquet"), mapping)
+    with_blanks = _read(written(blank, tmp_path / "b.parquet"))
+    assert with_flag.reported.keys() == with_blanks.reported.keys() == {*"uvw"}
+    for name in with_blanks.channels:
+        np.testing.assert_array_equal(with_flag.channels[name], with_blanks.channels[name])
+    assert with_flag.sigma == with_blanks.sigma
+    fits = [fit_weak(model(), prepare([run], model())) for run in (with_flag, with_blanks)]
+    assert fits[0].values == fits[1].values
+
+
+def test_a_sensor_with_hardly_a_report_is_left_out(dives: list[Dive], tmp_path: Path) -> None:
+    surfaced = pl.col("t") < 1.0
+    table = dives[0].table().with_columns(pl.when(surfaced).then(pl.col("x")).alias("x"))
+    run = _read(written(table, tmp_path / "few.parquet"))
+    assert not run.has("x")
+    assert any(note.startswith("x: left out, as it has") for note in run.notes)
+
+
+def test_a_dropout_of_one_sensor_stays_a_gap(dives: list[Dive], tmp_path: Path) -> None:
+    lost = pl.col("t").is_between(30.0, 33.0)
+    table = dives[0].table().with_columns(*(pl.when(~lost).then(pl.col(n)).alias(n) for n in "uvw"))
+    run = _read(written(table, tmp_path / "gap.parquet"))
+    inside = (run.t > 30.2) & (run.t < 32.8)
+    assert np.isnan(run.channels["u"][inside]).all()
+    assert np.isfinite(run.channels["psi"][inside]).all()
+    assert len(run.segments(MOTION)) == 2
+
+
+def test_few_blanks_in_a_dense_log_are_gaps_as_ever(dives: list[Dive], tmp_path: Path) -> None:
+    table = dives[0].dense(20.0).with_row_index("row")
+    table = table.with_columns(pl.when(pl.col("row") % 100 != 7).then(pl.col("u")).alias("u")).drop("row")
+    run = _read(written(table, tmp_path / "few.parquet"))
+    assert not run.reported
+    assert np.isnan(run.channels["u"]).sum() == 16
+
+
+def test_commands_that_stop_are_asked_about(dives: list[Dive], tmp_path: Path) -> None:
+    silent = pl.col("t").is_between(40.0, 45.0)
+    table = dives[0].table().with_columns(pl.when(~silent).then(pl.col("f2")).alias("f2"))
+    path = written(table, tmp_path / "silent.parquet")
+    with pytest.raises(UndertowError, match=r"command 'f2' is missing in .* rows .*missing_commands"):
+        _read(path)
+    held = _read(path, LogMapping(missing_commands="hold"))
+    assert np.ptp(held.channels["f2"][(held.t > 40.1) & (held.t < 44.9)]) == 0.0
+
+
+def test_a_log_in_parts_has_the_same_reports(dives: list[Dive], tmp_path: Path) -> None:
+    path = written(dives[0].table(), tmp_path / "long.parquet")
+    whole, names = _read(path), model().command_names
+    parts = [part.run for part in LongLog(path, LogMapping(), names).parts(2000, 400)]
+    assert len(parts) > 2
+    for part in parts:
+        for name in ("u", "psi"):
+            there = part.reported[name] & (part.t > part.t[0] + 1.0) & (part.t < part.t[-1] - 1.0)
+            assert there.any()
+            assert np.isin(part.channels[name][there], whole.channels[name][whole.reported[name]]).all()
+        assert np.isfinite(part.channels["f2"][part.t > part.t[0] + 1.0]).all()
+
+
+def test_angles_go_on_across_a_turn_between_reports(dives: list[Dive], tmp_path: Path) -> None:
+    table = dives[0].table()
+    wrapped = table.with_columns(((pl.col("psi") + np.pi) % (2 * np.pi) - np.pi).alias("psi"))
+    whole, again = (_read(written(t, tmp_path / f"{i}.parquet")) for i, t in enumerate((table, wrapped)))
+    turns = (whole.channels["psi"] - again.channels["psi"]) / (2 * np.pi)
+    known = turns[np.isfinite(turns)]
+    np.testing.assert_allclose(known, np.round(known[0]), atol=1e-9)
+
+
+def test_series_in_other_axes_are_the_same_series(
+    dives: list[Dive], union: list[Run], tmp_path: Path
+) -> None:
+    east, north = pl.col("y").alias("x"), pl.col("x").alias("y")
+    turned = (-pl.col(n) for n in ("z", "v", "w", "r"))
+    table = dives[0].table().with_columns(east, north, (np.pi / 2 - pl.col("psi")).alias("psi"), *turned)
+    axes = LogMapping.model_validate({"frames": {"position": "ENU", "body": "FLU"}})
+    run = _read(written(table, tmp_path / "enu.parquet"), axes)
+    for name in MOTION:
+        np.testing.assert_array_equal(run.reported[name], union[0].reported[name])
+        np.testing.assert_allclose(run.channels[name], union[0].channels[name], atol=1e-9)
+        assert run.sigma[name] == pytest.approx(union[0].sigma[name])
+
+
+def test_velocities_come_from_the_reports_of_a_slow_pose(dives: list[Dive], tmp_path: Path) -> None:
+    path = written(dives[0].table().drop("u", "v", "w", "r"), tmp_path / "pose.parquet")
+    run = velocities_from_pose(_read(path), model().degrees_of_freedom)
+    assert not run.reported.keys() & {*"uvwr"}
+    for name in "uvwr":
+        true = np.interp(run.t, dives[0].t, dives[0].motion[name])
+        error = np.sqrt(np.nanmean((run.channels[name] - true) ** 2))
+        assert 0.5 * run.sigma[name] < error < 1.2 * run.sigma[name]
+
+
+# --- fits and judgements --------------------------------------------------------------------------
+def _errors_in_sigmas(fit: object) -> np.ndarray:
+    true = truth()
+    return np.array(
+        [(fit.values[n] - true.value_of(n).value) / fit.standard_errors[n] for n in fit.values]  # type: ignore[attr-defined]
+    )
+
+
+@pytest.mark.parametrize("how", ["weak", "output", "prediction"])
+def test_the_truth_is_found_within_its_intervals(how: str, union: list[Run], dense: list[Run]) -> None:
+    """As well as from a dense log, which has many more reports."""
+    vehicle = _with_current()
+
+    def fitted(runs: list[Run]) -> np.ndarray:
+        if how == "weak":
+            return _errors_in_sigmas(fit_weak(vehicle, prepare(runs, vehicle)))
+        fit = fit_output_error if how == "output" else fit_prediction_error
+        return _errors_in_sigmas(fit(vehicle, runs))
+
+    own, other = fitted(union[:2]), fitted(dense[:2])
+    assert np.sqrt(np.mean(own**2)) < 1.5
+    assert np.max(np.abs(own)) < 3.5
+    assert np.sqrt(np.mean(own**2)) < np.sqrt(np.mean(other**2)) + 0.5
+
+
+def test_only_reports_are_judged(union: list[Run]) -> None:
+    vehicle = _with_current()
+    fit = fit_output_error(vehicle, union[:2])
+    measured = np.isfinite(cut(union[:2], vehicle, 5.0).measured).sum(axis=(0, 1))
+    assert np.all(fit.at.counts <= measured)
+    assert fit.at.counts[3] > 6 * fit.at.counts[4] > 6 * fit.at.counts[0]  # 50, 7 and 5 a second
+    np.testing.assert_allclose(fit.mean_square(), 1.0, atol=0.2)
+
+
+def test_errors_of_the_true_model_are_the_noise_of_the_reports(union: list[Run]) -> None:
+    found = compare(truth(), union[2:])
+    for channel in found.result.channels:
+        assert channel.noise == pytest.approx(NOISE[channel.channel], rel=0.12)
+    assert all(0.7 < found.ahead.normalised[n] < 1.6 for n in "uvwr")
+    (run,) = traces(found)
+    for trace in run.traces:
+        shown = np.isfinite(trace.measured)
+        assert np.array_equal(shown, union[2].reported[trace.channel])
+
+
+@pytest.mark.slow
+def test_the_effect_is_named(union: list[Run]) -> None:
+    found = diagnose(model(), union[:2], union[2:])
+    assert (found.verdict, found.effects) == ("missing_effect", ["ocean_current"])
+
+
+# --- latencies ------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def late(dives: list[Dive], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("late")
+    return [
+        written(d.table(late={"position": 0.2}), folder / f"late{i}.parquet") for i, d in enumerate(dives)
+    ]
+
+
+def test_a_late_position_is_found_and_mended(late: list[Path]) -> None:
+    examined = examine(truth(), [_read(path) for path in late[:2]])
+    (found,) = [f for f in examined.result.findings if f.id == "late_pose"]
+    assert "x, y, z are" in found.text
+    assert abs(found.evidence["delay"] - 0.2) < 3 * found.evidence["error"] < 0.05
+    columns = {n: {"channel": n, "delay": "0.2 s"} for n in ("x", "y", "z")}
+    mended = [_read(path, LogMapping.model_validate({"columns": columns})) for path in late[:2]]
+    assert not [f for f in examine(truth(), mended).result.findings if f.id.startswith("late_")]
+    before, after = (compare(truth(), runs).ahead.normalised for runs in ([_read(late[0])], mended[:1]))
+    assert before["x"] > 1.5 * after["x"]
+    assert after["x"] < 1.3
+
+
+def test_latencies_of_prompt_series_are_said_with_their_errors(union: list[Run]) -> None:
+    findings = examine(truth(), union[:2]).result.findings
+    assert not [f for f in findings if f.id.startswith("late_")]
+    (said,) = [f for f in findings if f.id == "latencies"]
+    assert all(abs(value) < 0.05 for value in said.evidence.values())
+
+
+def test_commands_of_another_clock_are_found_and_mended(dives: list[Dive], tmp_path: Path) -> None:
+    """Stamped too late, they seem to come after the motion; no vehicle does that."""
+    names = [*model().command_names]
+    path = written(dives[0].table(late={"commands": 0.3}), tmp_path / "late.parquet")
+    (found,) = [f for f in examine(truth(), [_read(path)]).result.findings if f.id == "late_commands"]
+    assert abs(found.evidence["delay"] + 0.3) < max(3 * found.evidence["error"], 0.02)
+    assert all(f'{n} = {{ channel = "{n}", delay = "0.3' in found.mapping for n in names)
+    columns = {n: {"channel": n, "delay": "300 ms"} for n in names}
+    mended = _read(path, LogMapping.model_validate({"columns": columns}))
+    assert "f1 by 0.3 s" in " ".join(mended.notes)
+    findings = examine(truth(), [mended]).result.findings
+    (said,) = [f for f in findings if f.id == "command_latency"]
+    assert abs(said.evidence["delay"]) < 0.02
+
+
+def test_degrees_are_found_in_a_heading_that_is_a_series(dives: list[Dive], tmp_path: Path) -> None:
+    degrees = np.degrees(pl.col("psi"))
+    table = dives[0].table().with_columns((degrees - 360.0 * (degrees / 360.0).round()).alias("psi"))
+    run = _read(written(table, tmp_path / "degrees.parquet"))
+    (found,) = [f for f in examine(truth(), [run]).result.mistakes]
+    assert found.id == "degrees_for_radians"
+
+
+def test_a_delay_that_is_no_time_is_refused(late: list[Path]) -> None:
+    columns = {"x": {"channel": "x", "delay": "3 m"}}
+    with pytest.raises(UndertowError, match="delay of column 'x'"):
+        _read(late[0], LogMapping.model_validate({"columns": columns}))
