@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from undertow.identification.logs.formats.fieldlog import FieldLog, rising
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.reading import read_log
 
-SMALL = Path("/work/dev/field/small.tlog")
+SMALL = Path(os.environ.get("UNDERTOW_FIELD_LOGS", "../dev/field")) / "small.tlog"
 """testing/small.tlog of clydemcqueen/ardusub_log_tools; its tests are skipped where it is not there."""
 FLOAT32 = 2.0**-23
 

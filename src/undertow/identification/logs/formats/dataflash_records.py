@@ -22,6 +22,7 @@ Bytes = NDArray[np.uint8]
 HEAD = (0xA3, 0x95)
 FMT, _LENGTH = 0x80, 89
 _PART = 1 << 20  # bytes that are searched for heads at a time: they stay in the cache of a processor
+_MAPPED = 1 << 28  # bytes from which on a file is mapped instead of read
 # What the letters of a format mean: type of the cell, and what its number is divided by.
 _CELLS = {
     "a": "V64", "b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4",
@@ -52,6 +53,10 @@ class _Kind:
 
     def cell(self, column: str) -> tuple[np.dtype[np.generic], int]:
         """Type of the cells of a column, and how far they stand from the begin of a message."""
+        if column not in self.columns:
+            raise UndertowError(
+                f"messages {self.name} of the log have no {column!r}: their description is damaged, copy it again"
+            )
         place = self.columns.index(column)
         before = sum(np.dtype(_CELLS[c]).itemsize for c in self.cells[:place])
         return np.dtype(_CELLS[self.cells[place]]), 3 + before
@@ -209,7 +214,7 @@ class Records:
 
 
 def open_records(path: Path) -> Records:
-    data = np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
+    data = _bytes(path)
     kinds = _kinds(data)
     lengths = np.zeros(256, dtype=np.int64)
     lengths[list(kinds)] = [kind.length for kind in kinds.values()]
@@ -233,6 +238,13 @@ def open_records(path: Path) -> Records:
         if lost and (name := kinds[number].name) in clocks:
             there[name], clocks[name] = there[name].taken(sound[own]), clocks[name][sound[own]]
     return Records(there, _series(there, clocks), notes)
+
+
+def _bytes(path: Path) -> Bytes:
+    """The bytes of a file; those of a large one stay on the disk until they are looked at."""
+    if path.stat().st_size < _MAPPED:  # a file that is mapped must not be replaced meanwhile
+        return np.fromfile(path, dtype=np.uint8)
+    return np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
 
 
 def _rows_of(types: Bytes) -> dict[int, Index]:
