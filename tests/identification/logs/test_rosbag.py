@@ -212,3 +212,14 @@ def test_bags_of_ros2_itself_are_read(name: str, series: int) -> None:
         read_log(log.path)
     if "cdr" in name:
         assert list(log.series["/test_topic"].columns["int32_value"]) == [123.0] * 3
+
+
+def test_messages_that_are_damaged_are_blank(tmp_path: Path) -> None:
+    path = bag(tmp_path / "dive.db3", dive())
+    raw = path.read_bytes()
+    # the frame of one message in the middle is no text any more
+    at = raw.index(b"base_link", len(raw) // 2)
+    path.write_bytes(raw[:at] + b"\xff\xfe" + raw[at + 2 :])
+    columns = read_field_log(path).series["/odometry"].columns
+    assert np.isnan(columns["pose.pose.position.x"]).sum() == 1
+    assert np.isnan(columns["pose.pose.orientation.psi"]).sum() == 1

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .fieldlog import FieldLog, Format, Series, library
 from .ros_meaning import Topic, derived, meaning
@@ -69,15 +69,21 @@ class _Decoded(Mapping[str, Array]):
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
-    records, types, notes = _recorded(path, messages)
+    try:
+        records, types, notes = _recorded(path, messages)
+    except MemoryError as error:  # a damaged length asks for it, too
+        raise UndertowError(f"log {path} is damaged, or larger than the memory: copy it again") from error
     if not records:
         raise UndertowError(f"log {path} has no message with numbers in it: check what was recorded")
     begin = min(min(one.stamps) for one in records.values())
     topics = {}
     for name, one in records.items():
         t, note = _times(one, types, begin)
-        topics[name] = _topic(name, one, types, t)
+        topic = _topic(name, one, types, t)
+        if topic is not None:
+            topics[name] = topic
         notes += [f"{name}: {note}"] if note else []
+        notes += [] if topic else [f"{name}: no message can be decoded: left out"]
     mapping, actuators, said = meaning(list(topics.values()))
     series = {name: topic.series for name, topic in topics.items()}
     return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=(*notes, *said))
@@ -110,6 +116,13 @@ class _Types:
         """The message of some bytes."""
         decode = self.store.deserialize_ros1 if self.ros1 else self.store.deserialize_cdr
         return decode(raw, name)
+
+    def sound(self, raw: bytes, name: str) -> Any:
+        """The message of some bytes; None for damaged ones."""
+        try:
+            return self.message(raw, name)
+        except Exception:  # whatever the library makes of them
+            return None
 
     def numbers(self, name: str, messages: list[Any]) -> dict[str, Array]:
         """All numbers of messages of a type, by name."""
@@ -226,16 +239,29 @@ def _times(one: _Records, types: _Types, begin: int) -> tuple[Array, str]:
     return t, ""
 
 
-def _topic(name: str, one: _Records, types: _Types, t: Array) -> Topic:
-    first = types.message(one.raw[0], one.type)
+def _topic(name: str, one: _Records, types: _Types, t: Array) -> Topic | None:
+    """A topic; None if none of its messages can be decoded."""
+    first = next((m for raw in one.raw if (m := types.sound(raw, one.type)) is not None), None)
+    if first is None:
+        return None
 
     def columns() -> dict[str, Array]:
-        messages = [types.message(raw, one.type) for raw in one.raw]
+        decoded = [types.sound(raw, one.type) for raw in one.raw]
+        messages = [message for message in decoded if message is not None]
         found = types.numbers(one.type, messages)
-        return found | derived(one.type, found, messages, constants)
+        found |= derived(one.type, found, messages, constants)
+        there = np.array([message is not None for message in decoded])
+        return found if there.all() else {name: _spread(column, there) for name, column in found.items()}
 
     constants = {constant: value for constant, _, value in types.store.fielddefs[one.type][0]}
     return Topic(Series(name, t, _Decoded(columns)), one.type, first)
+
+
+def _spread(known: Array, there: Flags) -> Array:
+    """A column with blanks for the messages that are damaged."""
+    column = np.full(len(there), np.nan)
+    column[there] = known
+    return column
 
 
 def _accepts(path: Path, head: bytes) -> bool:
