@@ -55,7 +55,7 @@ class _Kind:
         """Type of the cells of a column, and how far they stand from the begin of a message."""
         if column not in self.columns:
             raise UndertowError(
-                f"messages {self.name} of the log have no {column!r}: their description is damaged, copy it again"
+                f"messages {self.name} of the log have no {column!r}: it is damaged, copy it again"
             )
         place = self.columns.index(column)
         before = sum(np.dtype(_CELLS[c]).itemsize for c in self.cells[:place])
@@ -80,8 +80,8 @@ class _Messages:
 
     def numbers(self, column: str) -> Array:
         """Cells of a column as numbers."""
-        letter = self.kind.cells[self.kind.columns.index(column)]
         values = self.cells(column).astype(np.float64)
+        letter = self.kind.cells[self.kind.columns.index(column)]
         return values / _DIVISORS[letter] if letter in _DIVISORS else values
 
     def texts(self, column: str) -> list[str]:
