@@ -208,10 +208,18 @@ def read_logs(
         read = [_told_of_newtons(run, vehicle) for run in _runs_of(path, asked)]
         if to_fit:
             checks.refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
-        dof = vehicle.degrees_of_freedom
-        runs += read if one_motion else [velocities_from_pose(run, dof) for run in read]
+        runs += read if one_motion else [_with_velocities(run, vehicle) for run in read]
     checks.refuse_twins(runs)
     return checks.with_distinct_names(runs)
+
+
+def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
+    """The run with velocities; where they cannot be had, what the reader of the log said goes with it."""
+    try:
+        return velocities_from_pose(run, vehicle.degrees_of_freedom)
+    except UndertowError as error:
+        said = "; ".join(format_notes(run))
+        raise UndertowError(f"{error} ({said})" if said else str(error)) from error
 
 
 _READ_AS = "read as "
