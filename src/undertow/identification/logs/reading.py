@@ -150,7 +150,10 @@ def run_of_table(
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
-        read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
+        begins = not before
+        read = {
+            c.channel: _values(table, name, c, mapping, where, begins=begins) for name, c in sources.items()
+        }
         read |= {name: _computed(table, name, c, mapping, where) for name, c in mapping.channels.items()}
         channels = _turned(read, mapping, where)
     run = Run(
@@ -165,7 +168,7 @@ def run_of_table(
     ).slice(*window)
     run = _unwrapped(run, list(sources.values()))
     slow = [column.channel for column in sources.values() if column.fresh is not None]
-    run = on_the_clock(run, [turned_name(name, mapping.frames.position) for name in slow])
+    run = on_the_clock(run, [turned_name(name, mapping.frames.position) for name in slow], before is not None)
     return _checked(run, [*commands, *FORCES], missing_commands or mapping.missing_commands, where, before)
 
 
@@ -219,7 +222,7 @@ def _time(
     """Return the rows that are used, their times and notes."""
     spec, notes = mapping.time, []
     if spec.unit == "iso" or is_dates(table, spec.column):
-        t, first = seconds(table, spec.column, where)
+        t, first, _ = seconds(table, spec.column, where, origin)
         notes += [f"time counts from {first}"] if first else []
     else:
         scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
@@ -242,14 +245,17 @@ def _shown(number: Origin) -> str:
     return f"{number:.17g}" if isinstance(number, float) else f"{number:f}".rstrip("0").rstrip(".")
 
 
-def _values(table: pl.DataFrame, name: str, column: Column, mapping: LogMapping, where: str) -> Array:
+def _values(
+    table: pl.DataFrame, name: str, column: Column, mapping: LogMapping, where: str, *, begins: bool
+) -> Array:
+    """Values of a channel; `begins`: whether its first row is that of the log, with none before it."""
     scale, offset = _to_si(name, column, where)
     cells = numbers(table, name, mapping, where)
     if column.power != 1.0:
         cells = np.sign(cells) * np.abs(cells) ** column.power
     if column.fresh is not None:
         if column.fresh == name:  # a value that differs from that of the row before is new
-            new = np.concatenate([[True], cells[1:] != cells[:-1]])
+            new = np.concatenate([[begins], cells[1:] != cells[:-1]])
         else:
             flag = numbers(table, column.fresh, mapping, where)
             new = np.isfinite(flag) & (flag != 0)
@@ -410,7 +416,7 @@ _ORDER = 3  # a difference of this order leaves little of a smooth motion
 _NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
-def on_the_clock(run: Run, names: Iterable[str]) -> Run:
+def on_the_clock(run: Run, names: Iterable[str], part: bool = False) -> Run:
     """Give channels with few samples a value in every row of the log.
 
     Rows between two reports lie on a straight line; where no report came for three usual times they stay

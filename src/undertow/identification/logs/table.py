@@ -50,20 +50,29 @@ _UNREADABLE = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 
 def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.LazyFrame:
     """A Parquet file that can be decoded, not yet read; nested columns have no value in it."""
-    try:
-        table = pl.scan_parquet(path, glob=False, hive_partitioning=False)
-        kinds = table.collect_schema()
-        rows = table.select(pl.len()).collect().item()
-    except _UNREADABLE as error:
-        raise UndertowError(_unreadable(where, str(error))) from error
+    rows, kinds = parquet_size(path, where)
     if most_cells is not None and rows * len(kinds) > most_cells:
         raise UndertowError(too_many_cells(where, rows, len(kinds), most_cells))
+    table = _scanned(path)
     text = _HELPER.trouble_with(path)
     if text is not None:
         raise UndertowError(_unreadable(where, text))
     return table.with_columns(
         pl.lit(None).cast(kind).alias(n) for n, kind in kinds.items() if kind.is_nested()
     )
+
+
+def parquet_size(path: Path, where: str) -> tuple[int, pl.Schema]:
+    """Rows and columns of a Parquet file by its last bytes; nothing else of it is read."""
+    try:
+        table = _scanned(path)
+        return int(table.select(pl.len()).collect().item()), table.collect_schema()
+    except _UNREADABLE as error:
+        raise UndertowError(_unreadable(where, str(error))) from error
+
+
+def _scanned(path: Path) -> pl.LazyFrame:
+    return pl.scan_parquet(path, glob=False, hive_partitioning=False)
 
 
 def too_many_cells(where: str, rows: int, columns: int, most: int) -> str:
@@ -405,9 +414,12 @@ def _plain(column: pl.Series) -> pl.Series:
     return column.cast(pl.String) if column.dtype in (pl.Categorical, pl.Enum) else column
 
 
-def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.float64], str]:
-    """Return a column of dates or times (or ISO 8601 texts) as seconds from its first entry, and that entry.
+def seconds(
+    table: pl.DataFrame, name: str, where: str, origin: Origin | None = None
+) -> tuple[NDArray[np.float64], str, Origin]:
+    """Return a column of dates or times (or ISO 8601 texts) as seconds, the entry that is zero, its count.
 
+    They count from the first entry, or from that of another part of the log, given by its count `origin`.
     Durations are seconds already: they count from nothing, and the entry is empty.
     """
     stamps = _plain(table[name])
@@ -420,11 +432,12 @@ def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.floa
         )
     first = stamps.drop_nulls().first()
     if first is None:
-        return np.full(table.height, np.nan), ""
+        return np.full(table.height, np.nan), "", Decimal(0) if origin is None else origin
     ticks, tick = stamps.to_physical().cast(_EXACT), _tick(stamps.dtype)
     if stamps.dtype == pl.Duration:
-        return tick * _from(ticks, Decimal(0)), ""
-    return tick * _from(ticks, ticks.drop_nulls().item(0)), str(first)
+        return tick * _from(ticks, Decimal(0)), "", Decimal(0)
+    zero = Decimal(origin) if origin is not None else ticks.drop_nulls().item(0)
+    return tick * _from(ticks, zero), str(first), zero
 
 
 def _tick(kind: pl.DataType) -> float:
