@@ -1,4 +1,4 @@
-"""Logs of any length of the bundled BlueROV2 in a current that its file lacks, by the project's simulation."""
+"""Logs of any length of the bundled BlueROV2 in a current that its file lacks, by our own simulation."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def _identified(
         except NeedsWhole:
             if stream:
                 raise
-    model, runs, _ = options.load(vehicle, logs, one_motion=True)
+    model, runs, *_ = options.load(vehicle, logs, one_motion=True)
     with progress("estimating", None):
         return identify(model, runs, cases, edges, trust_log=options.trust_log)
 

@@ -164,14 +164,15 @@ def refuse_constant(run: Run, names: Iterable[str]) -> None:
 
 def refuse_twins(runs: Iterable[Run]) -> None:
     """Refuse the same data twice: they would be judged by what they were fitted to, or weigh double."""
-    seen: dict[str, str] = {}
+    seen: dict[tuple[str, str], str] = {}
     for run in runs:
-        if run.sha256 and run.sha256 in seen:
+        content = run.sha256, run.name if run.part_of else ""  # stretches of one log are different data
+        if run.sha256 and content in seen:
             raise UndertowError(
-                f"logs {seen[run.sha256]} and {run.source} have the same content: give each once, either to "
+                f"logs {seen[content]} and {run.source} have the same content: give each once, either to "
                 "work on or for validation"
             )
-        seen[run.sha256] = run.source
+        seen[content] = run.source
 
 
 def refuse_too_many(samples: int, log: str | Path) -> None:

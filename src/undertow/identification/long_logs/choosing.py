@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from itertools import chain
 
 import numpy as np
@@ -13,16 +13,17 @@ from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.identification.estimation.windows import HORIZONS
 from undertow.identification.logs.checks import MEASURABLE, refuse_twins, with_distinct_names
-from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.chunks import LongLog, size_of
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.table import WHOLE
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .information import Choice, Regressor, most_informative
 from .result import ChosenStretch, LongLogs, Role, WholeLog
 from .spool import Spool, Stretch, merged, stretches
-from .thinning import Band, band, thinned
+from .thinning import Band, band, joined, thinned
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,19 @@ class Budget:
 
     work: int
     judge: int = 0  # none: the command does not judge
+    raw: bool = False  # whether they count before thinning: what looks at the sensors needs every row
 
 
 #: On two processors and in six degrees of freedom, 12,000 samples are fitted in 25 s.
 FIT = Budget(12_000, 4_000)
 #: A search fits some forty candidates, several times: 8,000 samples take it a minute.
 SEARCH = Budget(6_000, 2_000)
-#: Pictures and tables of a model as it is, a plan, or an examination of the log.
+#: Pictures and tables of a model as it is, or a plan.
 LOOK = Budget(20_000)
+#: An examination of logs: clocks, sensors and units, at the rate at which they were logged.
+EXAMINE = Budget(60_000, raw=True)
+#: Samples times channels of logs that are looked at as a whole: 300,000 rows in six degrees of freedom.
+WHOLE_CELLS = 6_300_000
 
 
 @dataclass(frozen=True)
@@ -61,23 +67,10 @@ class CuttingSettings:
 CUTTING = CuttingSettings()
 
 
-def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples, cells: int | None = None) -> bool:
-    """Tell whether logs have more samples than a command takes as a whole; nothing of them is kept.
-
-    Parameters
-    ----------
-    logs : sequence of LongLog
-        Logs, with the part of them that is used.
-    most : int
-        Samples that are taken as a whole.
-    cells : int, optional
-        Samples times columns that are taken as a whole, in place of `most`.
-    """
-    rows, columns = zip(*(log.size for log in logs), strict=True)
-    if cells is not None:
-        most = cells // max(*columns, 1)
-    used = sum(n / log.mapping.time.every for n, log in zip(rows, logs, strict=True))
-    if used <= CUTTING.estimate * most:
+def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:
+    """Tell whether logs have more than `most` samples; nothing of them is kept in memory."""
+    estimated = sum(log.size[0] / log.mapping.time.every for log in logs)
+    if estimated <= CUTTING.estimate * most:
         return False
     counted = 0
     for part in chain.from_iterable(log.parts(CUTTING.rows, 0) for log in logs):
@@ -85,6 +78,51 @@ def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples, cells: int
         if counted > most:
             return True
     return False
+
+
+def beyond_memory(logs: Sequence[LongLog]) -> bool:
+    """Tell whether a file is larger than is read as a whole, however little of it is used."""
+    sizes = (log.size for log in logs)
+    return any(rows * columns > WHOLE.cells for rows, columns in sizes) or any(
+        size_of(log.path) > WHOLE.text for log in logs
+    )
+
+
+def read_in_parts(vehicle: Vehicle, logs: Sequence[LongLog]) -> list[Run]:
+    """Logs of which the part that is used is short: as they would be read, but from files of any size."""
+    runs = []
+    for log in logs:
+        parts = [part.run for part in log.parts(CUTTING.rows, 0)]
+        if not parts:
+            raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
+        whole = replace(
+            reduce(joined, parts), sha256=sha256_of(log.path), dropped=sum(p.dropped for p in parts)
+        )
+        runs.append(velocities_from_pose(whole, vehicle.degrees_of_freedom))
+    refuse_twins(runs)
+    return with_distinct_names(runs)
+
+
+def at_full_rate(chosen: Chosen, logs: Sequence[LongLog]) -> list[Run]:
+    """The stretches that were chosen, with every row of the log; the logs are read once more."""
+    found = []
+    for i, log in enumerate(logs):
+        spool = chosen.spools[i]
+        spans = [spool.times(s.first, s.stop) for s in merged(chosen.used) if s.log == i]
+        pieces: list[list[Run]] = [[] for _ in spans]
+        for run in (part.run for part in log.parts(CUTTING.rows, 0)):
+            for own, (start, end) in zip(pieces, spans, strict=True):
+                if np.any((run.t >= start) & (run.t <= end)):
+                    own.append(run.slice(start, end))
+        runs = [reduce(joined, own) for own in pieces]
+        named = [_stretch_of(run, spool, span) for run, span in zip(runs, spans, strict=True)]
+        found += [replace(named[0], dropped=spool.dropped), *named[1:]] if named else []
+    return [velocities_from_pose(run, chosen.vehicle.degrees_of_freedom) for run in found]
+
+
+def _stretch_of(run: Run, spool: Spool, span: tuple[float, float]) -> Run:
+    name = f"{spool.like.name} [{span[0]:.0f}-{span[1]:.0f} s]"
+    return replace(run, name=name, part_of=spool.like.origin, sha256=spool.like.sha256, dropped=0)
 
 
 @dataclass(frozen=True)
@@ -138,7 +176,7 @@ def choose(
     kept = _kept(len(logs), len(holdout), budget)
     progress(0.6, "information of every stretch")
     pools = _pools(cut, spools, kept, budget)
-    samples = (budget.work, budget.judge)
+    samples = (budget.work // (found.thin if budget.raw else 1), budget.judge)
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
     progress(0.95, "taking stretches")
     taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]

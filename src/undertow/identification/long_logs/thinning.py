@@ -110,23 +110,23 @@ def thinned(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) 
     """
     rest: Run | None = None
     for run in runs:
-        joined = run if rest is None else _joined(rest, run)
+        whole = run if rest is None else joined(rest, run)
         if by == 1:
-            yield joined.slice(run.t[0])
-            rest = joined.slice(run.t[-1])
+            yield whole.slice(run.t[0])
+            rest = whole.slice(run.t[-1])
             continue
-        blocks = _blocks(joined.t, by, step)
+        blocks = _blocks(whole.t, by, step)
         if len(blocks) < 2:
-            rest = joined
+            rest = whole
             continue
         # The last block is needed to say how long the command of the one before it is held.
-        yield _averaged(joined, blocks, by, step, commands).head(len(blocks) - 1)
-        rest = joined.slice(joined.t[blocks[-1]])
+        yield _averaged(whole, blocks, by, step, commands).head(len(blocks) - 1)
+        rest = whole.slice(whole.t[blocks[-1]])
     if rest is not None and by > 1 and len(blocks := _blocks(rest.t, by, step)):
         yield _averaged(rest, blocks, by, step, commands)
 
 
-def _joined(one: Run, other: Run) -> Run:
+def joined(one: Run, other: Run) -> Run:
     """Two parts that follow each other; angles go on from where they were."""
     channels = {n: np.concatenate([a, _going_on(n, a, other)]) for n, a in one.channels.items()}
     return replace(other, t=np.concatenate([one.t, other.t]), channels=channels, wrapped={})
