@@ -174,7 +174,7 @@ class ReadOptions:
         *,
         to_fit: bool,
     ) -> Loaded | None:
-        """Stretches of logs that are too long; None where they are not, or where reading them says more."""
+        """Stretches of logs that are too long; None where they are not."""
         from undertow.identification.logs.chunks import LongLog
         from undertow.identification.long_logs import choosing
 
@@ -186,19 +186,13 @@ class ReadOptions:
         most = choosing.MEASURABLE.samples
         if not to_fit:
             most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
-        try:
-            unread = not long or sum(log.size[0] for log in long) < 2
-        except UndertowError:
-            unread = True
-        if unread:
-            return None
         with progress("reading logs") as report:
             if choosing.too_long(long, most):
                 chosen = choosing.choose(model, long[: len(logs)], long[len(logs) :], budget, report)
                 runs = choosing.at_full_rate(chosen, long) if budget.raw else chosen.runs
                 return Loaded(model, runs, chosen.judges, chosen)
             if choosing.beyond_memory(long):
-                runs = choosing.read_in_parts(model, long)
+                runs = choosing.short_parts(model, long)
                 return Loaded(model, runs[: len(logs)], runs[len(logs) :])
         return None
 

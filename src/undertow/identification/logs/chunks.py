@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
-from os import SEEK_END
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
@@ -37,12 +36,12 @@ from .table import (
     read_rows,
     read_table,
     seconds,
+    size_of,
 )
 
 if TYPE_CHECKING:
     import polars as pl
 
-_LEAST_GZIP = 18
 # Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
 _GLANCE = 1 << 18
 _MOST_SKIPPED = 100
@@ -284,19 +283,6 @@ def _lines(file: IO[bytes], where: str) -> Iterator[bytes]:
                 f"{where} has a line of more than {WHOLE.line} bytes: check that it is a table of text"
             )
         yield line
-
-
-def size_of(path: Path) -> int:
-    """Bytes of a log, unpacked; zero where there is no file."""
-    if not path.is_file():
-        return 0
-    packed = path.stat().st_size
-    with path.open("rb") as file:
-        if not is_gzip(file.read(2)) or packed < _LEAST_GZIP:
-            return packed
-        file.seek(-4, SEEK_END)
-        # A gzip file ends with its size, of which it keeps 32 bits.
-        return max(packed, int.from_bytes(file.read(4), "little"))
 
 
 def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:

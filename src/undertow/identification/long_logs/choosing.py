@@ -13,10 +13,10 @@ from undertow.errors import UndertowError
 from undertow.files import sha256_of
 from undertow.identification.estimation.windows import HORIZONS
 from undertow.identification.logs.checks import MEASURABLE, refuse_twins, with_distinct_names
-from undertow.identification.logs.chunks import LongLog, size_of
+from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
-from undertow.identification.logs.table import WHOLE
+from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
@@ -69,7 +69,7 @@ CUTTING = CuttingSettings()
 
 def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:
     """Tell whether logs have more than `most` samples; nothing of them is kept in memory."""
-    estimated = sum(log.size[0] / log.mapping.time.every for log in logs)
+    estimated = sum(_size(log)[0] / log.mapping.time.every for log in logs)
     if estimated <= CUTTING.estimate * most:
         return False
     counted = 0
@@ -82,23 +82,42 @@ def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:
 
 def beyond_memory(logs: Sequence[LongLog]) -> bool:
     """Tell whether a file is larger than is read as a whole, however little of it is used."""
-    sizes = (log.size for log in logs)
-    return any(rows * columns > WHOLE.cells for rows, columns in sizes) or any(
+    return any(rows * columns > WHOLE.cells for rows, columns in map(_size, logs)) or any(
         size_of(log.path) > WHOLE.text for log in logs
     )
 
 
-def read_in_parts(vehicle: Vehicle, logs: Sequence[LongLog]) -> list[Run]:
-    """Logs of which the part that is used is short: as they would be read, but from files of any size."""
-    runs = []
-    for log in logs:
-        parts = [part.run for part in log.parts(CUTTING.rows, 0)]
-        if not parts:
-            raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
-        whole = replace(
-            reduce(joined, parts), sha256=sha256_of(log.path), dropped=sum(p.dropped for p in parts)
-        )
-        runs.append(velocities_from_pose(whole, vehicle.degrees_of_freedom))
+def _size(log: LongLog) -> tuple[int, int]:
+    """Rows and columns; none of what is no table, of which reading it says more."""
+    try:
+        return log.size
+    except UndertowError:
+        return 0, 0
+
+
+def read_in_parts(log: LongLog) -> Run:
+    """A log of which the part that is used is short: as it would be read, but from a file of any size.
+
+    Raises
+    ------
+    UndertowError
+        If what is used is more than memory is meant for.
+    """
+    parts: list[Run] = []
+    for part in log.parts(CUTTING.rows, 0):
+        parts.append(part.run)
+        rows, columns = sum(len(run.t) for run in parts), len(part.run.channels)
+        if rows * columns > WHOLE.cells:
+            raise UndertowError(too_many_cells(f"log {log.path}", rows, columns, WHOLE.cells))
+    if not parts:
+        raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
+    lost = sum(part.dropped for part in parts)
+    return replace(reduce(joined, parts), sha256=sha256_of(log.path), dropped=lost)
+
+
+def short_parts(vehicle: Vehicle, logs: Sequence[LongLog]) -> list[Run]:
+    """The same for the logs of a vehicle, with velocities, each with a name of its own."""
+    runs = [velocities_from_pose(read_in_parts(log), vehicle.degrees_of_freedom) for log in logs]
     refuse_twins(runs)
     return with_distinct_names(runs)
 

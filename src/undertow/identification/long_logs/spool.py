@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from weakref import finalize
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class Spool:
 
     def __init__(self, parts: Iterable[Run], thin: Callable[[Iterable[Run]], Iterator[Run]]) -> None:
         self._file = tempfile.TemporaryFile(prefix="undertow-")  # noqa: SIM115 - it lives as long as this
+        finalize(self, self._file.close)
         self.rows = self.samples = self.dropped = self.gaps = 0
         self.longest_gap, self.span = 0.0, (np.inf, -np.inf)
         self._names: tuple[str, ...] = ()
