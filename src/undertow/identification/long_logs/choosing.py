@@ -53,7 +53,7 @@ class CuttingSettings:
 
     rows: int = 100_000  # that are in memory at a time, when a log is read
     fewest: int = 24  # stretches that logs are cut into, however slow the vehicle
-    most: int = 2_000  # stretches; longer logs have longer ones
+    most: int = 5_000  # stretches; longer logs have longer ones
     samples: int = 50  # of a stretch, at least: else the weak form has hardly a row
     # Of several logs, one in so many is kept for validation, the last first.
     kept_logs: int = 4
