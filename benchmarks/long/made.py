@@ -30,6 +30,7 @@ class Dive:
     hovering: float = 0.7
     cruising: float = 0.2
     piece: int = 100  # s of one kind
+    noise: float = 1.0  # of the sensors, in that of the hidden effects
     # Largest demands, N and N m, and what holds the vehicle, which is 2 N too light, at its depth.
     reach: tuple[float, ...] = (12.0, 12.0, 12.0, 0.15, 0.15, 0.8)
     ballast: float = 2.0
@@ -66,7 +67,7 @@ def columns(seconds: int, dive: Dive, seed: int) -> dict[str, np.ndarray]:
     start = np.zeros(len(functions.state_names))
     start[2] = 20.0
     motion = Simulator(functions).run(start, t, u, p)[:, :12]
-    motion += NOISE * np.random.default_rng([seed, 2]).standard_normal(motion.shape)
+    motion += dive.noise * NOISE * np.random.default_rng([seed, 2]).standard_normal(motion.shape)
     return {"t": t, **dict(zip(CHANNELS, motion.T, strict=True)), **_named(u)}
 
 

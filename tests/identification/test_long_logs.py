@@ -77,16 +77,34 @@ def in_parts(run: Run, rows: int) -> list[Run]:
 # --- thinning -------------------------------------------------------------------------------------
 
 
-def test_a_thinned_ramp_has_no_delay_and_a_command_keeps_its_impulse() -> None:
+def test_a_thinned_ramp_has_no_delay() -> None:
     t = np.arange(1000) / 100
-    held = np.repeat(np.random.default_rng(0).uniform(-1, 1, 40), 25)
-    run = Run("ramp", t, {"u": 3.0 * t, "tau_X": held})
-    thin = joined(list(thinned(in_parts(run, 130), 5, 0.01, ["tau_X"])))
+    thin = joined(list(thinned(in_parts(Run("ramp", t, {"u": 3.0 * t}), 130), 5, 0.01, [])))
     np.testing.assert_allclose(thin.channels["u"], 3.0 * thin.t, atol=1e-12)
     assert np.diff(thin.t) == pytest.approx(0.05)
-    impulse = np.sum(thin.channels["tau_X"][:-1] * np.diff(thin.t))
-    whole = np.interp(thin.t[[0, -1]], t, np.append(0.0, np.cumsum(held[:-1] * np.diff(t))))
-    assert impulse == pytest.approx(whole[1] - whole[0], abs=1e-12)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.4])
+@pytest.mark.parametrize("by", [3, 7])
+def test_a_thinned_command_moves_a_mass_as_the_log_says(by: int, jitter: float) -> None:
+    random = np.random.default_rng(0)
+    t = (np.arange(1000) + jitter * random.uniform(-1, 1, 1000)) / 100
+    force = np.repeat(random.uniform(-1, 1, 100), 10)  # steps anywhere in the blocks
+    u = np.append(0.0, np.cumsum(force[:-1] * np.diff(t))) / M
+    thin = joined(list(thinned(in_parts(Run("mass", t, {"u": u, "tau_X": force}), 130), by, 0.01, ["tau_X"])))
+    push = thin.channels["tau_X"][:-1] * np.diff(thin.t)
+    np.testing.assert_allclose(M * np.diff(thin.channels["u"]), push, atol=1e-13)
+
+
+def test_of_a_hull_that_is_thinned_no_more_than_noise_is_left(vehicle: Vehicle) -> None:
+    random = np.random.default_rng(5)
+    table = surge(np.repeat(random.uniform(-50, 50, 700), 57), noise=0.002)
+    run = Run("log", table["t"].to_numpy(), {n: table[n].to_numpy() for n in ("u", "tau_X")})
+    thin = joined(list(thinned([run], 9, 1 / RATE, ["tau_X"])))
+    decay = np.exp(X_U / M * np.diff(thin.t))
+    u, force = thin.channels["u"], thin.channels["tau_X"][:-1]
+    error = u[1:] - decay * u[:-1] + (1 - decay) * force / X_U
+    assert np.std(error) < 1.1 * np.sqrt(2) * 0.002 / 3
 
 
 def test_thinning_in_parts_is_thinning_of_the_whole() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ def thinned(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) 
     A measurement becomes the mean of `by` rows, at the mean of their times: an odd number of them has no
     delay, what is faster than the new rate is averaged away, and the noise stays white. Where some of these
     rows are empty, the mean of the others is moved to that time along the slope to the means beside it. A
-    command, which is held from row to row, becomes its mean over the time until the next of the new rows:
-    what it does to the momentum is the same.
+    command, which is held from row to row, is averaged likewise, and over the time until the next of the new
+    rows: what changes the mean velocity from one of them to the next is exactly the command there.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def _averaged(run: Run, blocks: Index, by: int, step: float, commands: Sequence[
     channels, sigma = {}, dict(run.sigma)
     for name, data in run.channels.items():
         if name in commands:
-            channels[name] = _held(run.t, data, t, by * step)
+            channels[name] = _held(run.t, data, rows, t, by * step)
             continue
         channels[name], count = _means(run.t[rows], data[rows], t)
         if name in sigma:
@@ -192,25 +192,25 @@ def _means(times: Array, values: Array, t: Array) -> tuple[Array, float]:
     return mean, float(np.mean(count[some]))
 
 
-def _held(times: Array, values: Array, t: Array, usual: float) -> Array:
-    """Means of a signal that is held from row to row, from each of the times t until the next.
+def _held(times: Array, values: Array, rows: Index, t: Array, usual: float) -> Array:
+    """A signal that is held from row to row, thinned: blocks `rows` (K, by) at the times t (K,).
 
-    Where the next is further off than a gap, the mean is that over the `usual` time.
+    Its integral is thinned like a velocity, whose rate it is: so what moves the mean of the velocity from one
+    block to the next is exactly the command there. At the end and before a gap it is the mean of a block.
     """
     known = np.where(np.isfinite(values), values, 0.0)
-    after = np.append(t[1:], np.inf)
-    end = np.where(after - t <= BAND.gap * usual, after, np.minimum(t + usual, max(times[-1], t[-1])))
-    first = np.searchsorted(times, t, side="right") - 1
-    last = np.maximum(np.searchsorted(times, end, side="left") - 1, first)
-    sums, lost = (_integral(times, y, t, end) for y in (known, np.where(np.isfinite(values), 0.0, 1.0)))
-    mean = np.where(end > t, sums / np.maximum(end - t, 1e-300), known[first])
+    total = np.append(0.0, np.cumsum((known[:-1] - known[0]) * np.diff(times)))
+    mean = known[rows].mean(axis=1)
+    beside = np.diff(t) <= BAND.gap * usual
+    change = np.diff(total[rows].mean(axis=1))
+    mean[:-1] = np.where(beside, known[0] + change / np.diff(t), mean[:-1])
     # Differences of sums are not exact: a command that never changes stays so.
-    edges = np.column_stack([first, last + 1]).ravel()
-    low, high = (f.reduceat(np.append(known, known[-1]), edges)[::2] for f in (np.minimum, np.maximum))
-    return np.where(lost > 0, np.nan, np.clip(mean, low, high))
+    low, high = (_with_next(f(known[rows], axis=1), beside, f) for f in (np.min, np.max))
+    lost = _with_next(np.any(~np.isfinite(values[rows]), axis=1), beside, np.max)
+    return np.where(lost, np.nan, np.clip(mean, low, high))
 
 
-def _integral(times: Array, values: Array, start: Array, stop: Array) -> Array:
-    """Integrals of a signal that is held from row to row."""
-    total = np.append(0.0, np.cumsum(values[:-1] * np.diff(times)))
-    return np.asarray(np.interp(stop, times, total) - np.interp(start, times, total))
+def _with_next(values: Array, beside: Flags, of: Callable[..., Array]) -> Array:
+    """The least or greatest of each value and the next one, where that is beside it."""
+    after = np.where(np.append(beside, False), np.append(values[1:], values[-1:]), values)
+    return np.asarray(of(np.column_stack([values, after]), axis=1))
