@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from undertow.files import write_whole
@@ -58,18 +58,26 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--folder", type=Path, required=True, help="gets the logs, 1.1 GB, and the results")
     parser.add_argument("--out", type=Path, help="page to write; printed where it is not given")
     parser.add_argument(
-        "--only", choices=[log.name for log in LOGS], action="append", help="some of the logs"
+        "--only", choices=[log.name for log in LOGS], action="append", help="try some of the logs anew"
     )
     options = parser.parse_args(arguments)
     options.folder.mkdir(parents=True, exist_ok=True)
     logs = [log for log in LOGS if not options.only or log.name in options.only]
-    costs = [cost for log in logs for cost in _tried(log, options.folder)]
-    text = page(costs, options.folder)
+    for log in logs:
+        kept = [asdict(cost) for cost in _tried(log, options.folder)]
+        write_whole(_costs_of(log, options.folder), json.dumps(kept, indent=1) + "\n")
+    files = [file for log in LOGS if (file := _costs_of(log, options.folder)).exists()]
+    text = page([Cost(**row) for file in files for row in json.loads(file.read_text())], options.folder)
     if options.out is None:
         print(text)
     else:
         write_whole(options.out, text)
     return 0
+
+
+def _costs_of(log: Log, folder: Path) -> Path:
+    """What the commands on a log took, so that logs can be tried one at a time."""
+    return folder / f"{log.name}-costs.json"
 
 
 def _tried(log: Log, folder: Path) -> list[Cost]:

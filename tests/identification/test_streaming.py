@@ -194,6 +194,19 @@ def test_dates_in_parts_count_from_the_first_of_the_log(tmp_path: Path, name: st
     np.testing.assert_array_equal(np.concatenate([p.t for p in parts]), read_log(path, mapping).t)
 
 
+def test_reports_now_and_then_are_in_parts_what_they_are_in_the_whole(tmp_path: Path) -> None:
+    table = long_log(3_000)
+    held = table["u"].gather(np.arange(3_000) // 6 * 6)
+    path = written(table.with_columns(u=held), tmp_path / "held.csv")
+    mapping = LogMapping.model_validate({"columns": {"u": {"channel": "u", "fresh": "u"}}})
+    whole = read_log(path, mapping, ["tau_X"]).channels["u"]
+    parts = [part.run for part in LongLog(path, mapping, ("tau_X",)).parts(500, 0)]
+    found = np.concatenate([p.channels["u"] for p in parts])
+    known = np.isfinite(found)
+    np.testing.assert_allclose(found[known], whole[known], rtol=1e-12)
+    assert np.sum(~known) <= 2 * 6 * len(parts)  # a report is missing where two parts meet
+
+
 def test_rows_out_of_order_between_parts_are_left_out_or_refused(tmp_path: Path) -> None:
     table = long_log(400)
     again = pl.concat([table.head(200), table.slice(150)])  # fifty rows twice, across the end of a part

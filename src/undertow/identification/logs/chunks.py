@@ -109,7 +109,10 @@ class LongLog:
             rows, kinds = parquet_size(self.path, self._where)
             return rows, len(kinds)
         with _opened(self.path, self._where, packed=is_gzip(begin)) as file:
-            lines = file.read(_GLANCE).split(b"\n")
+            text = file.read(_GLANCE)
+        if b"\0" in text:
+            raise UndertowError(f"{self._where} is no text: give a CSV, CSV.gz or Parquet file")
+        lines = text.split(b"\n")
         whole = size_of(self.path)
         length = np.mean([len(line) + 1 for line in lines[:-1]] or [max(whole, 1)])
         header = next((line for line in lines if is_header(line, self._comment)), b"")

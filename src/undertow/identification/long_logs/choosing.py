@@ -53,7 +53,9 @@ class CuttingSettings:
 
     rows: int = 100_000  # that are in memory at a time, when a log is read
     fewest: int = 24  # stretches that logs are cut into, however slow the vehicle
-    most: int = 5_000  # stretches; longer logs have longer ones
+    # Stretches that are looked at; of longer logs, some that are spread evenly.
+    most: int = 5_000
+    of_budget: int = 4  # stretches that the budget has room for, at least
     samples: int = 50  # of a stretch, at least: else the weak form has hardly a row
     # Of several logs, one in so many is kept for validation, the last first.
     kept_logs: int = 4
@@ -191,11 +193,12 @@ def choose(
     found = band(vehicle, every)
     spools = _spooled(vehicle, every, found, progress)
     regressor = Regressor(vehicle)
-    cut = _cut(spools, found, min(CUTTING.most, regressor.most_stretches()))
+    samples = (budget.work // (found.thin if budget.raw else 1), budget.judge)
+    cut = _cut(spools, found, samples[0])
+    cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_stretches()))]
     kept = _kept(len(logs), len(holdout), budget)
     progress(0.6, "information of every stretch")
     pools = _pools(cut, spools, kept, budget)
-    samples = (budget.work // (found.thin if budget.raw else 1), budget.judge)
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
     progress(0.95, "taking stretches")
     taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]
@@ -220,12 +223,12 @@ def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: P
     return spools
 
 
-def _cut(spools: Sequence[Spool], found: Band, most: int) -> list[Stretch]:
-    """Stretches of four slowest time constants, as far as that leaves neither too few nor too many."""
+def _cut(spools: Sequence[Spool], found: Band, budget: int) -> list[Stretch]:
+    """Stretches of four slowest time constants, as far as that leaves a choice."""
     step, total = found.step * found.thin, sum(spool.rows for spool in spools)
     wanted = HORIZONS.multiples[-1] * found.slowest / HORIZONS.longest / step if step else np.inf
     longest = max(total // CUTTING.fewest, CUTTING.samples)
-    rows = int(max(min(wanted, longest), CUTTING.samples, -(-total // most)))
+    rows = int(max(min(wanted, longest, budget // CUTTING.of_budget), CUTTING.samples))
     return stretches(spools, rows)
 
 

@@ -21,12 +21,12 @@ from undertow.typing import Array, Flags, Index
 class BandSettings:
     """Numbers by which a vehicle's time constants become a rate of samples."""
 
-    # Samples in the fastest time constant. With 2.5 the values of the bundled BlueROV2 come out within 0.5 %
-    # of those from every row, with 5 within 0.8 % of what the noise leaves open (docs/long-logs.md).
+    # Samples in the fastest time constant. With 2.5 of them the values of the bundled BlueROV2 come out within
+    # 0.5 % of the truth, with 1.5 within 1.6 %, where the noise leaves 0.01 % (docs/long-logs.md).
     per_time_constant: float = 2.5
-    # Fastest rate that an actuator's lag asks for, Hz. A lag that is shorter than a step is a delay to the
-    # motion, and what a held command does is integrated exactly whatever the step.
-    most_for_lag: float = 20.0
+    # Rate where the model has no time constant, and the fastest that the lag of an actuator asks for, Hz: a
+    # lag that is shorter than a step is a delay to the motion.
+    usual: float = 20.0
     # Shortest step, s: what is faster is no vehicle in water, but a unit that is wrong.
     shortest: float = 0.02
     # Longest step, s: delays and lags that a ship's file lacks are to be seen all the same.
@@ -61,7 +61,8 @@ def band(vehicle: Vehicle, logs: Sequence[LongLog]) -> Band:
     motions = [constants for constants in time_constants_by_run(vehicle, seen) if len(constants)]
     fastest = float(np.quantile([c[0] for c in motions], 0.05)) if motions else np.inf
     slowest = float(np.median([c[-1] for c in motions])) if motions else np.inf
-    lag = max(_quickest_lag(vehicle), BAND.per_time_constant / BAND.most_for_lag)
+    usual = BAND.per_time_constant / BAND.usual
+    lag = max(_quickest_lag(vehicle), usual) if motions else usual
     wanted = np.clip(min(fastest, lag) / BAND.per_time_constant, BAND.shortest, BAND.longest)
     whole = int(wanted / step * (1 + 1e-9)) if step > 0 else 1
     # An odd number of rows has one in its middle, and their mean is true there.
