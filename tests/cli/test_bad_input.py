@@ -30,6 +30,7 @@ from tests.cli.bad import (
     surge_log,
     text_of,
 )
+from tests.quick import first_quick
 from undertow import files
 from undertow.cli.main import main, run
 
@@ -314,15 +315,21 @@ def test_comparing_with_a_million_samples_is_an_answer(million: Path, capsys: Ca
     out.unlink()
 
 
-@pytest.mark.parametrize("command", [c for c in LOG_COMMANDS if c != "compare"])
-def test_more_samples_than_a_search_can_take_are_refused_with_the_remedy(
+@pytest.mark.parametrize("command", first_quick(("fit", "add", "diagnose")))
+def test_of_more_samples_than_a_search_can_take_those_that_tell_most_are_used(
     command: str, million: Path, capsys: Capture
 ) -> None:
-    line = refusal(_words(command, million / "hull.toml", million / "million.parquet"), capsys, million)
-    assert "1000000 samples" in line
-    assert re.search(r"\b\d{5,6}\b", line)  # how many it takes
-    assert "--from" in line
-    assert "--to" in line
+    out = million / "out.json"
+    words = _words(command, million / "hull.toml", million / "million.parquet")
+    assert main([*map(str, words), "--json", str(out)]) in (0, 1), capsys.readouterr().err  # 1: no help
+    long = json.loads(out.read_text())["long_logs"]
+    assert long["logs"][0]["samples"] == 10**6
+    assert 0 < long["held"] < 1
+    assert {s["role"] for s in long["chosen"]} == {"train", "holdout"}
+    used = sum(s["samples"] for s in long["chosen"])
+    assert used + long["rest"]["samples"] == pytest.approx(10**6 / long["every"], rel=0.01)
+    assert "stretches" in capsys.readouterr().out
+    out.unlink()
 
 
 # --- outputs -------------------------------------------------------------------------------------

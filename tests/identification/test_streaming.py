@@ -171,12 +171,54 @@ def test_a_triangle_holds_no_more_than_its_factor() -> None:
     assert triangle.count == 2000
 
 
-def test_what_cannot_be_done_in_parts_is_told(tmp_path: Path) -> None:
-    path = written(long_log(100), tmp_path / "long.csv")
-    thinned = LogMapping.model_validate({"time": {"every": 2}})
-    dated = LogMapping.model_validate({"time": {"unit": "iso"}})
-    for mapping, said in ((thinned, "need the whole log"), (dated, "its time is a date")):
-        with pytest.raises(UndertowError, match=said):
-            estimate_streaming(VEHICLE, [LongLog(path, mapping, ("tau_X",))], [CASES["2"]])
+@pytest.mark.parametrize("name", ["long.csv", "long.csv.gz", "long.parquet"])
+def test_every_so_many_th_row_in_parts_is_that_of_the_whole(tmp_path: Path, name: str) -> None:
+    path = written(long_log(3_001), tmp_path / name)
+    mapping = LogMapping.model_validate({"time": {"every": 7}})
+    whole = read_log(path, mapping, ["tau_X"])
+    for rows, overlap in ((100, 0), (64, 10), (1000, 0)):
+        parts = [part.run for part in LongLog(path, mapping, ("tau_X",)).parts(rows, overlap)]
+        fresh = [parts[0], *(p.slice(p.t[overlap]) for p in parts[1:])]
+        np.testing.assert_array_equal(np.concatenate([p.t for p in fresh]), whole.t)
+        np.testing.assert_array_equal(np.concatenate([p.channels["u"] for p in fresh]), whole.channels["u"])
+
+
+@pytest.mark.parametrize("name", ["long.csv", "long.parquet"])
+def test_dates_in_parts_count_from_the_first_of_the_log(tmp_path: Path, name: str) -> None:
+    table = long_log(500).with_columns(
+        t=pl.datetime(2026, 3, 1, time_unit="ns") + pl.duration(milliseconds=pl.col("t") * 1e3)
+    )
+    path = written(table, tmp_path / name)
+    mapping = LogMapping.model_validate({"time": {"unit": "iso"}})
+    parts = [part.run for part in LongLog(path, mapping, ("tau_X",)).parts(90, 0)]
+    np.testing.assert_array_equal(np.concatenate([p.t for p in parts]), read_log(path, mapping).t)
+
+
+def test_reports_now_and_then_are_in_parts_what_they_are_in_the_whole(tmp_path: Path) -> None:
+    table = long_log(3_000)
+    held = table["u"].gather(np.arange(3_000) // 6 * 6)
+    path = written(table.with_columns(u=held), tmp_path / "held.csv")
+    mapping = LogMapping.model_validate({"columns": {"u": {"channel": "u", "fresh": "u"}}})
+    whole = read_log(path, mapping, ["tau_X"]).channels["u"]
+    parts = [part.run for part in LongLog(path, mapping, ("tau_X",)).parts(500, 0)]
+    found = np.concatenate([p.channels["u"] for p in parts])
+    known = np.isfinite(found)
+    np.testing.assert_allclose(found[known], whole[known], rtol=1e-12)
+    assert np.sum(~known) <= 2 * 6 * len(parts)  # a report is missing where two parts meet
+
+
+def test_rows_out_of_order_between_parts_are_left_out_or_refused(tmp_path: Path) -> None:
+    table = long_log(400)
+    again = pl.concat([table.head(200), table.slice(150)])  # fifty rows twice, across the end of a part
+    path = written(again, tmp_path / "again.csv")
+    drop = LogMapping.model_validate({"time": {"disorder": "drop"}})
+    parts = [part.run for part in LongLog(path, drop, ("tau_X",)).parts(100, 0)]
+    np.testing.assert_array_equal(np.concatenate([p.t for p in parts]), table["t"])
+    assert sum(p.dropped for p in parts) == read_log(path, drop).dropped == 50
+    with pytest.raises(UndertowError, match=r"goes back from 39\.8 to 30 s"):
+        list(LongLog(path, LogMapping(), ("tau_X",)).parts(100, 0))
+
+
+def test_a_log_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(UndertowError, match="does not exist"):
         estimate_streaming(VEHICLE, [LongLog(tmp_path / "no.csv", LogMapping(), ())], [CASES["2"]])

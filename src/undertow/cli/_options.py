@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from undertow.identification.logs.chunks import LongLog
     from undertow.identification.logs.mapping import LogMapping
     from undertow.identification.logs.run import Run
+    from undertow.identification.long_logs.choosing import Budget, Chosen
+    from undertow.identification.long_logs.result import LongLogs
     from undertow.identification.report.sentences import CommandLine
     from undertow.model.effect import Effect
     from undertow.model.vehicle import Vehicle
@@ -64,6 +66,30 @@ JsonFileOption = Annotated[
 NewForceOption = Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")]
 
 
+class Loaded(NamedTuple):
+    """What a command works on."""
+
+    vehicle: Vehicle
+    runs: list[Run]
+    holdout: list[Run]
+    chosen: Chosen | None = None  # where the logs were too long, which stretches of them these are
+
+    def checked(self, models: Mapping[str, Vehicle] | None = None) -> LongLogs | None:
+        """What was done with logs that were too long, with the errors of models over the rest of them."""
+        if self.chosen is None or not models:
+            return None if self.chosen is None else self.chosen.result
+        from undertow.identification.long_logs.checking import checked
+
+        with progress("checking the rest of the logs") as report:
+            return checked(self.chosen, models, progress=report)
+
+
+def say_long(found: LongLogs | None) -> None:
+    """Print which stretches of long logs were used, and why."""
+    for line in found.sentences() if found is not None else ():
+        say(line)
+
+
 @dataclass(frozen=True)
 class ReadOptions:
     """How the logs of a command are read."""
@@ -104,17 +130,25 @@ class ReadOptions:
         to_fit: bool = False,
         in_any_order: bool = False,
         one_motion: bool = False,
-    ) -> tuple[Vehicle, list[Run], list[Run]]:
+        budget: Budget | None = None,
+    ) -> Loaded:
         """The vehicle, its logs and those for validation, with a progress bar.
 
         `to_fit` refuses more samples than a fit takes as soon as they are read; `in_any_order` drops rows
         that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank).
+        With a `budget`, the stretches that tell most are taken of logs that are too long.
         """
         from undertow.identification.logs.reading import format_notes, read_logs
         from undertow.model.loading import load_vehicle
 
         with progress("reading the vehicle", None):
             model = load_vehicle(vehicle, effect_files=self.effects or ())
+        if budget is not None:
+            taken = self._of_any_length(
+                model, logs, holdout or (), budget, to_fit=to_fit, in_any_order=in_any_order
+            )
+            if taken is not None:
+                return taken
         paths = [*logs, *(holdout or ())]
         with progress("reading logs", total=len(paths)) as report:
             runs = read_logs(
@@ -132,7 +166,46 @@ class ReadOptions:
             for note in notes:
                 say(f"{source}: {note}", "dim")
         first = sum(run.source in set(map(str, logs)) for run in runs)
-        return model, runs[:first], runs[first:]
+        return Loaded(model, runs[:first], runs[first:])
+
+    def _of_any_length(
+        self,
+        model: Vehicle,
+        logs: Sequence[Path],
+        holdout: Sequence[Path],
+        budget: Budget,
+        *,
+        to_fit: bool,
+        in_any_order: bool,
+    ) -> Loaded | None:
+        """Stretches of logs that are too long; None where they are not, or are no tables of one stretch."""
+        from undertow.identification.logs.chunks import LongLog
+        from undertow.identification.logs.formats.registry import format_of
+        from undertow.identification.logs.mapping import LogMapping
+        from undertow.identification.logs.reading import in_any_order as dropping
+        from undertow.identification.long_logs import choosing
+
+        mapping = self.mapping or LogMapping()
+        mapping = dropping(mapping) if in_any_order else mapping
+        if mapping.time.stretch is not None or any(format_of(path) for path in (*logs, *holdout)):
+            return None
+        window = (self.since, self.until)
+        long = [
+            LongLog(path, mapping, model.command_names, window, self.fill, required=True)
+            for path in (*logs, *holdout)
+        ]
+        most = choosing.MEASURABLE.samples
+        if not to_fit:
+            most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
+        with progress("reading logs") as report:
+            if choosing.too_long(long, most):
+                chosen = choosing.choose(model, long[: len(logs)], long[len(logs) :], budget, report)
+                runs = choosing.at_full_rate(chosen, long) if budget.raw else chosen.runs
+                return Loaded(model, runs, chosen.judges, chosen)
+            if choosing.beyond_memory(long):
+                runs = choosing.short_parts(model, long)
+                return Loaded(model, runs[: len(logs)], runs[len(logs) :])
+        return None
 
     def load_in_parts(self, vehicle: str, logs: Sequence[Path]) -> tuple[Vehicle, list[LongLog]]:
         """The vehicle, and logs that are read in parts, later."""

@@ -27,6 +27,7 @@ from ._options import (
     OutOption,
     VehicleArgument,
     bundled,
+    say_long,
     target_of,
 )
 from ._terminal import progress, say, section, table
@@ -61,6 +62,7 @@ def add(
 ) -> int:
     from undertow.files import check_writable, together, write_whole
     from undertow.identification.api import result_of, save_addition, try_effect
+    from undertow.identification.long_logs.choosing import FIT
     from undertow.model.catalogue import lookup
 
     known = options.known
@@ -68,18 +70,22 @@ def add(
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, picture, json, inputs=[*read, *([] if in_place else [vehicle])])
-    model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT)
+    model, train, test, _ = loaded
     with progress("fitting the model as it is") as report:
         ground, addition = try_effect(
             model, effect, train, test, known=known, keep_all=all, report=report, trust_log=options.trust_log
         )
     show(addition)
+    long = loaded.checked({"as given": ground.vehicle, f"with {addition.effect}": addition.fit.vehicle})
+    say_long(long)
     code, taken = None, target if addition.helps or force else None
     with progress("writing", None), together() as files:
         if picture is not None:
             _draw(addition, picture)
         if json is not None:
-            write_whole(json, result_of(ground, addition).model_dump_json(indent=1) + "\n")
+            result = result_of(ground, addition).model_copy(update={"long_logs": long})
+            write_whole(json, result.model_dump_json(indent=1) + "\n")
         if taken is not None:
             save_addition(ground, addition, vehicle, taken)
             code = _code_of(files.place_of(taken), options, build) if codegen else None

@@ -10,12 +10,13 @@ and regimes, the force budget, and the residual force against every variable.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument, bundled
+from ._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument, bundled, say_long
 from ._terminal import progress
 
 if TYPE_CHECKING:
@@ -36,14 +37,19 @@ def compare(
 ) -> None:
     from undertow.files import check_folder, check_writable, together, write_whole
     from undertow.identification.compare.comparison import compare as compared
+    from undertow.identification.long_logs.choosing import LOOK
 
     check_writable(json, inputs=[vehicle, *logs, *options.files])
     if plots is not None:
         check_folder(plots)
-    model, runs, _ = options.load(vehicle, logs)
+    loaded = options.load(vehicle, logs, budget=LOOK)
+    model, runs = loaded.vehicle, loaded.runs
     with progress("comparing") as report:
         comparison = compared(model, runs, horizon=horizon, progress=report, trust_log=options.trust_log)
+    long = loaded.checked({"as given": model})
+    comparison = replace(comparison, result=comparison.result.model_copy(update={"long_logs": long}))
     _show(comparison.result)
+    say_long(long)
     drawn = 0
     with progress("writing", None), together():
         if json is not None:

@@ -34,6 +34,7 @@ from ._options import (
     LogsArgument,
     VehicleArgument,
     bundled,
+    say_long,
 )
 from ._terminal import console, progress, text
 from .doctor import show_finding
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
     from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
+    from undertow.model.vehicle import Vehicle
 
 _FALSE_ALARMS = typer.Option(
     metavar="CHANCE", help="Chance of naming an effect where nothing is missing, 0.005 to 0.2."
@@ -74,11 +76,13 @@ def diagnose(
     from undertow.identification.api import save_diagnosis
     from undertow.identification.diagnose import diagnose as run
     from undertow.identification.diagnosis.settings import Settings
+    from undertow.identification.long_logs.choosing import SEARCH
     from undertow.identification.report.sentences import next_command
 
     settings = Settings(false_alarm_rate=false_alarms, worth=worth)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
-    model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=SEARCH)
+    model, train, test, _ = loaded
     with progress("looking for what is missing") as bar:
         outcome = run(
             model,
@@ -91,8 +95,11 @@ def diagnose(
         )
     line = options.line(vehicle, logs, holdout, json)
     command = next_command(outcome.diagnosis, line)
-    outcome = replace(outcome, diagnosis=outcome.diagnosis.model_copy(update={"command": command}))
+    long = loaded.checked(_models(outcome, model))
+    changes = {"command": command, "long_logs": long}
+    outcome = replace(outcome, diagnosis=outcome.diagnosis.model_copy(update=changes))
     show(outcome)
+    say_long(long)
     with progress("writing", None), together():
         if json is not None:
             write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
@@ -103,6 +110,13 @@ def diagnose(
     for path in filter(None, (json, report, apply)):
         about = f": {_content(outcome.diagnosis)}" if path == apply else ""
         console().print(text(f"wrote {path}{about}"))
+
+
+def _models(outcome: DiagnosisResult, given: Vehicle) -> dict[str, Vehicle]:
+    """The models of a diagnosis by what they are called; the last is the one that it hands on."""
+    models = {"as given": given, "refitted": outcome.before}
+    added = " and ".join(outcome.effects)
+    return {**models, f"with {added}": outcome.after} if added else models
 
 
 _SHOWN = 6

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgument, bundled
+from ._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgument, bundled, say_long
 from ._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
@@ -62,12 +62,16 @@ def doctor(
 ) -> int:
     from undertow.files import check_writable, write_whole
     from undertow.identification.doctor.examine import examine
+    from undertow.identification.long_logs.choosing import EXAMINE
 
     check_writable(json, plot, mend, inputs=[vehicle, *logs, *options.files])
-    model, runs, _ = options.load(vehicle, logs, in_any_order=True)
+    loaded = options.load(vehicle, logs, in_any_order=True, budget=EXAMINE)
+    model, runs = loaded.vehicle, loaded.runs
     with progress("examining") as report:
         examined = examine(model, runs, mapping=options.mapping, report=report)
-    result = examined.result
+    long = loaded.checked()
+    result = examined.result.model_copy(update={"long_logs": long})
+    say_long(long)
     show(result, options.map)
 
     def draw(path: Path) -> None:

@@ -43,6 +43,7 @@ from ._options import (
     OutOption,
     VehicleArgument,
     bundled,
+    say_long,
     target_of,
 )
 from ._terminal import console, progress, say, section, table, text, write_files
@@ -86,11 +87,13 @@ def fit(
 ) -> int:
     from undertow.files import check_writable, write_whole
     from undertow.identification.api import fit as refit
+    from undertow.identification.long_logs.choosing import FIT
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
-    model, train, test = options.load(vehicle, logs, holdout, to_fit=True)
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT)
+    model, train, test, _ = loaded
     with progress("fitting") as report:
         done = refit(
             model,
@@ -107,7 +110,9 @@ def fit(
     show(done, options.line(vehicle, logs, holdout))
     if correlation:
         show_correlation(done.fit)
-    result = done.result()
+    long = loaded.checked({"as given": done.stated, "refitted": done.vehicle})
+    say_long(long)
+    result = done.result().model_copy(update={"long_logs": long})
     refused = result.worse and target is not None and not force
     write_files(
         (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),

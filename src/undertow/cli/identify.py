@@ -88,7 +88,8 @@ def _identified(
     vehicle: str, logs: list[Path], cases: str, edges: Edges, stream: bool, options: LogOptions
 ) -> Identified:
     """Estimates; from parts of the logs where that is asked for or they are long."""
-    from undertow.identification.logs.chunks import NeedsWhole, size_of
+    from undertow.identification.logs.chunks import NeedsWhole
+    from undertow.identification.logs.table import size_of
     from undertow.paper.least_squares import identify, identify_in_parts
 
     if stream or sum(map(size_of, logs)) > _LONG:
@@ -101,7 +102,7 @@ def _identified(
         except NeedsWhole:
             if stream:
                 raise
-    model, runs, _ = options.load(vehicle, logs, one_motion=True)
+    model, runs, *_ = options.load(vehicle, logs, one_motion=True)
     with progress("estimating", None):
         return identify(model, runs, cases, edges, trust_log=options.trust_log)
 

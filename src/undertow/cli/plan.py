@@ -35,7 +35,7 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import JsonFileOption, LogOptions, VehicleArgument, bundled, words
+from ._options import JsonFileOption, LogOptions, VehicleArgument, bundled, say_long, words
 from ._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
@@ -130,6 +130,7 @@ def plan(
 ) -> None:
     from undertow.files import check_writable, write_whole
     from undertow.identification.api import plan as planned_for
+    from undertow.identification.long_logs.choosing import LOOK
     from undertow.identification.planning.manoeuvres import MotionLimits
     from undertow.identification.planning.problem import PlanRequest
 
@@ -139,7 +140,8 @@ def plan(
     limits = motion.limits
     largest = _named("--limit", limit or [], whole=True)
     sigma = _named("--noise", noise or [], whole=False)
-    model, runs, _ = options.load(vehicle, logs, to_fit=bool(logs))
+    loaded = options.load(vehicle, logs, to_fit=bool(logs), budget=LOOK if logs else None)
+    model, runs = loaded.vehicle, loaded.runs
     with progress("planning") as report:
         done = planned_for(
             model,
@@ -162,6 +164,9 @@ def plan(
             trust_log=options.trust_log,
         )
     show(done)
+    long = loaded.checked()
+    say_long(long)
+    plan = done.plan.model_copy(update={"long_logs": long})
 
     def draw(path: Path) -> None:
         from undertow.figures import save_png
@@ -177,7 +182,7 @@ def plan(
     write_files(
         (out, write_commands),
         (picture, draw),
-        (json, lambda path: write_whole(path, done.plan.model_dump_json(indent=1) + "\n")),
+        (json, lambda path: write_whole(path, plan.model_dump_json(indent=1) + "\n")),
     )
     if out is None:
         console().print(text("the commands were not written: --out OUT.csv does it"))

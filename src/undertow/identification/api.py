@@ -37,9 +37,11 @@ from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
 from .estimation.windows import Prediction, cut, horizons, prediction_error
 from .logs.checks import check_fit
+from .logs.chunks import LongLog
 from .logs.mapping import LogMapping, read_mapping
 from .logs.reading import read_log as read
 from .logs.run import Run
+from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
@@ -410,7 +412,11 @@ def read_log(
     >>> run.t.shape
     (1200,)
     """
-    meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
+    meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping or LogMapping()
+    if Path(path).is_file():
+        log = LongLog(Path(path), meaning, tuple(commands), window, required=True)
+        if beyond_memory([log]):
+            return read_in_parts(log)
     return read(path, meaning, commands, window=window)
 
 

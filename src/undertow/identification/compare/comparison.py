@@ -19,6 +19,7 @@ from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.windows import Prediction, cut, prediction_error
 from undertow.identification.logs.run import UNITS, Run
+from undertow.identification.long_logs.result import LongLogs
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
@@ -119,6 +120,8 @@ class ComparisonResult(ResultTable):
     worst: Cell | None
     budget: list[BudgetShare]
     seconds: float
+    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    long_logs: LongLogs | None = None
 
 
 def finite(value: float | None) -> float | None:

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from undertow.identification.doctor.findings import Finding, ResultTable
 from undertow.identification.logs.run import Run
+from undertow.identification.long_logs.result import LongLogs
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal[
@@ -354,6 +355,8 @@ class Diagnosis(ResultTable):
     floors: Floors | None = None
     predictable: list[Predictability] = Field(default_factory=list)
     seconds: float
+    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    long_logs: LongLogs | None = None
 
     @property
     def freed(self) -> list[str]:

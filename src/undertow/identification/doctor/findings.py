@@ -16,6 +16,7 @@ from undertow.identification.logs.mapping import (
     seconds_of,
     turned_name,
 )
+from undertow.identification.long_logs.result import LongLogs
 
 EXAMINATION_SCHEMA = "undertow/doctor/1"
 Severity = Literal["mistake", "warning", "note"]
@@ -71,6 +72,8 @@ class Examination(ResultTable):
     findings: list[Finding]  # the most serious first
     excitation: list[DofExcitation]
     seconds: float
+    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    long_logs: LongLogs | None = None
 
     @property
     def mistakes(self) -> list[Finding]:

@@ -579,6 +579,16 @@ def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:
     They are those of M^-1 d(forcing)/d(nu), averaged over the motion in the logs: for quadratic damping that
     is the damping at the speeds seen. A motion that nothing damps, or that the model makes grow, has none.
     """
+    return _dying(np.mean(_rates_seen(vehicle, runs), axis=0))
+
+
+def time_constants_by_run(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
+    """The same for every run by itself."""
+    return [_dying(rates) for rates in _rates_seen(vehicle, runs)]
+
+
+def _rates_seen(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
+    """M^-1 d(forcing)/d(nu), averaged over the motion in each run, 1/s."""
     functions = Functions(vehicle)
     rates = ca.jacobian(functions.x_dot[functions.acceleration_rows], functions.nu)
     rates = ca.substitute(rates, functions.actuator_states, functions.chain_rest)
@@ -586,8 +596,12 @@ def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:
     inputs = [functions.eta, functions.nu, functions.u, functions.p, functions.t]
     function = ca.Function("rates", inputs, [ca.densify(rates)])
     p = np.array(functions.values(), dtype=float)
-    seen = [_mean_rates(function, vehicle, run, p) for run in runs]
-    poles = np.linalg.eigvals(np.mean(seen, axis=0)).real
+    return [_mean_rates(function, vehicle, run, p) for run in runs]
+
+
+def _dying(rates: Array) -> Array:
+    """Time constants of what dies away, s, the fastest first."""
+    poles = np.linalg.eigvals(rates).real
     return np.sort(-1.0 / poles[poles < 0.0])
 
 

@@ -6,9 +6,9 @@ import gzip
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
-from os import SEEK_END
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.model.units import scale_offset
 
-from .checks import empty
+from .checks import empty, in_order
 from .mapping import CommandPolicy, LogMapping
 from .reading import must_have, run_of_table
 from .run import Run
@@ -32,14 +32,19 @@ from .table import (
     is_gzip,
     is_header,
     is_parquet,
+    parquet_size,
     read_rows,
     read_table,
+    seconds,
+    size_of,
 )
 
 if TYPE_CHECKING:
     import polars as pl
 
-_LEAST_GZIP = 18
+# Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
+_GLANCE = 1 << 18
+_MOST_SKIPPED = 100
 
 
 class NeedsWhole(UndertowError):
@@ -64,6 +69,11 @@ class LongLog:
     commands: tuple[str, ...]  # names of commands that are read where the log has them
     window: tuple[float | None, float | None] = (None, None)  # part that is used, s; None: no limit
     missing_commands: CommandPolicy | None = None  # what to do where a command has no sample
+    required: bool = False  # whether a log without one of the commands is refused
+
+    @property
+    def _where(self) -> str:
+        return f"log {self.path}"
 
     def parts(self, rows: int, overlap: int) -> Iterator[LogPart]:
         """Parts of `rows` rows, each beginning with the last `overlap` rows of the one before."""
@@ -71,90 +81,192 @@ class LongLog:
         origin: Origin | None = None
         last: Run | None = None
         low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
+        latest = -np.inf
         for table in self._tables(rows, overlap):
             if origin is None:
                 origin = self._origin(table)
-            t = self._times(table, origin)
+            t, lost = self._times(table, origin), 0
+            if not overlap:
+                later = self._later(t, latest)
+                table, t, lost = table.filter(later), t[later], int(np.sum(~later))
+                latest = float(np.fmax(latest, np.fmax.reduce(t, initial=-np.inf)))
             inside = t[(t >= low) & (t <= high)]
             if len(inside) > 1:
                 last = self._run(table, origin, _commands_before(float(inside[0]), last))
+                last = replace(last, dropped=last.dropped + lost)
                 shared = min(max(overlap // 2, 1), len(t))
                 yield LogPart(last, float(np.fmax.accumulate(t)[-shared]))
 
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Rows, before `every`, and columns: known of a Parquet file, estimated from the lines of a text.
+
+        No more of the log is read than its first lines or last bytes.
+        """
+        self._refuse()
+        begin = self._begin
+        if is_parquet(begin):
+            rows, kinds = parquet_size(self.path, self._where)
+            return rows, len(kinds)
+        with _opened(self.path, self._where, packed=is_gzip(begin)) as file:
+            text = file.read(_GLANCE)
+        if b"\0" in text:
+            raise UndertowError(f"{self._where} is no text: give a CSV, CSV.gz or Parquet file")
+        lines = text.split(b"\n")
+        whole = size_of(self.path)
+        length = np.mean([len(line) + 1 for line in lines[:-1]] or [max(whole, 1)])
+        header = next((line for line in lines if is_header(line, self._comment)), b"")
+        return int(whole / length), header.count(self.mapping.delimiter.encode()) + 1
+
+    def glances(self, count: int, rows: int) -> Iterator[Run]:
+        """Some rows from each of several places along the log; places that cannot be read are left out."""
+        rows *= min(self.mapping.time.every, _MOST_SKIPPED)
+        for table in self._glanced(count, rows):
+            try:
+                origin = self._origin(table)
+                yield run_of_table(
+                    table, self.path, self.mapping, (), (None, None), "gap", self.commands, origin, {}
+                )
+            except UndertowError:
+                continue
+
+    def _glanced(self, count: int, rows: int) -> Iterator[pl.DataFrame]:
+        if is_parquet(self._begin):
+            for first in np.unique(np.linspace(0, max(self.size[0] - rows, 0), count).astype(int)):
+                yield read_rows(self._flat, int(first), rows, self._where)
+            return
+        with _opened(self.path, self._where, packed=is_gzip(self._begin)) as file:
+            header, size = self._header(_lines(file, self._where)), size_of(self.path)
+            for place in np.linspace(file.tell(), size, count, endpoint=False).astype(int).tolist():
+                if place > file.tell():
+                    file.seek(place - 1)
+                    file.readline(WHOLE.line)
+                lines = list(islice(_lines(file, self._where), rows))
+                if lines:
+                    yield read_table(header + b"".join(lines), self.mapping, self._where)
+
+    def _later(self, t: NDArray[np.float64], latest: float) -> NDArray[np.bool_]:
+        """Which rows are in order, also with those of the parts before; others are refused, or left out."""
+        if self.mapping.time.disorder == "drop":
+            return in_order(t) & ~(t <= latest)
+        if len(t) and t[0] <= latest:
+            raise UndertowError(
+                f"{self._where}: time column {self.mapping.time.column!r} goes back from {latest:.9g} to "
+                f"{t[0]:.9g} s: sort the file by time, or split it where the clock was restarted"
+            )
+        return np.ones(len(t), dtype=bool)
+
     def _times(self, table: pl.DataFrame, origin: Origin) -> NDArray[np.float64]:
         """Times of all rows of a table, s."""
-        where = f"log {self.path}"
-        scale, offset = scale_offset(self.mapping.time.unit, "s", of=where)
-        since, _ = elapsed(table, self.mapping, scale, where, origin)
-        return np.asarray(scale * since + offset + self.mapping.time.offset)
+        spec = self.mapping.time
+        if self._dated(table):
+            return np.asarray(seconds(table, spec.column, self._where, origin)[0] + spec.offset)
+        scale, offset = scale_offset(spec.unit, "s", of=self._where)
+        since, _ = elapsed(table, self.mapping, scale, self._where, origin)
+        return np.asarray(scale * since + offset + spec.offset)
 
     def _run(self, table: pl.DataFrame, origin: Origin, before: dict[str, float]) -> Run:
-        also, fill = self.commands, self.missing_commands
-        return run_of_table(table, self.path, self.mapping, (), self.window, fill, also, origin, before)
+        every = self.mapping.time.every
+        mapping = self.mapping.model_copy(update={"time": self.mapping.time.model_copy(update={"every": 1})})
+        needed, also = (self.commands, ()) if self.required else ((), self.commands)
+        fill = self.missing_commands
+        run = run_of_table(table, self.path, mapping, needed, self.window, fill, also, origin, before)
+        run = replace(run, mapping=self.mapping)
+        return run.with_notes(f"one row in {every} used") if every > 1 else run
+
+    def _dated(self, table: pl.DataFrame) -> bool:
+        spec = self.mapping.time
+        return spec.unit == "iso" or is_dates(table, spec.column)
 
     def _origin(self, table: pl.DataFrame) -> Origin:
-        spec, where = self.mapping.time, f"log {self.path}"
-        must_have(spec.column, table.columns, where, "time column")
-        if is_dates(table, spec.column):
-            raise NeedsWhole(f"{where}: {_DATES}")
+        spec = self.mapping.time
+        must_have(spec.column, table.columns, self._where, "time column")
+        if self._dated(table):
+            return seconds(table, spec.column, self._where)[2]
         scale, _ = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
-        return elapsed(table.head(1), self.mapping, scale, where)[1]
+        return elapsed(table.head(1), self.mapping, scale, self._where)[1]
 
     def _refuse(self) -> None:
         if not self.path.is_file():
-            raise UndertowError(f"log {self.path} does not exist or is not a file: give the path of a log")
-        if self.mapping.time.unit == "iso":
-            raise NeedsWhole(f"log {self.path}: {_DATES}")
-        if self.mapping.time.every > 1 or any(c.fresh for c in self.mapping.columns.values()):
-            raise NeedsWhole(
-                f"log {self.path}: `every` and `fresh` in a mapping file need the whole log: leave them "
-                "out, or leave out --stream"
-            )
+            raise UndertowError(f"{self._where} does not exist or is not a file: give the path of a log")
 
     def _tables(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
-        with self.path.open("rb") as file:
-            begin = file.read(4)
-        if not is_parquet(begin):
-            yield from self._text_tables(rows, overlap, packed=is_gzip(begin))
+        every = self.mapping.time.every
+        if every == 1:
+            return self._all_rows(rows, overlap)
+        return _of_rows(_every(self._all_rows(rows, 0), every), rows, overlap)
+
+    def _all_rows(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
+        """Tables of all rows, whatever `every` says."""
+        if not is_parquet(self._begin):
+            yield from self._text_tables(rows, overlap, packed=is_gzip(self._begin))
             return
-        first, where = 0, f"log {self.path}"
-        whole = flat_table(self.path, where)
+        first = 0
         while True:
-            table = read_rows(whole, first, rows, where)
+            table = read_rows(self._flat, first, rows, self._where)
             if first and table.height <= overlap:
                 return
             yield table
             first += rows - overlap
 
+    @cached_property
+    def _begin(self) -> bytes:
+        with self.path.open("rb") as file:
+            return file.read(4)
+
+    @cached_property
+    def _flat(self) -> pl.LazyFrame:
+        return flat_table(self.path, self._where)
+
+    @property
+    def _comment(self) -> bytes:
+        return (self.mapping.comment or "\0").encode()
+
     def _text_tables(self, rows: int, overlap: int, *, packed: bool) -> Iterator[pl.DataFrame]:
-        where = f"log {self.path}"
-        with _opened(self.path, where, packed=packed) as file:
-            stream = _lines(file, where)
+        with _opened(self.path, self._where, packed=packed) as file:
+            stream = _lines(file, self._where)
             header = self._header(stream)
             kept: list[bytes] = []
             while fresh := list(islice(stream, rows - len(kept))):
                 lines = kept + fresh
-                yield read_table(header + b"".join(lines), self.mapping, where)
+                yield read_table(header + b"".join(lines), self.mapping, self._where)
                 kept = lines[-overlap:] if overlap else []
 
     def _header(self, lines: Iterator[bytes]) -> bytes:
-        comment = (self.mapping.comment or "\0").encode()
         for line in lines:
-            if is_header(line, comment):
+            if is_header(line, self._comment):
                 return line
-        raise UndertowError(f"log {self.path} is empty (no header): check that it was written to its end")
+        raise UndertowError(f"{self._where} is empty (no header): check that it was written to its end")
+
+
+def _every(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
+    """Every so many-th row of tables that follow each other."""
+    before = 0
+    for table in tables:
+        yield table.slice(-before % every).gather_every(every)
+        before += table.height
+
+
+def _of_rows(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Iterator[pl.DataFrame]:
+    """The same rows in tables of so many rows that overlap."""
+    import polars as pl
+
+    held: pl.DataFrame | None = None
+    fresh = False  # whether there are rows that were not handed out yet
+    for table in tables:
+        held, fresh = table if held is None else pl.concat([held, table]), fresh or table.height > 0
+        while held.height >= rows:
+            yield held.head(rows)
+            held = held.slice(rows - overlap)
+            fresh = held.height > overlap
+    if held is not None and fresh:
+        yield held
 
 
 def _commands_before(t: float, run: Run | None) -> dict[str, float]:
     """Last values of all channels of a run before some time; none where it begins no earlier."""
     count = 0 if run is None else int(np.searchsorted(run.t, t))
     return {} if run is None or not count else {n: float(a[count - 1]) for n, a in run.channels.items()}
-
-
-_DATES = (
-    "its time is a date, which parts of a log cannot be counted from: give the time as a number, or leave "
-    "out --stream"
-)
 
 
 @contextmanager
@@ -174,19 +286,6 @@ def _lines(file: IO[bytes], where: str) -> Iterator[bytes]:
                 f"{where} has a line of more than {WHOLE.line} bytes: check that it is a table of text"
             )
         yield line
-
-
-def size_of(path: Path) -> int:
-    """Bytes of a log, unpacked; zero where there is no file."""
-    if not path.is_file():
-        return 0
-    packed = path.stat().st_size
-    with path.open("rb") as file:
-        if not is_gzip(file.read(2)) or packed < _LEAST_GZIP:
-            return packed
-        file.seek(-4, SEEK_END)
-        # A gzip file ends with its size, of which it keeps 32 bits.
-        return max(packed, int.from_bytes(file.read(4), "little"))
 
 
 def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:

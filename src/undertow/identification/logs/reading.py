@@ -95,7 +95,7 @@ class _Asked:
 def _runs_of(path: Path, asked: _Asked) -> list[Run]:
     """The stretches of a log, each as a run."""
     table, meaning, sha256, notes = _opened(path, asked)
-    taken = _in_any_order(meaning) if asked.in_any_order else meaning
+    taken = in_any_order(meaning) if asked.in_any_order else meaning
     how = (path, taken, asked.channels, asked.window, asked.missing_commands, asked.also)
     stretches = _stretches(table, meaning.time.stretch, f"log {path}")
     runs = [run_of_table(part, *how).with_notes(*notes) for part in stretches]
@@ -105,7 +105,8 @@ def _runs_of(path: Path, asked: _Asked) -> list[Run]:
     return [replace(r, name=f"{r.name}-{k}", part_of=r.name) for k, r in enumerate(runs, 1)]
 
 
-def _in_any_order(mapping: LogMapping) -> LogMapping:
+def in_any_order(mapping: LogMapping) -> LogMapping:
+    """The mapping with which rows are left out whose time is not later than that of all before."""
     return mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
 
 
@@ -269,7 +270,10 @@ def run_of_table(
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
-        read = {c.channel: _values(table, name, c, mapping, where) for name, c in sources.items()}
+        begins = not before
+        read = {
+            c.channel: _values(table, name, c, mapping, where, begins=begins) for name, c in sources.items()
+        }
         read |= {name: _computed(table, name, c, mapping, where) for name, c in mapping.channels.items()}
         own = _on_rows(t, read, sources, mapping, where, before or {})
         channels = _turned(own.channels, mapping, where)
@@ -349,7 +353,7 @@ def _time(
     """Return the rows that are used, their times and notes."""
     spec, notes = mapping.time, []
     if spec.unit == "iso" or is_dates(table, spec.column):
-        t, first = seconds(table, spec.column, where)
+        t, first, _ = seconds(table, spec.column, where, origin)
         notes += [f"time counts from {first}"] if first else []
     else:
         scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
@@ -372,14 +376,17 @@ def _shown(number: Origin) -> str:
     return f"{number:.17g}" if isinstance(number, float) else f"{number:f}".rstrip("0").rstrip(".")
 
 
-def _values(table: pl.DataFrame, name: str, column: Column, mapping: LogMapping, where: str) -> Array:
+def _values(
+    table: pl.DataFrame, name: str, column: Column, mapping: LogMapping, where: str, *, begins: bool
+) -> Array:
+    """Values of a channel; `begins`: whether its first row is that of the log, with none before it."""
     scale, offset = _to_si(name, column, where)
     cells = numbers(table, name, mapping, where)
     if column.power != 1.0:
         cells = np.sign(cells) * np.abs(cells) ** column.power
     if column.fresh is not None:
         if column.fresh == name:  # a value that differs from that of the row before is new
-            new = np.concatenate([[True], cells[1:] != cells[:-1]])
+            new = np.concatenate([[begins], cells[1:] != cells[:-1]])
         else:
             flag = numbers(table, column.fresh, mapping, where)
             new = np.isfinite(flag) & (flag != 0)

@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
+from os import SEEK_END
 from pathlib import Path
 
 import numpy as np
@@ -51,14 +52,10 @@ _UNREADABLE = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 
 def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.LazyFrame:
     """A Parquet file that can be decoded, not yet read; nested columns have no value in it."""
-    try:
-        table = pl.scan_parquet(path, glob=False, hive_partitioning=False)
-        kinds = table.collect_schema()
-        rows = table.select(pl.len()).collect().item()
-    except _UNREADABLE as error:
-        raise UndertowError(_unreadable(where, str(error))) from error
+    rows, kinds = parquet_size(path, where)
     if most_cells is not None and rows * len(kinds) > most_cells:
         raise UndertowError(too_many_cells(where, rows, len(kinds), most_cells))
+    table = _scanned(path)
     text = _HELPER.trouble_with(path)
     if text is not None:
         raise UndertowError(_unreadable(where, text))
@@ -67,11 +64,24 @@ def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.Lazy
     )
 
 
+def parquet_size(path: Path, where: str) -> tuple[int, pl.Schema]:
+    """Rows and columns of a Parquet file by its last bytes; nothing else of it is read."""
+    try:
+        table = _scanned(path)
+        return int(table.select(pl.len()).collect().item()), table.collect_schema()
+    except _UNREADABLE as error:
+        raise UndertowError(_unreadable(where, str(error))) from error
+
+
+def _scanned(path: Path) -> pl.LazyFrame:
+    return pl.scan_parquet(path, glob=False, hive_partitioning=False)
+
+
 def too_many_cells(where: str, rows: int, columns: int, most: int) -> str:
     """What to say of a table that memory is not meant for."""
     return (
         f"{where} has {rows} rows of {columns} columns or more, at most {most // max(columns, 1)} such rows "
-        "are read as a whole: leave out columns and rows, or split it"
+        f"are read as a whole: {_SMALLER}"
     )
 
 
@@ -134,7 +144,11 @@ _HELPER = _Helper()
 atexit.register(_HELPER.close)
 
 
+_SMALLER = (
+    "take a part of it with --from and --to, thin it out with `every` in a mapping file, or leave out columns"
+)
 _ALWAYS_MISSING = ("", "NaN", "nan", "NAN", "NA", "N/A", "null", "None")
+_LEAST_GZIP = 18
 _GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
 # Polars would unpack some of these without being asked, and as a whole.
 _PACKED = {
@@ -180,14 +194,15 @@ class LogLimits:
         if self.rows is not None and rows > self.rows:
             raise UndertowError(
                 f"{where} has more than {self.rows} rows, more than can be used: take a part of it with "
-                "--from and --to, or thin it out (10 to 20 samples per second are enough)"
+                "--from and --to, or thin it out with `every` in a mapping file (10 to 20 samples per second "
+                "are enough)"
             )
         if rows * columns > self.cells:
             raise UndertowError(too_many_cells(where, rows, columns, self.cells))
         if size > self.text:
             raise UndertowError(
                 f"{where} has more than {self.text / 1e6:g} MB, unpacked, which is too much to be read as a "
-                "whole: leave out columns and rows, or split it"
+                f"whole: {_SMALLER}"
             )
 
 
@@ -195,17 +210,34 @@ WHOLE = LogLimits()
 
 
 def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
-    """Return the bytes of a log file."""
+    """Return the bytes of a log file; one that is too large is refused before they are read."""
     if not path.is_file():
         found = "is a folder, not a log file" if path.is_dir() else "does not exist or is not a file"
         raise UndertowError(f"log {path} {found}: give the path of a CSV, CSV.gz or Parquet file")
+    where = f"log {path}"
     try:
         with path.open("rb") as stream:
-            data = stream.read(limits.text + 1)
+            if is_parquet(stream.read(len(_PARQUET))):
+                rows, kinds = parquet_size(path, where)
+                limits.check(0, rows, len(kinds), where)
+            limits.check(path.stat().st_size, 0, 0, where)
+            stream.seek(0)
+            return stream.read(limits.text + 1)
     except OSError as error:
-        raise UndertowError(f"log {path} cannot be read: {error.strerror}") from error
-    limits.check(len(data), 0, 0, f"log {path}")
-    return data
+        raise UndertowError(f"{where} cannot be read: {error.strerror}") from error
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a log, unpacked; zero where there is no file."""
+    if not path.is_file():
+        return 0
+    packed = path.stat().st_size
+    with path.open("rb") as file:
+        if not is_gzip(file.read(2)) or packed < _LEAST_GZIP:
+            return packed
+        file.seek(-4, SEEK_END)
+        # A gzip file ends with its size, of which it keeps 32 bits.
+        return max(packed, int.from_bytes(file.read(4), "little"))
 
 
 class NotTextError(UndertowError):
@@ -420,9 +452,12 @@ def _plain(column: pl.Series) -> pl.Series:
     return column.cast(pl.String) if column.dtype in (pl.Categorical, pl.Enum) else column
 
 
-def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.float64], str]:
-    """Return a column of dates or times (or ISO 8601 texts) as seconds from its first entry, and that entry.
+def seconds(
+    table: pl.DataFrame, name: str, where: str, origin: Origin | None = None
+) -> tuple[NDArray[np.float64], str, Origin]:
+    """Return a column of dates or times (or ISO 8601 texts) as seconds, the entry that is zero, its count.
 
+    They count from the first entry, or from that of another part of the log, given by its count `origin`.
     Durations are seconds already: they count from nothing, and the entry is empty.
     """
     stamps = _plain(table[name])
@@ -435,11 +470,12 @@ def seconds(table: pl.DataFrame, name: str, where: str) -> tuple[NDArray[np.floa
         )
     first = stamps.drop_nulls().first()
     if first is None:
-        return np.full(table.height, np.nan), ""
+        return np.full(table.height, np.nan), "", Decimal(0) if origin is None else origin
     ticks, tick = stamps.to_physical().cast(_EXACT), _tick(stamps.dtype)
     if stamps.dtype == pl.Duration:
-        return tick * _from(ticks, Decimal(0)), ""
-    return tick * _from(ticks, ticks.drop_nulls().item(0)), str(first)
+        return tick * _from(ticks, Decimal(0)), "", Decimal(0)
+    zero = Decimal(origin) if origin is not None else ticks.drop_nulls().item(0)
+    return tick * _from(ticks, zero), str(first), zero
 
 
 def _tick(kind: pl.DataType) -> float:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from undertow.identification.doctor.findings import ResultTable
+from undertow.identification.long_logs.result import LongLogs
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -109,6 +110,8 @@ class Plan(ResultTable):
     separations: list[Separation]
     logs: list[str]
     remarks: list[str]
+    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    long_logs: LongLogs | None = None
 
 
 # A standard error above this share of the value is nothing to build on.

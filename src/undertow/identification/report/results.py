@@ -16,6 +16,7 @@ from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.verdict import estimates
 from undertow.identification.doctor.findings import ResultTable
 from undertow.identification.estimation.output_error import NO_WORSE
+from undertow.identification.long_logs.result import LongLogs
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
@@ -69,6 +70,8 @@ class FitResult(ResultTable):
     parameters: list[FittedParameter]
     by_run: list[ValuesByRun] = Field(default_factory=list)
     condition: float | None
+    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    long_logs: LongLogs | None = None
 
     @property
     def worse(self) -> bool:
@@ -114,6 +117,8 @@ class AdditionResult(ResultTable):
     p_value: float
     parameters: list[Estimate]
     dropped: list[str]
+    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    long_logs: LongLogs | None = None
 
 
 def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) -> AdditionResult:

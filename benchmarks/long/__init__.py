@@ -1,0 +1,1 @@
+"""Time and memory of commands on logs that are longer than a fit takes."""

@@ -1,0 +1,1 @@
+"""Logs longer than a fit takes: thinned to the vehicle's band, and the stretches of them that tell most."""

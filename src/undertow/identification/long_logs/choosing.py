@@ -1,0 +1,337 @@
+"""Long logs: read in parts, thinned to the vehicle's band, and the stretches of them that tell most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from itertools import chain
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.files import sha256_of
+from undertow.identification.estimation.windows import HORIZONS
+from undertow.identification.logs.checks import MEASURABLE, refuse_twins, with_distinct_names
+from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.run import Run
+from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Progress
+
+from .information import Choice, Regressor, most_informative
+from .result import ChosenStretch, LongLogs, Role, WholeLog
+from .spool import Spool, Stretch, merged, stretches
+from .thinning import Band, band, joined, thinned
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Samples of long logs, after thinning, that a command works on and judges by."""
+
+    work: int
+    judge: int = 0  # none: the command does not judge
+    raw: bool = False  # whether they count before thinning: what looks at the sensors needs every row
+
+
+#: On two processors and in six degrees of freedom, 12,000 samples are fitted in 25 s.
+FIT = Budget(12_000, 4_000)
+#: A search fits some forty candidates, several times: 8,000 samples take it a minute.
+SEARCH = Budget(6_000, 2_000)
+#: Pictures and tables of a model as it is, or a plan.
+LOOK = Budget(20_000)
+#: An examination of logs: clocks, sensors and units, at the rate at which they were logged.
+EXAMINE = Budget(60_000, raw=True)
+#: Samples times channels of logs that are looked at as a whole: 300,000 rows in six degrees of freedom.
+WHOLE_CELLS = 6_300_000
+
+
+@dataclass(frozen=True)
+class CuttingSettings:
+    """Numbers by which long logs are read, cut and divided."""
+
+    rows: int = 100_000  # that are in memory at a time, when a log is read
+    fewest: int = 24  # stretches that logs are cut into, however slow the vehicle
+    # Stretches that are looked at; of longer logs, some that are spread evenly.
+    most: int = 5_000
+    of_budget: int = 4  # stretches that the budget has room for, at least
+    samples: int = 50  # of a stretch, at least: else the weak form has hardly a row
+    # Of several logs, one in so many is kept for validation, the last first.
+    kept_logs: int = 4
+    # A single log is divided into so many parts; every third judges, but for a stretch at either end.
+    parts: int = 24
+    kept_parts: int = 3
+    # Share of the number of lines by which that of the samples can be off: lines differ in length.
+    estimate: float = 0.7
+
+
+CUTTING = CuttingSettings()
+
+
+def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:
+    """Tell whether logs have more than `most` samples; nothing of them is kept in memory."""
+    estimated = sum(_size(log)[0] / log.mapping.time.every for log in logs)
+    if estimated <= CUTTING.estimate * most:
+        return False
+    counted = 0
+    for part in chain.from_iterable(log.parts(CUTTING.rows, 0) for log in logs):
+        counted += len(part.run.t)
+        if counted > most:
+            return True
+    return False
+
+
+def beyond_memory(logs: Sequence[LongLog]) -> bool:
+    """Tell whether a file is larger than is read as a whole, however little of it is used."""
+    return any(rows * columns > WHOLE.cells for rows, columns in map(_size, logs)) or any(
+        size_of(log.path) > WHOLE.text for log in logs
+    )
+
+
+def _size(log: LongLog) -> tuple[int, int]:
+    """Rows and columns; none of what is no table, of which reading it says more."""
+    try:
+        return log.size
+    except UndertowError:
+        return 0, 0
+
+
+def read_in_parts(log: LongLog) -> Run:
+    """A log of which the part that is used is short: as it would be read, but from a file of any size.
+
+    Raises
+    ------
+    UndertowError
+        If what is used is more than memory is meant for.
+    """
+    parts: list[Run] = []
+    for part in log.parts(CUTTING.rows, 0):
+        parts.append(part.run)
+        rows, columns = sum(len(run.t) for run in parts), len(part.run.channels)
+        if rows * columns > WHOLE.cells:
+            raise UndertowError(too_many_cells(f"log {log.path}", rows, columns, WHOLE.cells))
+    if not parts:
+        raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
+    lost = sum(part.dropped for part in parts)
+    return replace(reduce(joined, parts), sha256=sha256_of(log.path), dropped=lost)
+
+
+def short_parts(vehicle: Vehicle, logs: Sequence[LongLog]) -> list[Run]:
+    """The same for the logs of a vehicle, with velocities, each with a name of its own."""
+    runs = [velocities_from_pose(read_in_parts(log), vehicle.degrees_of_freedom) for log in logs]
+    refuse_twins(runs)
+    return with_distinct_names(runs)
+
+
+def at_full_rate(chosen: Chosen, logs: Sequence[LongLog]) -> list[Run]:
+    """The stretches that were chosen, with every row of the log; the logs are read once more."""
+    found = []
+    for i, log in enumerate(logs):
+        spool = chosen.spools[i]
+        spans = [spool.times(s.first, s.stop) for s in merged(chosen.used) if s.log == i]
+        pieces: list[list[Run]] = [[] for _ in spans]
+        for run in (part.run for part in log.parts(CUTTING.rows, 0)):
+            for own, (start, end) in zip(pieces, spans, strict=True):
+                if np.any((run.t >= start) & (run.t <= end)):
+                    own.append(run.slice(start, end))
+        runs = [reduce(joined, own) for own in pieces]
+        named = [_stretch_of(run, spool, span) for run, span in zip(runs, spans, strict=True)]
+        found += [replace(named[0], dropped=spool.dropped), *named[1:]] if named else []
+    return [velocities_from_pose(run, chosen.vehicle.degrees_of_freedom) for run in found]
+
+
+def _stretch_of(run: Run, spool: Spool, span: tuple[float, float]) -> Run:
+    name = f"{spool.like.name} [{span[0]:.0f}-{span[1]:.0f} s]"
+    return replace(run, name=name, part_of=spool.like.origin, sha256=spool.like.sha256, dropped=0)
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What a command works on of long logs."""
+
+    vehicle: Vehicle
+    runs: list[Run]  # stretches to work on, thinned
+    judges: list[Run]  # stretches for validation
+    result: LongLogs
+    spools: list[Spool]  # all of the logs, thinned
+    used: list[Stretch]  # what `runs` and `judges` are of them
+
+
+def choose(
+    vehicle: Vehicle,
+    logs: Sequence[LongLog],
+    holdout: Sequence[LongLog] = (),
+    budget: Budget = FIT,
+    progress: Progress = lambda done, words: None,
+) -> Chosen:
+    """Choose the stretches of long logs that tell most of a vehicle's parameters.
+
+    The logs are read once, in parts. They are thinned to the rate that the vehicle's fastest time constant
+    asks for and cut into stretches long enough for its slowest one. The stretches that make the determinant
+    of the information largest, equation by equation, are taken until the budget is used up.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model; its parameters marked as estimated (or else all) are those to be told.
+    logs, holdout : sequence of LongLog
+        Logs to work on, and for validation. Without `holdout`, and where the budget has room for judges,
+        one log in four is kept, the last first; of a single one every third part.
+    budget : Budget
+        Samples to work on and to judge by.
+    progress : callable
+        Told the share of the work that is done, and what is being done.
+
+    Raises
+    ------
+    UndertowError
+        If a log cannot be read, lacks what the vehicle needs, or is given twice.
+    """
+    every = [*logs, *holdout]
+    progress(0.0, "finding the vehicle's band")
+    found = band(vehicle, every)
+    spools = _spooled(vehicle, every, found, progress)
+    regressor = Regressor(vehicle)
+    samples = (budget.work // (found.thin if budget.raw else 1), budget.judge)
+    cut = _cut(spools, found, samples[0])
+    cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_stretches()))]
+    kept = _kept(len(logs), len(holdout), budget)
+    progress(0.6, "information of every stretch")
+    pools = _pools(cut, spools, kept, budget)
+    choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
+    progress(0.95, "taking stretches")
+    taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]
+    runs, judges = ([_run(vehicle, spools, s) for s in merged(own)] for own in taken)
+    result = _result(vehicle, spools, found, cut, kept, pools, choices)
+    return Chosen(vehicle, runs, judges, result, spools, [*taken[0], *taken[1]])
+
+
+def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: Progress) -> list[Spool]:
+    spools = []
+    for i, log in enumerate(logs):
+        progress(0.6 * i / len(logs), f"reading {log.path.name}")
+        thin = partial(thinned, by=found.thin, step=found.step, commands=vehicle.command_names)
+        spool = Spool((part.run for part in log.parts(CUTTING.rows, 0)), thin)
+        if not spool.rows:
+            raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
+        spool.like = replace(spool.like, sha256=sha256_of(log.path))
+        spools.append(spool)
+    refuse_twins([spool.like for spool in spools])
+    for spool, like in zip(spools, with_distinct_names([s.like for s in spools]), strict=True):
+        spool.like = like
+    return spools
+
+
+def _cut(spools: Sequence[Spool], found: Band, budget: int) -> list[Stretch]:
+    """Stretches of four slowest time constants, as far as that leaves a choice."""
+    step, total = found.step * found.thin, sum(spool.rows for spool in spools)
+    wanted = HORIZONS.multiples[-1] * found.slowest / HORIZONS.longest / step if step else np.inf
+    longest = max(total // CUTTING.fewest, CUTTING.samples)
+    rows = int(max(min(wanted, longest, budget // CUTTING.of_budget), CUTTING.samples))
+    return stretches(spools, rows)
+
+
+def _kept(logs: int, holdout: int, budget: Budget) -> set[int]:
+    """Places of the logs that are kept for validation as a whole."""
+    if not budget.judge:
+        return set()
+    if holdout:
+        return set(range(logs, logs + holdout))
+    return {i for i in range(logs) if (logs - 1 - i) % CUTTING.kept_logs == 0} if logs > 1 else set()
+
+
+def _pools(
+    cut: list[Stretch], spools: Sequence[Spool], kept: set[int], budget: Budget
+) -> tuple[list[Stretch], list[Stretch]]:
+    """Stretches to work on, and those to judge by."""
+    if kept or not budget.judge:
+        return [s for s in cut if s.log not in kept], [s for s in cut if s.log in kept]
+    size = max(len(cut) // CUTTING.parts, CUTTING.kept_parts)
+    judging = [(k // size) % CUTTING.kept_parts == 1 for k in range(len(cut))]
+    inside = [
+        own and all(judging[max(k - 1, 0) : k + 2]) for k, own in enumerate(judging)
+    ]  # a stretch beside one to work on would be known to it
+    chosen = [s for s, own in zip(cut, judging, strict=True) if not own]
+    return chosen, [s for s, own in zip(cut, inside, strict=True) if own]
+
+
+def _chosen(regressor: Regressor, pool: list[Stretch], spools: Sequence[Spool], budget: int) -> Choice:
+    if not pool:
+        none = np.ones(regressor.equations)
+        return Choice([], np.zeros((0, len(none))), none, 1.0)
+    information = regressor.information(spools[s.log].run(s.first, s.stop) for s in pool)
+    return most_informative(information, [s.samples for s in pool], budget)
+
+
+def _run(vehicle: Vehicle, spools: Sequence[Spool], s: Stretch) -> Run:
+    return velocities_from_pose(spools[s.log].run(s.first, s.stop), vehicle.degrees_of_freedom)
+
+
+def _result(
+    vehicle: Vehicle,
+    spools: Sequence[Spool],
+    found: Band,
+    cut: Sequence[Stretch],
+    kept: set[int],
+    pools: Sequence[list[Stretch]],
+    choices: Sequence[Choice],
+) -> LongLogs:
+    motions, work = vehicle.degrees_of_freedom, choices[0]
+    roles: tuple[Role, Role] = ("train", "holdout")
+    tables = zip(pools, choices, roles, strict=True)
+    usual = float(np.median([s.samples for s in cut])) * found.step * found.thin
+    return LongLogs(
+        logs=[_whole(spool, i in kept) for i, spool in enumerate(spools)],
+        every=found.thin,
+        rate=1.0 / (found.step * found.thin),
+        fastest=_finite(found.fastest),
+        slowest=_finite(found.slowest),
+        stretches=len(cut),
+        seconds=usual,
+        chosen=[s for pool, choice, role in tables for s in _stretches(spools, pool, choice, role, motions)],
+        held=work.whole,
+        held_by_motion=dict(zip(motions, work.held.tolist(), strict=True)),
+    )
+
+
+def _whole(spool: Spool, holdout: bool) -> WholeLog:
+    like, (first, last) = spool.like, spool.span
+    return WholeLog(
+        name=like.name,
+        source=like.source,
+        sha256=like.sha256,
+        samples=spool.samples,
+        seconds=last - first,
+        dropped=spool.dropped,
+        gaps=spool.gaps,
+        longest_gap=spool.longest_gap,
+        missing=spool.missing,
+        holdout=holdout,
+    )
+
+
+def _stretches(
+    spools: Sequence[Spool], pool: list[Stretch], choice: Choice, role: Role, motions: Sequence[str]
+) -> list[ChosenStretch]:
+    return [
+        _stretch(spools[pool[k].log], pool[k], gain, role, motions)
+        for k, gain in zip(choice.places, choice.gain, strict=True)
+    ]
+
+
+def _stretch(spool: Spool, s: Stretch, gain: Array, role: Role, motions: Sequence[str]) -> ChosenStretch:
+    start, end = spool.times(s.first, s.stop)
+    return ChosenStretch(
+        log=spool.like.name,
+        start=start,
+        end=end,
+        samples=s.samples,
+        role=role,
+        gain=float(gain.sum()),
+        most=motions[int(np.argmax(gain))],
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,151 @@
+"""Which stretches of long logs were used, and why, as it is printed and written to JSON."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Role = Literal["train", "holdout"]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class WholeLog(_Table):
+    """A log as it was read, in parts."""
+
+    name: str
+    source: str
+    sha256: str
+    samples: int  # rows that were used
+    seconds: float
+    dropped: int  # rows that were left out because they were not later than one before
+    gaps: int  # steps of more than five usual ones
+    longest_gap: float  # s
+    missing: dict[str, float]  # share of the rows without a value, of channels that lack some
+    # Whether the whole of it was kept for validation; of a single log some parts are.
+    holdout: bool
+
+
+class ChosenStretch(_Table):
+    """A stretch that was used, in the order in which they were chosen."""
+
+    log: str
+    start: float  # s
+    end: float  # s
+    samples: int  # after the log was thinned
+    role: Role
+    # What it added to the logarithm of the determinant of the information, and the motion whose equation had
+    # most of that; zero and empty where there was room for all.
+    gain: float
+    most: str
+
+
+class ModelOnTheRest(_Table):
+    """Errors of a model over what was not used; null where a prediction diverges."""
+
+    model: str
+    error: float | None  # error of the velocities, a share of the motion, geometric mean over the velocities
+    channels: dict[str, float | None]
+    diverged: int  # windows, which are left out of the errors
+    lowest: float | None  # of pieces of the rest
+    highest: float | None
+
+
+class Rest(_Table):
+    """The check over all that was not used."""
+
+    seconds: float
+    samples: int
+    horizon: float  # how far ahead is predicted, s
+    windows: int
+    models: list[ModelOnTheRest]
+
+    def sentence(self) -> str:
+        """The errors in words."""
+        errors = [f"{m.model} {_percent(m.error)}{_between(m)}" for m in self.models]
+        return (
+            f"checked over the rest, {_time(self.seconds)}: velocity error {self.horizon:.3g} s ahead, "
+            f"% of the motion: {', '.join(errors)}"
+        )
+
+
+class LongLogs(_Table):
+    """How logs that are longer than a fit takes were thinned, and which stretches of them were used."""
+
+    logs: list[WholeLog]
+    every: int  # rows that became one
+    rate: float  # rows per second after that
+    fastest: float | None  # time constants of the vehicle in these logs, s
+    slowest: float | None
+    stretches: int  # into which the logs were cut
+    seconds: float  # length of each
+    chosen: list[ChosenStretch]
+    # Share of the information on the parameters that the chosen stretches hold: the root of the ratio of the
+    # determinants, of as high an order as there are directions.
+    held: float
+    held_by_motion: dict[str, float]
+    rest: Rest | None = None
+
+    @property
+    def everything(self) -> bool:
+        """Whether there was room for all stretches."""
+        return len(self.chosen) == self.stretches
+
+    def sentences(self) -> list[str]:
+        """What was done, in words."""
+        lines = [self._thinned(), *([] if self.everything else [self._chosen()])]
+        judges = [log.name for log in self.logs if log.holdout]
+        own = self._of("holdout")
+        if judges:
+            lines.append(f"kept for validation as a whole: {', '.join(judges)}; {self._span(own)} of it used")
+        elif own:
+            lines.append(f"{self._span(own)} apart from these for validation")
+        return lines + ([self.rest.sentence()] if self.rest else [])
+
+    def _of(self, role: Role) -> list[ChosenStretch]:
+        return [s for s in self.chosen if s.role == role]
+
+    @staticmethod
+    def _span(chosen: list[ChosenStretch]) -> str:
+        return f"{len(chosen)} stretches, {_time(sum(s.end - s.start for s in chosen))},"
+
+    def _thinned(self) -> str:
+        samples = sum(log.samples for log in self.logs)
+        span = sum(log.seconds for log in self.logs)
+        why = f"the fastest time constant is {self.fastest:.2g} s" if self.fastest else "nothing dies away"
+        done = f"every {self.every} rows became one: {self.rate:.3g} Hz, for {why}"
+        return f"{samples} samples, {_time(span)}; {done if self.every > 1 else 'not thinned, for ' + why}"
+
+    def _chosen(self) -> str:
+        used = self._of("train")
+        least = min(self.held_by_motion, key=lambda n: self.held_by_motion[n])
+        reasons = Counter(s.most for s in used)
+        tell = ", ".join(f"{motion} {count}" for motion, count in reasons.most_common())
+        whole = sum(log.seconds for log in self.logs)
+        return (
+            f"{len(used)} of {self.stretches} stretches of {self.seconds:.3g} s, "
+            f"{_time(sum(s.end - s.start for s in used))} of {_time(whole)}, hold {self.held:.0%} of the "
+            f"information on the parameters (least in {least}: {self.held_by_motion[least]:.0%}); taken "
+            f"because they add most to what is known of {tell}"
+        )
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _percent(share: float | None) -> str:
+    return "diverged" if share is None else f"{100 * share:.3g} %"
+
+
+def _between(model: ModelOnTheRest) -> str:
+    if model.lowest is None or model.highest is None:
+        return ""
+    lost = f", {model.diverged} windows diverged" if model.diverged else ""
+    return f" ({100 * model.lowest:.3g} to {100 * model.highest:.3g} %{lost})"
