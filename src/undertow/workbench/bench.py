@@ -137,6 +137,9 @@ class Bench:
     @classmethod
     def open(cls, folder: Path, wanted: Session) -> Bench:
         """The workbench on a session; the vehicle is read, the logs are not yet."""
+        for log in wanted.logs:
+            if not Path(log.path).is_file():
+                raise UndertowError(f"log '{log.path}' does not exist: check its name")
         place = Workspace.open(folder, wanted)
         bench = cls(place, _load(place))
         bench.read()
@@ -191,9 +194,10 @@ class Bench:
         self.changed()
 
     def take_remedy(self, remedy: Remedy) -> None:
-        """Change the mapping as the doctor says, and read the logs anew."""
+        """Change the mapping as the doctor says, read the logs anew, and ask the doctor again."""
         self.session.remedies.append(remedy)
         self._reread()
+        self.start("examine")
 
     def undo_remedy(self) -> None:
         """Take the last remedy back."""
@@ -250,17 +254,24 @@ class Bench:
             self._step(result)
         if work.task in ("examine", "compare", "diagnose"):
             self.place.keep(work.task, work.key, result)
+            self._asked(work.task)
         if work.task == "compare":
             self.session.steps[-1].errors |= result["errors"]
         if work.task == "fit":
             self.place.keep("fit", self.place.key, result)
         if work.task == "invent":
             self.session.effects.append(result["file"])
+            self._asked(f"invent {result['effect']}")
             self.place.keep("invent", self.place.key, result)
         if "logs" in result:
             self.session.written = result["logs"]
         self.refused = result["effect"] if work.task == "add" and "step" not in result else ""
         self.said = self._words(work.task, result)
+
+    def _asked(self, what: str) -> None:
+        asked = self.session.steps[-1].asked
+        if what not in asked:
+            asked.append(what)
 
     def _step(self, result: Message) -> None:
         self.session.steps[-1].errors |= result.get("given", {})

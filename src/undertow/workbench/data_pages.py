@@ -15,6 +15,7 @@ from .session import ROLES, LogChoice, Remedy, Role
 from .view import View, action, heading, lines, stale
 
 _USUAL = 12  # channels that are shown at first: more do not fit on a screen
+_TOGGLE = "unelevated toggle-color=blue-grey-6 color=grey-3 text-color=black"
 _SEVERITY = {"mistake": "red", "warning": "amber-10", "note": "grey"}
 
 
@@ -48,14 +49,14 @@ def _logs(view: View) -> None:
     for i, (choice, run) in enumerate(zip(view.bench.session.logs, view.bench.runs, strict=True)):
         with ui.row().classes("items-center gap-3"):
             ui.button(run.name, on_click=lambda i=i: _show_log(view, i)).props(
-                f"dense no-caps {'' if i == view.log else 'outline'}"
-            ).mark(f"log-{i}")
+                f"dense no-caps align=left padding='2px 10px' {'' if i == view.log else 'outline'}"
+            ).classes("w-48 overflow-hidden").mark(f"log-{i}")
             mixed = bool(choice.stretches)
             ui.toggle(
                 words,
                 value=None if mixed else choice.role,
                 on_change=lambda e, i=i: view.bench.choose(i, e.value) if e.value else None,
-            ).props("dense no-caps size=sm").mark(f"role-{i}")
+            ).props(f"dense no-caps size=sm padding='2px 10px' {_TOGGLE}").mark(f"role-{i}")
             ui.label(_about(run, choice)).classes("text-sm text-grey-8")
 
 
@@ -79,16 +80,22 @@ def _channels(view: View) -> None:
     from nicegui import ui
 
     run = view.bench.runs[view.log]
-    known = [*(n for n in UNITS if run.has(n)), *(n for n in run.channels if n not in UNITS)]
-    view.channels = [n for n in view.channels if n in known] or known[:_USUAL]
+    known = _in_order(view)
+    moving = [n for n in known if np.nanmin(run.channels[n]) < np.nanmax(run.channels[n])]
+    view.channels = [n for n in known if n in view.channels] or moving[:_USUAL] or known[:1]
     select = ui.select(known, multiple=True, value=view.channels, label="channels")
     select.props("dense use-chips options-dense").classes("w-full").mark("channels")
     with ui.row().classes("items-center gap-2"):
         chosen = ui.label().classes("text-sm").mark("selected")
         for role in ROLES:
             ui.button(_verb(role), on_click=lambda role=role: _choose(view, role)).props(
-                "dense no-caps outline size=sm"
+                "dense no-caps outline size=sm padding='2px 10px'"
             ).style(f"color: {figures.COLOURS[role]} !important").mark(f"choose-{role}")
+        if view.cell is not None and _marks(view, run):
+            ui.label(f"yellow: {', '.join(view.cell)}").classes("text-sm bg-amber-2 px-2 rounded").mark(
+                "marked"
+            )
+            ui.button("clear", on_click=lambda: _unmark(view)).props("dense flat no-caps size=sm")
     plot = ui.plotly(_log_figure(view)).classes("w-full").mark("channels-plot")
 
     def say() -> None:
@@ -114,8 +121,26 @@ def _channels(view: View) -> None:
     plot.on("plotly_selected", lambda e: marked(_span(e.args)), args=["range"])
 
 
+def _in_order(view: View) -> list[str]:
+    """Channels of a log: what the model is about first, then the commands, then all others."""
+    run, vehicle = view.bench.runs[view.log], view.bench.vehicle
+    first = (
+        *_mended(view),
+        *vehicle.velocity_names,
+        *vehicle.command_names,
+        *vehicle.pose_names,
+        *run.channels,
+    )
+    return [n for n in dict.fromkeys(first) if run.has(n)]
+
+
 def _verb(role: Role) -> str:
     return {"train": "Train on it", "judge": "Judge by it", "out": "Leave it out"}[role]
+
+
+def _unmark(view: View) -> None:
+    view.cell = None
+    view.draw()
 
 
 def _choose(view: View, role: Role) -> None:
@@ -199,7 +224,7 @@ def _finding(view: View, finding: Mapping[str, Any], place: int, current: bool) 
             lines(finding["mapping"])
             remedy = Remedy(id=finding["id"], lines=finding["mapping"])
             ui.button("Apply this remedy", on_click=lambda: view.bench.take_remedy(remedy)).props(
-                "dense no-caps size=sm"
+                "dense no-caps size=sm padding='2px 10px'"
             ).mark(f"remedy-{place}").set_enabled(current)
         for other in finding["alternatives"]:
             ui.label(f"not excluded: {other}").classes("text-xs text-grey-8")
@@ -227,7 +252,7 @@ def _remedies(view: View) -> None:
         return
     with ui.card().classes("w-full gap-1 p-2 bg-green-1").props("flat bordered").mark("remedies"):
         ui.label(f"Mended: {', '.join(r.id for r in taken)}").classes("font-medium")
-        for text in changes(view.bench.before, view.bench.runs):
+        for text in _mended(view).values():
             ui.label(text).classes("text-sm")
         ui.label("Grey lines are the channels before the last remedy.").classes("text-xs text-grey-8")
         ui.button("Take the last one back", on_click=view.bench.undo_remedy).props(
@@ -235,20 +260,21 @@ def _remedies(view: View) -> None:
         ).mark("undo-remedy")
 
 
-def changes(before: Sequence[Run], after: Sequence[Run]) -> list[str]:
-    """What a remedy did to channels: their spans in the first log before and after."""
-    if not before or not after:
-        return []
-    old, new = before[0], after[0]
-    found = []
+def changes(old: Run, new: Run) -> dict[str, str]:
+    """What a remedy did to the channels of a log: their spans before and after, by name."""
+    found = {}
     for name, data in new.channels.items():
         if not old.has(name):
-            found.append(f"{name}: {_range(data, name)}, absent before")
-        elif old.channels[name].shape != data.shape or not np.allclose(
-            old.channels[name], data, equal_nan=True
-        ):
-            found.append(f"{name}: {_range(old.channels[name], name)} → {_range(data, name)}")
+            found[name] = f"{name}: {_range(data, name)}, absent before"
+        elif not np.array_equal(old.channels[name], data, equal_nan=True):
+            found[name] = f"{name}: {_range(old.channels[name], name)} → {_range(data, name)}"
     return found
+
+
+def _mended(view: View) -> dict[str, str]:
+    """The same for the log that is shown; nothing where no remedy was taken."""
+    before, after = view.bench.before, view.bench.runs
+    return changes(before[view.log], after[view.log]) if len(before) == len(after) > view.log else {}
 
 
 def _range(data: Any, name: str) -> str:
@@ -289,7 +315,7 @@ def fails_page(view: View) -> None:
         return
     if not current:
         stale()
-    ui.label(f"The model {found['headline']}.").classes("text-base").mark("headline")
+    ui.label(f"{found['headline'][:1].upper()}{found['headline'][1:]}.").classes("text-base").mark("headline")
     ui.label(
         "Residual force over its noise, by motion and regime: 1 is what the sensors alone would show. "
         "Click on a cell to see when and against what it fails."
@@ -360,7 +386,9 @@ def _residual(view: View, found: Mapping[str, Any], again: Any) -> None:
 
 def _with_force(view: View) -> dict[str, Any]:
     """Candidates whose force was worked out, the best first."""
-    found = view.bench.place.last_result("diagnose")[0]
+    found, current = view.bench.place.last_result("diagnose")
+    if not current:  # that of another model would be drawn over the residual of this one
+        return {}
     return {c["effect"]: c["supplied"] for c in (found or {}).get("candidates", []) if c["supplied"]}
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from undertow.figures import unit_text
 from undertow.identification.logs.run import UNITS, Run
+from undertow.identification.report.page import parameter_text
 from undertow.typing import Array
 
 Figure = dict[str, Any]
@@ -33,7 +34,13 @@ COLOURS = {"train": "#1565c0", "judge": "#2e7d32", "out": "#9e9e9e"}
 ROLE_WORDS = {"train": "training", "judge": "judging", "out": "left out"}
 _MEASURED, _MODEL, _BETTER, _MARK = "#212121", "#e07b00", "#6a1b9a", "#ffca28"
 _FONT = {"family": "Roboto, sans-serif", "size": 12, "color": "#333333"}
-_BARE = {"displaylogo": False, "responsive": True}
+_BARE = {"displayModeBar": False, "responsive": True}
+_WITH_ZOOM = {
+    "displaylogo": False,
+    "responsive": True,
+    "displayModeBar": True,
+    "modeBarButtonsToRemove": ["lasso2d", "autoScale2d", "toImage", "zoomIn2d", "zoomOut2d"],
+}
 
 
 def thinned(t: Array, y: Array, pixels: int = SETTINGS.pixels) -> tuple[Array, Array]:
@@ -66,7 +73,7 @@ def escaped(text: str) -> str:
 def label(name: str, unit: str) -> str:
     """A variable with its unit."""
     shown = unit_text(unit)
-    return escaped(f"{name} ({shown})" if shown not in ("", "1") else name)
+    return escaped(f"{name} ({shown})" if shown not in ("", "1", "command") else name)
 
 
 def _figure(data: list[Figure], height: int, **layout: Any) -> Figure:
@@ -78,6 +85,7 @@ def _figure(data: list[Figure], height: int, **layout: Any) -> Figure:
         "plot_bgcolor": "#ffffff",
         "showlegend": False,
         "hoverlabel": {"namelength": -1},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#9e9e9e", "activecolor": "#0d47a1"},
         "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0},
     }
     return {"data": data, "layout": {**base, **layout}, "config": _BARE}
@@ -111,6 +119,8 @@ def channels(
         if before is not None and before.has(name):
             data.append(_channel(before, name, row, (low, high), "#bdbdbd", "before"))
         data.append(_channel(run, name, row, (low, high), _MEASURED, name))
+    # Plotly offers its box for choosing a stretch only where some trace has markers.
+    data.append({"type": "scatter", "mode": "markers", "x": [None], "y": [None], "hoverinfo": "skip"})
     rows = len(names)
     height = SETTINGS.row * rows + 80
     shapes = [_band(a, b, COLOURS[role], 0.10) for a, b, role in spans]
@@ -122,7 +132,7 @@ def channels(
         "selectdirection": "h",
         "hovermode": "x",
         "uirevision": run.name,
-        "margin": {"l": 80, "r": 15, "t": 10, "b": 45},
+        "margin": {"l": 80, "r": 15, "t": 28, "b": 45},
     }
     for row, name in enumerate(names, start=1):
         top = 1.0 - (row - 1) / rows
@@ -130,8 +140,7 @@ def channels(
         title = label(name, unit_of(name, units))
         layout[f"yaxis{row if row > 1 else ''}"] = _axis(title, domain=domain, nticks=4)
     figure = _figure(data, height, **layout)
-    buttons = ["lasso2d", "autoScale2d", "toImage"]
-    figure["config"] = {**_BARE, "modeBarButtonsToRemove": buttons, "modeBarButtonsToAdd": ["select2d"]}
+    figure["config"] = _WITH_ZOOM
     return figure
 
 
@@ -198,11 +207,11 @@ def error_map(result: Mapping[str, Any], chosen: tuple[str, str] | None) -> Figu
     ticks: Figure = {"tickmode": "array", "showgrid": False, "zeroline": False}
     return _figure(
         [heat],
-        70 + 44 * len(dofs) + 90,
+        44 * len(dofs) + 90,
         xaxis=_axis(tickvals=heat["x"], ticktext=[escaped(n) for n in names], tickangle=-35, **ticks),
         yaxis=_axis(tickvals=heat["y"], ticktext=dofs, autorange="reversed", **ticks),
         shapes=shapes,
-        margin={"l": 70, "r": 20, "t": 10, "b": 90},
+        margin={"l": 70, "r": 20, "t": 5, "b": 20},
     )
 
 
@@ -389,7 +398,7 @@ def _folded(name: str) -> str:
 def against_priors(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Estimates beside what was stated, both over the stated value, with 95 % intervals."""
     used = [r for r in rows if r["prior"] and r["estimate"] is not None]
-    names = [escaped(r["name"]) for r in used]
+    names = [escaped(parameter_text(r["name"])) for r in used]
     stated = _dots(names, [1.0] * len(used), [_over(r["prior_sigma"], r["prior"]) for r in used])
     found = _dots(
         names,

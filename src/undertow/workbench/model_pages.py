@@ -7,7 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from undertow.figures import unit_text
 from undertow.identification.report.page import parameter_text
+from undertow.identification.report.sentences import CommandLine
 from undertow.model.parameter import printed
 from undertow.model.units import short_unit
 
@@ -58,7 +60,9 @@ def _undo(view: View) -> None:
     steps = view.bench.session.steps
     if len(steps) > 1:
         words = steps[-1].what
-        ui.button(f"Undo: {words[:40]}", on_click=view.bench.undo).props("dense no-caps outline").mark("undo")
+        ui.button(f"Undo: {words[:40]}", on_click=view.bench.undo).props(
+            "dense no-caps outline padding='4px 12px'"
+        ).mark("undo")
 
 
 def _verdict(found: Mapping[str, Any], current: bool) -> None:
@@ -132,7 +136,10 @@ def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | N
             ui.label(f"{shown(measure, before)} → {shown(measure, after)}").classes(
                 "text-sm whitespace-nowrap"
             )
-            action("Add", view, "add", effect=c["effect"]).mark(f"add-{c['effect']}")
+            if c["effect"] in {e.id for e in view.bench.vehicle.all_effects}:
+                ui.badge("in the model").props("color=green-9")
+            else:
+                action("Add", view, "add", effect=c["effect"]).mark(f"add-{c['effect']}")
         share = 1.0 if after is None or not before else min(after / before, 1.0)
         ui.linear_progress(share, show_value=False, size="5px").props(
             "color=purple-9 track-color=grey-4 instant-feedback"
@@ -258,9 +265,8 @@ def parameters_page(view: View) -> None:
     with ui.row().classes("w-full items-center gap-4"):
         heading("Parameters", f"of the model {view.bench.session.steps[-1].what}, signs as in its file")
         action("Refit", view, "fit")
-        ui.button("Apply changes", on_click=lambda: _apply(view)).props("dense no-caps outline").mark(
-            "apply"
-        ).set_enabled(view.bench.work is None)
+        apply = ui.button("Apply changes", on_click=lambda: _apply(view)).mark("apply")
+        apply.props("dense no-caps outline padding='4px 12px'").set_enabled(view.bench.work is None)
         _undo(view)
     found, current = view.bench.place.last_result("fit")
     rows = parameter_rows(view, found if current else None)
@@ -287,7 +293,7 @@ def parameter_rows(view: View, found: Mapping[str, Any] | None) -> list[dict[str
             {
                 "name": name,
                 "about": declaration.about,
-                "unit": short_unit(declaration.unit),
+                "unit": unit_text(short_unit(declaration.unit)),
                 "prior": None if old is None else printed(declaration, old.value, vehicle.signs),
                 "prior_sigma": None if old is None else old.sigma,
                 "value": printed(declaration, value.value, vehicle.signs),
@@ -415,25 +421,31 @@ def _output(view: View, title: str, task: str, name: str, **args: Any) -> None:
     ui.label(title)
     path = ui.input(value=name).props("dense").mark(f"path-{task}")
     button = ui.button("Write", on_click=lambda: view.bench.start(task, out=path.value, **args))
-    button.props("dense no-caps").mark(f"write-{task}").set_enabled(view.bench.work is None)
+    button.props("dense no-caps padding='4px 12px'").mark(f"write-{task}").set_enabled(
+        view.bench.work is None
+    )
 
 
 def commands(place: Workspace) -> list[str]:
     """The command lines that do what was done at the workbench, in its order."""
-    session = place.session
-    given, name = place.line(), near(session.vehicle)
-    found = [given.looking(["doctor"]), given.looking(["compare"])]
-    found.append(given.fitting(["diagnose"], "--json", "diagnosis.json", "--report", "report.html"))
-    found += [
-        f"undertow effects new {shlex.quote(Path(path).stem)} --from diagnosis.json"
-        for path in session.effects
-    ]
-    for step in session.steps[1:]:
+    session, found, name, own = place.session, list[str](), near(place.session.vehicle), list[str]()
+    for step in session.steps:
         if step.command:
-            out = step.file
-            found.append(place.line(name).fitting(step.command.split(), "--out", out))
-            name = out
-        else:
+            found.append(place.line(name, own).fitting(step.command.split(), "--out", step.file))
+        elif step.file:
             found.append(f"# edit {shlex.quote(name)}: {step.what}; save it as {step.file}")
-            name = step.file
+        name = step.file or name
+        for task in step.asked:
+            word, _, effect = task.partition(" ")
+            own += [f"{effect}.py"] if effect else []
+            found.append(_asked(word, effect, place, place.line(name, own)))
     return [*found, f"undertow codegen {shlex.quote(name)}"]
+
+
+def _asked(task: str, effect: str, place: Workspace, line: CommandLine) -> str:
+    """The command that asks what a button asked."""
+    if task == "diagnose":
+        return line.fitting(["diagnose"], "--json", "diagnosis.json", "--report", "report.html")
+    if task == "invent":
+        return f"undertow effects new {effect} --from diagnosis.json"
+    return line.looking([{"examine": "doctor"}.get(task, task)])

@@ -176,10 +176,13 @@ def _turn(view: View, page: str) -> None:
 def _progress(view: View) -> None:
     from nicegui import ui
 
-    with ui.row().classes("items-center gap-2 w-96 no-wrap").mark("progress") as row:
-        bar = ui.linear_progress(0.0, show_value=False).props("color=amber track-color=blue-3 size=8px")
-        words = ui.label().classes("text-xs whitespace-nowrap overflow-hidden text-ellipsis w-64")
-        ui.button("Cancel", on_click=view.bench.cancel).props("dense flat color=white size=sm")
+    with ui.row().classes("items-center gap-2 no-wrap").mark("progress") as row:
+        bar = ui.linear_progress(0.0, show_value=False, size="8px").props("color=amber track-color=blue-3")
+        bar.classes("w-40")
+        words = ui.label().classes("text-xs whitespace-nowrap overflow-hidden text-ellipsis w-72")
+        ui.button("Cancel", on_click=view.bench.cancel).props(
+            "dense no-caps outline color=white size=sm padding='2px 10px'"
+        )
 
     def show() -> None:
         work = view.bench.work

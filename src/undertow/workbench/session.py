@@ -92,7 +92,8 @@ class ModelStep(_Table):
     `file` is a vehicle file in the folder of the session ("" for the one given), `effect` what was added,
     `command` what the command line would do the same with, with {vehicle}, {logs}, {options} and {out} to be
     filled in. `errors` are those on validation data by measure: "force" (1 is the noise), "1.6 s" ... (shares
-    of the motion); `refitted` those of the model before it, refitted without the effect.
+    of the motion); `refitted` those of the model before it, refitted without the effect. `asked` is what was
+    asked about it: tasks in their order.
     """
 
     what: str
@@ -101,6 +102,7 @@ class ModelStep(_Table):
     command: str = ""
     errors: dict[str, float] = Field(default_factory=dict)
     refitted: dict[str, float] = Field(default_factory=dict)
+    asked: list[str] = Field(default_factory=list)
 
 
 class Session(_Table):
@@ -243,11 +245,12 @@ class Workspace:
         return (self.result(kind, key) if key else None), False
 
     # --- command lines --------------------------------------------------------------------------
-    def line(self, vehicle: str | None = None) -> CommandLine:
-        """The words of a command line that stand for the vehicle, the logs and how they are read."""
+    def line(self, vehicle: str | None = None, own: Sequence[str] = ()) -> CommandLine:
+        """The words of a command line for the vehicle, the logs and how they are read, with effects `own`."""
         s, mapping = self.session, self.mapping_file
         options = ["--map", near(mapping)] if mapping and not s.written else []
-        options += [word for path in s.effects for word in ("--effects", near(path))]
+        given = [near(path) for path in s.effects if Path(path).parent != self.folder.absolute()]
+        options += [word for path in (*given, *own) for word in ("--effects", path)]
         options += ["--trust-log"] if s.trust_log else []
         train, judge = (self.log_names(role) for role in ("train", "judge"))
         return CommandLine(vehicle or near(s.vehicle), tuple(train), tuple(judge), tuple(options))

@@ -33,6 +33,7 @@ class TaskSettings:
     """How much of what is worked out is kept for the page."""
 
     candidates: int = 8  # that are simulated, the best first: more lines than that nobody compares
+    seen: float = 0.01  # fall of an error, as a share of it, below which two bars look the same
     supplied: int = 3  # candidates whose force is drawn over the residual
     runs: int = 3  # validation runs that are drawn: the fourth looks like the third
     pixels: int = 300  # of a simulated line, with a least and a greatest value each
@@ -196,14 +197,23 @@ def diagnose(job: Job) -> Result:
     for i, name in enumerate(best):
         job.report(0.8 + 0.2 * i / len(best), f"simulating it with {name}")
         candidates.append(_candidate(job, found, name, with_force=i < SETTINGS.supplied))
+    without = {FORCE: found.diagnosis.steps[0].error, **_finite(job.judges.ahead(found.before))}
+    shown = [c for c in candidates if _does_something(c, without)]
     return {
         "diagnosis": found.diagnosis.model_dump(mode="json"),
         "step": len(job.place.session.steps) - 1,
-        "errors": {FORCE: found.diagnosis.steps[0].error, **_finite(job.judges.ahead(found.before))},
+        "errors": without,
         "traces": _simulated(job, found.before),
-        "candidates": candidates,
-        "idle": [name for name in ranking if name not in found.tried],
+        "candidates": shown,
+        "idle": [name for name in ranking if name not in {c["effect"] for c in shown}],
     }
+
+
+def _does_something(candidate: Result, without: Mapping[str, float]) -> bool:
+    """Whether an effect is named, or lowers an error over some horizon by as much as can be seen."""
+    least = 1.0 - SETTINGS.seen
+    errors: dict[str, float] = candidate["errors"]
+    return candidate["named"] or any(e < least * without.get(name, 0.0) for name, e in errors.items())
 
 
 def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool) -> Result:
@@ -342,7 +352,7 @@ def invent(job: Job) -> Result:
     effect = str(job.args["effect"])
     check_id(effect)
     diagnosis = Diagnosis.model_validate(_last_diagnosis(job)["diagnosis"])
-    out = job.place.folder / f"{effect}.py"
+    out = (job.place.folder / f"{effect}.py").absolute()
     if out.exists() or effect in job.known:
         raise UndertowError(f"an effect '{effect}' is there already: choose another id")
     found = suggested(diagnosis, "the workbench")

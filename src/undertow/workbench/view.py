@@ -79,9 +79,8 @@ def stale() -> None:
     """Say that what is shown is about something else."""
     from nicegui import ui
 
-    ui.label(
-        "This was worked out for another model or other stretches: press the button to bring it up to date."
-    ).classes("bg-amber-1 text-amber-900 px-2 rounded").mark("stale")
+    words = "This was worked out before something was changed: press the button to bring it up to date."
+    ui.label(words).classes("bg-amber-1 text-amber-900 px-2 rounded").mark("stale")
 
 
 def lines(text: str) -> None:
@@ -97,6 +96,6 @@ def action(text: str, view: View, task: str, *, flat: bool = False, **args: Any)
     from nicegui import ui
 
     button = ui.button(text, on_click=lambda: view.bench.start(task, **args))
-    button.props("dense no-caps padding='2px 10px'" + (" outline" if flat else "")).mark(f"do-{task}")
+    button.props("dense no-caps padding='4px 12px'" + (" outline" if flat else "")).mark(f"do-{task}")
     button.set_enabled(view.bench.work is None)
     return button

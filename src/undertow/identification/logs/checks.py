@@ -163,15 +163,20 @@ def refuse_constant(run: Run, names: Iterable[str]) -> None:
 
 
 def refuse_twins(runs: Iterable[Run]) -> None:
-    """Refuse the same data twice: they would be judged by what they were fitted to, or weigh double."""
-    seen: dict[str, str] = {}
+    """Refuse the same data twice: they would be judged by what they were fitted to, or weigh double.
+
+    Stretches of one log that do not overlap are no twins.
+    """
+    seen: dict[str, list[Run]] = {}
     for run in runs:
-        if run.sha256 and run.sha256 in seen:
+        same = seen.setdefault(run.sha256, []) if run.sha256 else []
+        twin = next((r for r in same if r.t[0] <= run.t[-1] and run.t[0] <= r.t[-1]), None)
+        if twin is not None:
             raise UndertowError(
-                f"logs {seen[run.sha256]} and {run.source} have the same content: give each once, either to "
+                f"logs {twin.source} and {run.source} have the same content: give each once, either to "
                 "work on or for validation"
             )
-        seen[run.sha256] = run.source
+        same.append(run)
 
 
 def refuse_too_many(samples: int, log: str | Path) -> None:
