@@ -217,9 +217,10 @@ class Workspace:
     def key(self) -> str:
         """What results are worked out for: the present model, the logs and how they are read."""
         s = self.session
-        chosen = [log.model_dump() for log in s.logs]
+        # Name and size, since logs of gigabytes cannot be hashed at every look.
+        chosen = [{**log.model_dump(), "path": _seen(Path(log.path))} for log in s.logs]
         files = [hashlib.sha256(self.vehicle_file().read_bytes()).hexdigest()]
-        said = json.dumps([files, chosen, s.mapping, [r.lines for r in s.remedies], s.trust_log])
+        said = json.dumps([files, chosen, Path(s.mapping).name, [r.lines for r in s.remedies], s.trust_log])
         return hashlib.sha256(said.encode()).hexdigest()[:12]
 
     def keep(self, kind: str, key: str, content: dict[str, Any]) -> None:
@@ -265,6 +266,10 @@ class Workspace:
     def in_pieces(self) -> bool:
         """Whether stretches of logs were chosen, which command lines can name as files of their own only."""
         return any(s.role != log.role for log in self.session.logs for s in log.stretches)
+
+
+def _seen(path: Path) -> list[str | int]:
+    return [path.name, path.stat().st_size if path.exists() else 0]
 
 
 def near(path: str | Path) -> str:
