@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import re
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import polars as pl
@@ -17,18 +19,37 @@ pytest.importorskip("nicegui", reason="the extra 'workbench' (NiceGUI) is not in
 from nicegui import ui
 from nicegui.testing import User, user_simulation
 
-from tests.workbench.demo_session import DEMO, session_of
-from undertow.workbench.bench import Bench
+from tests.workbench.demo_session import DEMO, FewEffects, session_of
+from undertow.errors import UndertowError
+from undertow.workbench.bench import Bench, Work, Worker
 from undertow.workbench.server import TokenGate, set_up, window
 from undertow.workbench.session import LogChoice, ModelStep, Remedy, Workspace
+from undertow.workbench.tasks import TASKS
 
 TOKEN = "a-token"
 Story = Callable[[User, Bench], Awaitable[None]]
 
 
+class InThread(Worker):
+    """Work in a thread of this process: to start another one takes longer than the work."""
+
+    def start(self, place: Workspace, task: str, args: dict[str, Any]) -> None:
+        self.work = work = Work(task, place.key)
+        Thread(target=self._do, args=(place, work, args)).start()
+
+    def _do(self, place: Workspace, work: Work, args: dict[str, Any]) -> None:
+        job = FewEffects(
+            Workspace(place.folder, place.session.model_copy(deep=True)), args, lambda d, w: None
+        )
+        try:
+            self._finished(work, {"result": TASKS[work.task][0](job)})
+        except UndertowError as error:
+            self._finished(work, {"failed": str(error)})
+
+
 def _played(story: Story, folder: Path, wanted: Any = None) -> None:
     """Let a user go through a story on the session of a folder."""
-    bench = Bench.open(folder, wanted)
+    bench = Bench.open(folder, wanted, InThread)
     try:
         asyncio.run(_play(story, bench))
     finally:
@@ -80,7 +101,6 @@ def test_the_log_page_shows_every_channel_and_takes_stretches(place: Workspace) 
         figure = _figure(user, "channels-plot")
         titles = [v["title"]["text"] for k, v in figure["layout"].items() if k.startswith("yaxis")]
         assert titles[:5] == ["u (m/s)", "v (m/s)", "w (m/s)", "r (rad/s)", "f1"]
-        (plot,) = user.find(marker="channels-plot").elements
         with user:
             user.find(marker="channels-plot").trigger(
                 "plotly_selected", {"range": {"x": [12.0, 20.0], "y3": [0, 1]}}
@@ -133,7 +153,7 @@ def test_what_is_missing_lists_candidates_and_draws_the_one_pointed_at(place: Wo
         assert names == {"measured", "model refitted", "with ocean_current"}
         (select,) = user.find(marker="measure").elements
         assert isinstance(select, ui.select)
-        assert list(select.options)[0] == "force"
+        assert next(iter(select.options)) == "force"
         longest = list(select.options)[-2]
         with user:
             select.set_value(longest)
@@ -287,12 +307,12 @@ def test_names_out_of_files_are_text(tmp_path: Path) -> None:
     _played(story, tmp_path / "kept", wanted)
 
 
-@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=another", "/?page=out", "/_nicegui/any.css"])
-def test_nothing_is_answered_without_the_token(place: Workspace, path: str) -> None:
+def test_nothing_is_answered_without_the_token(place: Workspace) -> None:
     async def story(user: User, bench: Bench) -> None:
-        response = await user.http_client.get(path)
-        assert response.status_code == 403
-        assert "mini-auv" not in response.text
+        for path in ("/", "/?token=", "/?token=another", "/?page=out", "/_nicegui/any.css"):
+            response = await user.http_client.get(path)
+            assert response.status_code == 403
+            assert "mini-auv" not in response.text
 
     _played_on(place, story)
 
@@ -305,17 +325,13 @@ def test_the_token_is_exchanged_for_a_cookie_and_nothing_comes_from_outside(plac
         assert "SameSite=Strict" in cookie
         assert "default-src 'self'" in response.headers["content-security-policy"]
         assert (await user.http_client.get("/")).status_code == 200  # the cookie is enough now
-        assert "//" not in response.text.replace("http://test", "").replace("://www.w3.org", "").replace(
-            "//cdn", "//"
-        ) or not _outside(response.text)
+        assert _outside(response.text) == []
 
     _played_on(place, story)
 
 
 def _outside(page: str) -> list[str]:
     """Addresses of other places that the page would fetch from."""
-    import re
-
     found = re.findall(r"""(?:src|href)=["'](https?:)?//([^"'/]+)""", page)
     return [host for _, host in found if host != "test"]
 

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -35,7 +36,11 @@ class Work:
 
 
 class Worker:
-    """A process that does one task at a time; `finished` is told, in a thread, what came of it."""
+    """A process that does one task at a time.
+
+    `finished` is told, in a thread, what came of it, and then sets `work` to None: until that is taken over,
+    no other task may begin.
+    """
 
     def __init__(self, finished: Callable[[Work, Message], None]) -> None:
         self._finished = finished
@@ -86,7 +91,6 @@ class Worker:
             while "progress" in (message := json.loads(pipe.recv_bytes())):
                 work.done, work.words = message["progress"], message["words"]
         if self.work is work:
-            self.work = None
             self._finished(work, message)
 
 
@@ -108,9 +112,9 @@ def _done(order: Message, pipe: Connection) -> Message:
         return {"result": TASKS[order["task"]][0](Job(place, order["args"], report))}
     except UndertowError as error:
         return {"failed": str(error)}
-    except (ArithmeticError, LookupError, TypeError, ValueError, RuntimeError) as error:
-        import traceback
-
+    except (EOFError, BrokenPipeError):  # the page is gone, and nobody waits for this any more
+        raise
+    except Exception as error:
         traceback.print_exception(error)  # for the terminal, as the command line does
         return {"failed": f"this is a bug in undertow ({type(error).__name__}: {error}): please report it"}
 
@@ -128,20 +132,21 @@ class Bench:
     runs: list[Run] = field(default_factory=list)
     before: list[Run] = field(default_factory=list)
     reading: bool = False
+    work_by: type[Worker] = Worker
 
     def __post_init__(self) -> None:
         self._lock = threading.RLock()
-        self.worker = Worker(self._finished)
+        self.worker = self.work_by(self._finished)
         self.given = self.vehicle if len(self.session.steps) == 1 else _load(self.place, 0)
 
     @classmethod
-    def open(cls, folder: Path, wanted: Session) -> Bench:
+    def open(cls, folder: Path, wanted: Session, work_by: type[Worker] = Worker) -> Bench:
         """The workbench on a session; the vehicle is read, the logs are not yet."""
         for log in wanted.logs:
             if not Path(log.path).is_file():
                 raise UndertowError(f"log '{log.path}' does not exist: check its name")
         place = Workspace.open(folder, wanted)
-        bench = cls(place, _load(place))
+        bench = cls(place, _load(place), work_by=work_by)
         bench.read()
         return bench
 
@@ -237,16 +242,15 @@ class Bench:
 
     def _finished(self, work: Work, message: Message) -> None:
         with self._lock:
-            if "failed" in message:
-                self.failure = message["failed"]
-                self.revision += 1
-                return
-            result = message["result"]
+            self.failure = message.get("failed", "")
             try:
-                self._take(work, result)
+                if "result" in message:
+                    self._take(work, message["result"])
             except UndertowError as error:
                 self.failure = str(error)
-            self.changed()
+            finally:
+                self.worker.work = None
+                self.changed()
 
     def _take(self, work: Work, result: Message) -> None:
         """Take over what a task found."""

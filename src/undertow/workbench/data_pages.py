@@ -16,6 +16,7 @@ from .view import View, action, heading, lines, stale
 
 _USUAL = 12  # channels that are shown at first: more do not fit on a screen
 _TOGGLE = "unelevated toggle-color=blue-grey-6 color=grey-3 text-color=black"
+_NAMES = {"mistake": "#c62828", "warning": "#ff8f00"}
 _SEVERITY = {"mistake": "red", "warning": "amber-10", "note": "grey"}
 
 
@@ -176,10 +177,20 @@ def _log_figure(view: View) -> figures.Figure:
         spans=spans,
         marks=_marks(view, run),
         before=before,
+        doubtful=_doubtful(view, run),
     )
     if view.zoom is not None:
         figure["layout"]["xaxis"]["range"] = list(view.zoom)
     return figure
+
+
+def _doubtful(view: View, run: Run) -> dict[str, str]:
+    """Channels that the doctor has a mistake or a warning about, with the colour of the finding."""
+    found, current = view.bench.place.last_result("examine")
+    if found is None or not current:
+        return {}
+    serious = [f for f in reversed(found["findings"]) if f["severity"] in _NAMES]
+    return {name: _NAMES[f["severity"]] for f in serious for name in _concerned(run, f)}
 
 
 def _marks(view: View, run: Run) -> list[tuple[float, float]]:

@@ -111,8 +111,13 @@ def channels(
     spans: Sequence[tuple[float, float, str]] = (),
     marks: Sequence[tuple[float, float]] = (),
     before: Run | None = None,
+    doubtful: Mapping[str, str] | None = None,
 ) -> Figure:
-    """Channels of a run one below the other on one time axis, with what is done with its stretches."""
+    """Channels of a run one below the other on one time axis, with what is done with its stretches.
+
+    `marks` are times to be pointed out, `before` the run as it was read before; `doubtful` has colours for
+    the names of channels that something is wrong with.
+    """
     low, high = window or (float(run.t[0]), float(run.t[-1]))
     data: list[Figure] = []
     for row, name in enumerate(names, start=1):
@@ -131,14 +136,16 @@ def channels(
         "dragmode": "select",
         "selectdirection": "h",
         "hovermode": "x",
-        "uirevision": run.name,
+        "uirevision": escaped(run.name),
         "margin": {"l": 80, "r": 15, "t": 28, "b": 45},
     }
     for row, name in enumerate(names, start=1):
         top = 1.0 - (row - 1) / rows
         domain = [max(top - (1.0 - SETTINGS.gap) / rows, 0.0), top]
-        title = label(name, unit_of(name, units))
-        layout[f"yaxis{row if row > 1 else ''}"] = _axis(title, domain=domain, nticks=4)
+        axis = _axis(label(name, unit_of(name, units)), domain=domain, nticks=4)
+        if doubtful and name in doubtful:
+            axis["title"]["font"] = {"color": doubtful[name]}
+        layout[f"yaxis{row if row > 1 else ''}"] = axis
     figure = _figure(data, height, **layout)
     figure["config"] = _WITH_ZOOM
     return figure
@@ -239,7 +246,7 @@ def residual_in_time(result: Mapping[str, Any], run: int, dof: str, regime: str 
     ]
     return _figure(
         data,
-        230,
+        360,
         xaxis=_axis("time (s)"),
         yaxis=_axis(label(f"residual in {dof}", unit)),
         shapes=[_band(a, b, _MARK, 0.45) for own, a, b in spans if own == run],
@@ -341,7 +348,9 @@ def simulation(
         layout[f"yaxis{row if row > 1 else ''}"] = _axis(title, domain=domain, nticks=4)
     title = f"{run['run']}, simulated every {horizon} from the measured motion"
     layout["xaxis"]["title"]["text"] = escaped(f"time (s); {title}")
-    return _figure(data, 105 * rows + 110, **layout, showlegend=True, hovermode="x", uirevision=run["run"])
+    return _figure(
+        data, 105 * rows + 110, **layout, showlegend=True, hovermode="x", uirevision=escaped(run["run"])
+    )
 
 
 def _trace(points: Sequence[Line], name: str, colour: str, axis: str, first: bool) -> Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -105,8 +105,9 @@ def _candidates(view: View, found: Mapping[str, Any]) -> None:
     ui.label(
         f"Refitted without any of them: {shown(measure, before)}. Point at one to see it simulate."
     ).classes("text-sm text-grey-8")
+    since = {step.effect for step in view.bench.session.steps[found["step"] + 1 :]}
     for candidate in ranked:
-        _candidate(view, candidate, measure, before)
+        _candidate(view, candidate, measure, before, since)
     if found["idle"]:
         with ui.expansion(f"{len(found['idle'])} more were tried and do nothing").classes(
             "text-sm text-grey-8"
@@ -114,7 +115,8 @@ def _candidates(view: View, found: Mapping[str, Any]) -> None:
             ui.label(", ".join(found["idle"])).classes("text-sm")
 
 
-def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | None) -> None:
+def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | None, since: Set[str]) -> None:
+    """One candidate; `since` are the effects that were added after it was tried."""
     from nicegui import ui
 
     def pointed() -> None:
@@ -136,7 +138,7 @@ def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | N
             ui.label(f"{shown(measure, before)} → {shown(measure, after)}").classes(
                 "text-sm whitespace-nowrap"
             )
-            if c["effect"] in {e.id for e in view.bench.vehicle.all_effects}:
+            if c["effect"] in since:
                 ui.badge("in the model").props("color=green-9")
             else:
                 action("Add", view, "add", effect=c["effect"]).mark(f"add-{c['effect']}")
