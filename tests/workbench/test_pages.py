@@ -148,7 +148,7 @@ def test_what_is_missing_lists_candidates_and_draws_the_one_pointed_at(place: Wo
         await user.should_see(marker="candidate-ocean_current")
         said = _texts(user)
         assert "V_N = (0.1" in said
-        assert "These logs tell it from all others." in said
+        assert "No other effect does as well on these logs." in said
         names = {trace["name"] for trace in _figure(user, "simulation")["data"]}
         assert names == {"measured", "model refitted", "with ocean_current"}
         (select,) = user.find(marker="measure").elements

@@ -161,7 +161,8 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
         chance = "" if c["chance"] is None else f" Chance does as much in {c['chance']:.2g} of cases."
         ui.label(f"It explains {c['explained']:.0%} of what exceeds the noise.{chance}").classes("text-sm")
         if not c["confused"]:
-            ui.label("These logs tell it from all others.").classes("text-sm")
+            if c["named"]:
+                ui.label("No other effect does as well on these logs.").classes("text-sm")
             return
         ui.label(f"These logs hardly tell it from {', '.join(c['confused'])}.").classes("text-sm")
         if c["tell"]:

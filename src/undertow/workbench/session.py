@@ -19,7 +19,7 @@ from undertow.identification.doctor.findings import as_toml, into_file, read_edi
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.run import Run
 from undertow.identification.report.sentences import CommandLine
-from undertow.model.loading import resolve_vehicle
+from undertow.model.loading import load_vehicle, resolve_vehicle
 
 SCHEMA: Literal["undertow/workbench/1"] = "undertow/workbench/1"
 Role = Literal["train", "judge", "out"]
@@ -138,12 +138,14 @@ class Workspace:
         Raises
         ------
         UndertowError
-            If the folder has a session about another vehicle, or one that cannot be read.
+            If the vehicle cannot be read, or the folder has a session about another one or one that cannot
+            be read.
         """
         path = folder / _FILE
         if not path.exists():
-            make_folder(folder)
             wanted = wanted.model_copy(update={"vehicle_sha256": _sha(wanted.vehicle)})
+            load_vehicle(wanted.vehicle, effect_files=map(Path, wanted.effects))  # before a folder is made
+            make_folder(folder)
             place = cls(folder, wanted)
             place.save()
             return place
