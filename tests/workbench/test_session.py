@@ -9,8 +9,9 @@ import pytest
 
 from tests.workbench.demo_session import DEMO, session_of
 from undertow.errors import UndertowError
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
-from undertow.workbench.session import LogChoice, ModelStep, Remedy, Stretch, Workspace
+from undertow.workbench.session import LogChoice, ModelStep, Remedy, Session, Stretch, Workspace
 
 
 def _roles(choice: LogChoice) -> list[tuple[float, float, str]]:
@@ -103,5 +104,37 @@ def test_remedies_go_into_a_mapping_file_of_the_session(tmp_path: Path) -> None:
     assert given.read_text() == text
     assert "# by hand" in (place.folder / "mapping.toml").read_text()
     now, before = place.mapping(), place.mapping(mended=False)
+    assert now is not None
+    assert before is not None
     assert (now.columns["psi"].unit, now.frames.body) == ("deg", "FLU")
     assert (before.columns["psi"].unit, before.frames.body) == ("deg", "FRD")
+
+
+def test_runs_of_one_file_are_chosen_one_by_one(tmp_path: Path) -> None:
+    session = Session(
+        vehicle="mini-auv", logs=[LogChoice(path="dive.bin", role="judge"), LogChoice(path="b.csv")]
+    )
+    t = np.arange(3.0)
+    runs = [Run("dive-1", t, {}, source="dive.bin"), Run("dive-2", t, {}, source="dive.bin")]
+    runs.append(Run("b", t, {}, source="b.csv"))
+    session.logs = session.chosen(runs)
+    session.logs[1].role = "out"
+    assert [(c.path, c.part, c.role) for c in session.chosen(runs)] == [
+        ("dive.bin", 0, "judge"), ("dive.bin", 1, "out"), ("b.csv", 0, "train"),
+    ]  # fmt: skip
+    assert session.paths == [Path("dive.bin"), Path("b.csv")]
+    assert Workspace(tmp_path, session).in_pieces  # a command line takes the whole file
+
+
+def test_what_a_format_means_is_written_down_before_it_is_mended(tmp_path: Path) -> None:
+    place = Workspace.open(tmp_path / "kept", session_of(tmp_path))
+    used = LogMapping.model_validate({"columns": {"ATT.Yaw": {"channel": "psi"}}, "frames": {"body": "FLU"}})
+    place.state_mapping(used)
+    place.session.remedies.append(
+        Remedy(id="a", lines='[columns]\n"ATT.Yaw" = { channel = "psi", unit = "deg" }')
+    )
+    place.write_mapping()
+    now = place.mapping()
+    assert now is not None
+    assert (now.columns["ATT.Yaw"].unit, now.frames.body) == ("deg", "FLU")
+    assert place.mapping(mended=False) == used

@@ -181,7 +181,9 @@ class Bench:
             runs = read_all(self.place, self.vehicle)
             mended = bool(self.session.remedies)
             before = read_all(self.place, self.vehicle, mended=False) if mended else []
-            self.runs, self.before = runs, before
+            with self._lock:
+                self.session.logs = self.session.chosen(runs)
+                self.runs, self.before = runs, before
         except UndertowError as error:
             self.failure = str(error)
         finally:
@@ -200,6 +202,7 @@ class Bench:
 
     def take_remedy(self, remedy: Remedy) -> None:
         """Change the mapping as the doctor says, read the logs anew, and ask the doctor again."""
+        self.place.state_mapping(self.runs[0].mapping)
         self.session.remedies.append(remedy)
         self._reread()
         self.start("examine")

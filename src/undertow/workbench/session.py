@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -15,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_text, write_whole
-from undertow.identification.doctor.findings import as_toml, into_file, read_edits
+from undertow.identification.doctor.findings import Edit, as_toml, into_file, read_edits
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.run import Run
 from undertow.identification.report.sentences import CommandLine
@@ -41,11 +42,20 @@ class Stretch(_Table):
 
 
 class LogChoice(_Table):
-    """A log and what is done with it and with stretches of it; of stretches that overlap the last counts."""
+    """A log and what is done with it and with stretches of it; of stretches that overlap the last counts.
+
+    `part` numbers the runs of a file that holds several.
+    """
 
     path: str
+    part: int = 0
     role: Role = "train"
     stretches: list[Stretch] = Field(default_factory=list)
+
+    @property
+    def roles(self) -> set[Role]:
+        """All that is done with it or with parts of it."""
+        return {self.role, *(s.role for s in self.stretches)}
 
     def spans(self, first: float, last: float) -> list[Stretch]:
         """The log from its first to its last time, cut where what is done with it changes."""
@@ -123,6 +133,23 @@ class Session(_Table):
 
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
 
+    @property
+    def paths(self) -> list[Path]:
+        """The files with logs."""
+        return [Path(path) for path in dict.fromkeys(log.path for log in self.logs)]
+
+    def chosen(self, runs: Sequence[Run]) -> list[LogChoice]:
+        """What is done with each of the runs that were read; new runs of a file are used as its first."""
+        known = {(log.path, log.part): log for log in self.logs}
+        parts, found = Counter[str](), []
+        for run in runs:
+            part = parts[run.source]
+            first = known[run.source, 0]
+            new = LogChoice(path=run.source, part=part, role=first.role)
+            found.append(known.get((run.source, part), new))
+            parts[run.source] += 1
+        return found
+
 
 @dataclass
 class Workspace:
@@ -191,8 +218,10 @@ class Workspace:
             return self.folder / "mapping.toml"
         return Path(self.session.mapping) if self.session.mapping else None
 
-    def mapping(self, *, mended: bool = True) -> LogMapping:
-        """What the columns of the logs mean; without `mended`, before the last remedy."""
+    def mapping(self, *, mended: bool = True) -> LogMapping | None:
+        """What the columns of the logs mean, None where nothing says so; without `mended`, before the last
+        remedy.
+        """
         given, remedies = self.session.mapping, self.session.remedies
         if mended and remedies:
             return read_mapping(self.folder / "mapping.toml")
@@ -200,7 +229,19 @@ class Workspace:
             path = self.folder / "mapping-before.toml"
             write_whole(path, self._mapping_text(remedies[:-1]))
             return read_mapping(path)
-        return read_mapping(given) if given else LogMapping()
+        return read_mapping(given) if given else None
+
+    def state_mapping(self, used: LogMapping | None) -> None:
+        """Write down what the format of the logs means, to be mended, where no mapping file says it."""
+        if self.session.mapping or used is None or not used.columns:
+            return
+        out = self.folder / "mapping-given.toml"
+        content = used.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude={"schema_"})
+        tables = {key: value for key, value in content.items() if isinstance(value, dict)}
+        edits = [Edit("", key, value) for key, value in content.items() if key not in tables]
+        edits += [Edit(table, key, value) for table, own in tables.items() for key, value in own.items()]
+        write_whole(out, as_toml(edits, whole=True) + "\n")
+        self.session.mapping = str(out.absolute())
 
     def write_mapping(self) -> None:
         """Write the mapping file with the remedies, where there are any."""
@@ -262,12 +303,14 @@ class Workspace:
         """Files with what is fitted to ("train") or judged by ("judge")."""
         if self.session.written:
             return [near(name) for name in self.session.written if Path(name).name.startswith(role)]
-        return [near(log.path) for log in self.session.logs if log.role == role]
+        return list(dict.fromkeys(near(log.path) for log in self.session.logs if log.role == role))
 
     @property
     def in_pieces(self) -> bool:
         """Whether stretches of logs were chosen, which command lines can name as files of their own only."""
-        return any(s.role != log.role for log in self.session.logs for s in log.stretches)
+        roles = {log.path: log.role for log in self.session.logs}
+        used = ((log.path, role) for log in self.session.logs for role in log.roles)
+        return any(role != roles[path] for path, role in used)
 
 
 def _seen(path: Path) -> list[str | int]:

@@ -83,7 +83,7 @@ class Job:
     def chosen(self) -> list[tuple[str, Run]]:
         """All stretches of all logs, with what is done with each."""
         runs = read_all(self.place, self.vehicle)
-        pairs = zip(self.place.session.logs, runs, strict=True)
+        pairs = zip(self.place.session.chosen(runs), runs, strict=True)
         return [part for choice, run in pairs for part in choice.parts(run)]
 
     def runs(self, role: str) -> list[Run]:
@@ -113,11 +113,12 @@ class Job:
 
 def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list[Run]:
     """All logs of a session; without `mended` as they were read before the last remedy of the doctor."""
+    from undertow.identification.logs.mapping import LogMapping
     from undertow.identification.logs.reading import read_logs
 
-    mapping = place.mapping(mended=mended)
+    mapping = place.mapping(mended=mended) or LogMapping()
     in_any_order = mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
-    return read_logs([Path(log.path) for log in place.session.logs], vehicle, in_any_order)
+    return read_logs(place.session.paths, vehicle, in_any_order)
 
 
 def examine(job: Job) -> Result:
