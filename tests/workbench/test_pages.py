@@ -162,6 +162,38 @@ def test_what_is_missing_lists_candidates_and_draws_the_one_pointed_at(place: Wo
     _played_on(place, story)
 
 
+def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place: Workspace) -> None:
+    found = place.result("diagnose")
+    assert found is not None
+    found["candidates"][0] |= {"confused": ["constant_force"], "tell": "turn on the spot for 40 s"}
+    left = found["diagnosis"]["remaining"][0]
+    left["summary"] = "surge: 0.4 N rms goes with |u| u"
+    left["depends_on"] = [
+        {
+            "term": "|u|u", "columns": [["|u|", "u"]], "coefficients": [2.0], "standard_errors": [0.1],
+            "units": ["kg/m"], "share": 0.5, "chance": 0.001, "alike": [],
+        }
+    ]  # fmt: skip
+    place.keep("diagnose", place.key, found)
+
+    async def story(user: User, bench: Bench) -> None:
+        await user.open(f"/?token={TOKEN}&page=missing")
+        said = _texts(user)
+        assert "These logs hardly tell it from constant_force." in said
+        assert "What would: turn on the spot for 40 s" in said
+        assert "undertow plan " in said
+        assert "--goal separate --between ocean_current,constant_force" in said
+        assert "surge: 0.4 N rms goes with |u| u" in said
+        user.find(marker="invent").click()
+        await _soon(lambda: bench.work is None)
+        assert bench.failure == ""
+        await _soon(lambda: "add-my_force" in _markers(user))
+        await user.should_not_see(marker="stale")  # an effect more changes neither model nor logs
+        assert (place.folder / "my_force.py").exists()
+
+    _played_on(place, story)
+
+
 def test_add_lets_the_waterfall_fall_and_undo_takes_it_back(place: Workspace) -> None:
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}&page=missing")

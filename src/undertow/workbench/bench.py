@@ -221,7 +221,7 @@ class Bench:
     # --- models ---------------------------------------------------------------------------------
     def undo(self) -> None:
         """Go back to the model before; its file stays in the folder."""
-        if len(self.session.steps) > 1:
+        if len(self.session.steps) > 1 and self.work is None:  # what is being done is about this model
             last = self.session.steps.pop()
             self.vehicle = _load(self.place)
             self.said = f"taken back: {last.what}"

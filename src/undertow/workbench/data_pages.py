@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from undertow.identification.logs.run import UNITS, Run
+from undertow.typing import Array
 
 from . import figures
 from .session import ROLES, LogChoice, Remedy, Role
@@ -82,7 +83,7 @@ def _channels(view: View) -> None:
 
     run = view.bench.runs[view.log]
     known = _in_order(view)
-    moving = [n for n in known if np.nanmin(run.channels[n]) < np.nanmax(run.channels[n])]
+    moving = [n for n in known if np.ptp(_there(run.channels[n])) > 0]
     view.channels = [n for n in known if n in view.channels] or moving[:_USUAL] or known[:1]
     select = ui.select(known, multiple=True, value=view.channels, label="channels")
     select.props("dense use-chips options-dense").classes("w-full").mark("channels")
@@ -288,9 +289,15 @@ def _mended(view: View) -> dict[str, str]:
     return changes(before[view.log], after[view.log]) if len(before) == len(after) > view.log else {}
 
 
-def _range(data: Any, name: str) -> str:
-    unit = UNITS.get(name, "")
-    return f"{np.nanmin(data):.3g} to {np.nanmax(data):.3g} {unit}".rstrip()
+def _range(data: Array, name: str) -> str:
+    there = _there(data)
+    return f"{there.min():.3g} to {there.max():.3g} {UNITS.get(name, '')}".rstrip()
+
+
+def _there(data: Array) -> Array:
+    """The samples that are not missing; a zero where none is there."""
+    found = data[np.isfinite(data)]
+    return found if len(found) else np.zeros(1)
 
 
 def _excitation(rows: Sequence[Mapping[str, Any]]) -> None:

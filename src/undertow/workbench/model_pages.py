@@ -60,9 +60,8 @@ def _undo(view: View) -> None:
     steps = view.bench.session.steps
     if len(steps) > 1:
         words = steps[-1].what
-        ui.button(f"Undo: {words[:40]}", on_click=view.bench.undo).props(
-            "dense no-caps outline padding='4px 12px'"
-        ).mark("undo")
+        button = ui.button(f"Undo: {words[:40]}", on_click=view.bench.undo).mark("undo")
+        button.props("dense no-caps outline padding='4px 12px'").set_enabled(view.bench.work is None)
 
 
 def _verdict(found: Mapping[str, Any], current: bool) -> None:

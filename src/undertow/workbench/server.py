@@ -200,8 +200,8 @@ def _messages(bench: Bench) -> None:
 
     if bench.place.vehicle_changed:
         ui.label(
-            f"{bench.session.vehicle} was edited after this session began; models made here go on from what "
-            "it was then. Another --session begins anew."
+            f"{bench.session.vehicle} was edited or moved after this session began: 'as given' is what it is "
+            "now, and models made before come from what it was. Another --session begins anew."
         ).classes("text-amber-900 bg-amber-1 px-3 py-1 rounded w-full")
     if bench.failure:
         ui.label(bench.failure).classes("text-red-900 bg-red-1 px-3 py-1 rounded w-full").mark("failure")

@@ -194,8 +194,11 @@ class Workspace:
 
     @property
     def vehicle_changed(self) -> bool:
-        """Whether the vehicle file given was edited since the session began."""
-        return _sha(self.session.vehicle) != self.session.vehicle_sha256
+        """Whether the vehicle file given was edited, or has gone, since the session began."""
+        try:
+            return _sha(self.session.vehicle) != self.session.vehicle_sha256
+        except (UndertowError, OSError):
+            return True
 
     # --- models ---------------------------------------------------------------------------------
     def vehicle_file(self, step: int = -1) -> Path:

@@ -214,7 +214,8 @@ def _does_something(candidate: Result, without: Mapping[str, float]) -> bool:
     """Whether an effect is named, or lowers an error over some horizon by as much as can be seen."""
     least = 1.0 - SETTINGS.seen
     errors: dict[str, float] = candidate["errors"]
-    return candidate["named"] or any(e < least * without.get(name, 0.0) for name, e in errors.items())
+    told = candidate["named"] or candidate["confused"]
+    return bool(told) or any(e < least * without.get(name, 0.0) for name, e in errors.items())
 
 
 def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool) -> Result:
