@@ -173,7 +173,8 @@ class Bench:
     # --- logs -----------------------------------------------------------------------------------
     def read(self) -> None:
         """Read the logs in a thread; windows see them when they are there."""
-        self.reading = True
+        self.reading, self.failure = True, ""
+        self.revision += 1
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:

@@ -31,6 +31,7 @@ def log_page(view: View) -> None:
         words = "reading the logs ..." if bench.reading else "The logs could not be read."
         ui.label(words).mark("reading")
         if not bench.reading:
+            ui.button("Read them again", on_click=bench.read).props("dense no-caps padding='4px 12px'")
             _remedies(view)
         return
     view.log = min(view.log, len(bench.runs) - 1)

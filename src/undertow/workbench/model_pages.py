@@ -102,7 +102,8 @@ def _candidates(view: View, found: Mapping[str, Any]) -> None:
     before = found["errors"].get(measure)
     ranked = sorted(found["candidates"], key=lambda c: c["errors"].get(measure, float("inf")))
     ui.label(
-        f"Refitted without any of them: {shown(measure, before)}. Point at one to see it simulate."
+        f"Refitted without any of them: {shown(measure, before)}. Point at one to see it simulate. "
+        "Values are ± one standard error."
     ).classes("text-sm text-grey-8")
     since = {step.effect for step in view.bench.session.steps[found["step"] + 1 :]}
     for candidate in ranked:

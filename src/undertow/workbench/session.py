@@ -140,7 +140,7 @@ class Session(_Table):
 
     def chosen(self, runs: Sequence[Run]) -> list[LogChoice]:
         """What is done with each of the runs that were read; new runs of a file are used as its first."""
-        known = {(log.path, log.part): log for log in self.logs}
+        known = {(str(Path(log.path)), log.part): log for log in self.logs}
         parts, found = Counter[str](), []
         for run in runs:
             part = parts[run.source]
