@@ -9,6 +9,7 @@ import pytest
 
 from tests.workbench.demo_session import DEMO, session_of
 from undertow.errors import UndertowError
+from undertow.identification.doctor.findings import Edit, as_toml, read_edits
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.workbench.session import LogChoice, ModelStep, Remedy, Session, Stretch, Workspace
@@ -138,3 +139,13 @@ def test_what_a_format_means_is_written_down_before_it_is_mended(tmp_path: Path)
     assert now is not None
     assert (now.columns["ATT.Yaw"].unit, now.frames.body) == ("deg", "FLU")
     assert place.mapping(mended=False) == used
+
+
+def test_the_lines_of_a_finding_are_read_back_as_changes() -> None:
+    edits = (
+        Edit("", "missing_commands", "hold"),
+        Edit("columns", "heading deg", {"channel": "psi", "unit": "deg", "scale": -1.0}),
+        Edit("time", "every", 5),
+        Edit("water", "velocity", [0.1, -0.2, 0.0]),
+    )
+    assert read_edits(as_toml(edits)) == edits

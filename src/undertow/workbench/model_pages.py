@@ -158,8 +158,9 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
         lines("\n".join(c["equations"]))
         if c["not_named"]:
             ui.label(f"not named: {c['effect']} {c['not_named']}").classes("text-sm")
-        chance = "" if c["chance"] is None else f" Chance does as much in {c['chance']:.2g} of cases."
-        ui.label(f"It explains {c['explained']:.0%} of what exceeds the noise.{chance}").classes("text-sm")
+        ui.label(
+            f"It explains {c['explained']:.0%} of what exceeds the noise.{_chance(c['chance'])}"
+        ).classes("text-sm")
         if not c["confused"]:
             if c["named"]:
                 ui.label("No other effect does as well on these logs.").classes("text-sm")
@@ -170,6 +171,13 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
         between = ",".join([c["effect"], *c["confused"]])
         line = view.bench.place.line()
         lines(line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv"))
+
+
+def _chance(p: float | None) -> str:
+    if p is None:
+        return ""
+    rate = "fewer than 0.2 %" if p < 0.002 else f"{p:.1%}"  # as the command prints it
+    return f" Chance does as much in {rate} of cases."
 
 
 def _remaining(view: View, found: Mapping[str, Any]) -> None:
