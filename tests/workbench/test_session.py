@@ -27,6 +27,12 @@ def test_the_last_stretch_counts_where_two_overlap() -> None:
     assert _roles(choice) == [(0.0, 10.0, "train"), (10.0, 25.0, "out"), (25.0, 60.0, "judge")]
 
 
+def test_a_span_leaves_out_what_lies_around_it() -> None:
+    choice = LogChoice.within(Path("log.csv"), "judge", (5.0, 20.0))
+    assert _roles(choice) == [(0.0, 5.0, "out"), (5.0, 20.0, "judge"), (20.0, 60.0, "out")]
+    assert _roles(LogChoice.within(Path("log.csv"), "train", (None, None))) == [(0.0, 60.0, "train")]
+
+
 def test_neighbours_that_are_used_alike_are_one_stretch() -> None:
     choice = LogChoice(path="log.csv", stretches=[Stretch(start=10.0, end=30.0, role="out")])
     choice.stretches.append(Stretch(start=20.0, end=30.0, role="train"))

@@ -19,7 +19,7 @@ from typing import Annotated
 
 import typer
 
-from ._options import EffectsOption, HoldoutOption, LogsArgument, MapOption, TrustOption, VehicleArgument
+from ._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
 from ._terminal import progress, say
 
 _SESSION = typer.Option("--session", metavar="FOLDER", help="Folder that the session is kept in.")
@@ -27,13 +27,12 @@ _PORT = typer.Option("--port", min=1, max=65535, help="Port of the page.")
 _BROWSER = typer.Option("--browser/--no-browser", help="Open the page in the browser.")
 
 
+@bundled
 def workbench(
     vehicle: VehicleArgument,
     logs: LogsArgument,
+    options: LogOptions,
     holdout: HoldoutOption = None,
-    map: MapOption = None,
-    effects: EffectsOption = None,
-    trust_log: TrustOption = False,
     session: Annotated[Path | None, _SESSION] = None,
     port: Annotated[int, _PORT] = 8080,
     browser: Annotated[bool, _BROWSER] = True,
@@ -46,16 +45,18 @@ def workbench(
 
     from undertow.workbench.bench import Bench
 
+    span = options.since, options.until
     # Whole paths, so that the session can go on from any folder.
     wanted = Session(
         vehicle=str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle,
         logs=[
-            *(LogChoice(path=str(path.absolute())) for path in logs),
-            *(LogChoice(path=str(path.absolute()), role="judge") for path in holdout or []),
+            *(LogChoice.within(path.absolute(), "train", span) for path in logs),
+            *(LogChoice.within(path.absolute(), "judge", span) for path in holdout or []),
         ],
-        effects=[str(path.absolute()) for path in effects or []],
-        mapping="" if map is None else str(map.absolute()),
-        trust_log=trust_log,
+        effects=[str(path.absolute()) for path in options.effects or []],
+        mapping="" if options.map is None else str(options.map.absolute()),
+        fill=options.fill,
+        trust_log=options.trust_log,
     )
     folder = session or Path(f"{Path(vehicle).stem}.workbench")
     with progress("reading the vehicle", None):

@@ -17,7 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_text, write_whole
 from undertow.identification.doctor.findings import Edit, as_toml, into_file, read_edits
-from undertow.identification.logs.mapping import LogMapping, read_mapping
+from undertow.identification.logs.checks import MEASURABLE
+from undertow.identification.logs.mapping import CommandPolicy, LogMapping, read_mapping
 from undertow.identification.logs.run import Run
 from undertow.identification.report.sentences import CommandLine
 from undertow.model.loading import load_vehicle, resolve_vehicle
@@ -51,6 +52,14 @@ class LogChoice(_Table):
     part: int = 0
     role: Role = "train"
     stretches: list[Stretch] = Field(default_factory=list)
+
+    @classmethod
+    def within(cls, path: Path, role: Role, span: tuple[float | None, float | None]) -> LogChoice:
+        """A log of which what lies before and after a span is left out."""
+        ever, (since, until) = MEASURABLE.largest, span
+        early = [] if since is None else [Stretch(start=-ever, end=since, role="out")]
+        late = [] if until is None else [Stretch(start=until, end=ever, role="out")]
+        return cls(path=str(path), role=role, stretches=[*early, *late])
 
     @property
     def roles(self) -> set[Role]:
@@ -125,6 +134,7 @@ class Session(_Table):
     effects: list[str] = Field(default_factory=list)
     mapping: str = ""
     remedies: list[Remedy] = Field(default_factory=list)
+    fill: CommandPolicy | None = None
     trust_log: bool = False
     measure: str = FORCE
     steps: list[ModelStep] = Field(default_factory=lambda: [ModelStep(what="as given")])
@@ -266,7 +276,9 @@ class Workspace:
         # Name and size, since logs of gigabytes cannot be hashed at every look.
         chosen = [{**log.model_dump(), "path": _seen(Path(log.path))} for log in s.logs]
         files = [hashlib.sha256(self.vehicle_file().read_bytes()).hexdigest()]
-        said = json.dumps([files, chosen, Path(s.mapping).name, [r.lines for r in s.remedies], s.trust_log])
+        said = json.dumps(
+            [files, chosen, Path(s.mapping).name, [r.lines for r in s.remedies], s.fill, s.trust_log]
+        )
         return hashlib.sha256(said.encode()).hexdigest()[:12]
 
     def keep(self, kind: str, key: str, content: dict[str, Any]) -> None:
@@ -298,6 +310,7 @@ class Workspace:
         options = ["--map", near(mapping)] if mapping and not s.written else []
         given = [near(path) for path in s.effects if Path(path).parent != self.folder.absolute()]
         options += [word for path in (*given, *own) for word in ("--effects", path)]
+        options += ["--fill", s.fill] if s.fill and not s.written else []
         options += ["--trust-log"] if s.trust_log else []
         train, judge = (self.log_names(role) for role in ("train", "judge"))
         return CommandLine(vehicle or near(s.vehicle), tuple(train), tuple(judge), tuple(options))

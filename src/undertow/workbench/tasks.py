@@ -118,7 +118,7 @@ def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list
 
     mapping = place.mapping(mended=mended) or LogMapping()
     in_any_order = mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
-    return read_logs(place.session.paths, vehicle, in_any_order)
+    return read_logs(place.session.paths, vehicle, in_any_order, missing_commands=place.session.fill)
 
 
 def examine(job: Job) -> Result:
