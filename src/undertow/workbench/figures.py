@@ -65,6 +65,11 @@ def plain(values: Iterable[float], digits: int = 7) -> Line:
     return [float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in values]
 
 
+def number(value: float) -> str:
+    """A number in three digits, without powers of ten where it is large."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
 def escaped(text: str) -> str:
     """A name for a picture, where Plotly would read tags in it."""
     return html.escape(text)
@@ -195,7 +200,7 @@ def error_map(result: Mapping[str, Any], chosen: tuple[str, str] | None) -> Figu
         "x": list(range(len(names))),
         "y": list(range(len(dofs))),
         "z": [[None if v is None else math.log10(max(v, 1.0)) for v in row] for row in ratio],
-        "text": [["" if v is None else f"{v:.3g}" for v in row] for row in ratio],
+        "text": [["" if v is None else number(v) for v in row] for row in ratio],
         "customdata": [["" if c is None else _cell_words(c, result["dofs"]) for c in row] for row in cells],
         "hovertemplate": "%{customdata}<extra></extra>",
         "texttemplate": "%{text}",
@@ -377,7 +382,7 @@ def waterfall(bars: Sequence[tuple[str, float | None]], unit: str, *, floor: flo
         "type": "bar",
         "x": list(range(len(shown))),
         "y": values,
-        "text": [f"{v:.3g}" for v in values],
+        "text": [number(v) for v in values],
         "textposition": "outside",
         "cliponaxis": False,
         "marker": {"color": [_BETTER if i == last and last > 0 else "#90a4ae" for i in range(len(shown))]},

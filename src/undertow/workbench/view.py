@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .bench import Bench
+from .figures import number
 from .session import FORCE
 
 
@@ -56,7 +57,7 @@ def shown(measure: str, error: float | None) -> str:
     """An error in its unit."""
     if error is None:
         return "diverges"
-    return f"{error:.3g}" if measure == FORCE else f"{100 * error:.3g} %"
+    return number(error) if measure == FORCE else f"{number(100 * error)} %"
 
 
 def measures(*tables: Mapping[str, float]) -> list[str]:
