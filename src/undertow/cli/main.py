@@ -26,6 +26,8 @@ from ._terminal import insisting
 
 _ENTRY = "main"
 _TAKING_SEVERAL = {"--holdout"}
+# Commands that stand in the file of another one, which is about the same; their help is the function's.
+_IN_FILE_OF = {"audit-tables": "audit"}
 
 
 def commands() -> dict[str, str]:
@@ -34,20 +36,20 @@ def commands() -> dict[str, str]:
     ``a_b.py`` is the command ``a-b``, ``import_.py`` the command ``import``.
     """
     names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
-    public = [name for name in names if name[0] != "_" and name != _ENTRY]
-    return {_command(name): _first_line(name) for name in public}
+    public = [_command(name) for name in names if name[0] != "_" and name != _ENTRY]
+    return {name: _help(name).partition("\n")[0] for name in sorted([*public, *_IN_FILE_OF])}
 
 
 def load(name: str) -> Any:
     """Import the module of a command and build the command from it.
 
     The module holds a ``typer.Typer`` called ``app`` (a command with sub-commands) or a function called like
-    the module. The module's docstring is the text of ``--help``; indented paragraphs of it keep their lines.
+    the command. The module's docstring is the text of ``--help``; indented paragraphs of it keep their lines.
     """
-    module = import_module(f"{package.__name__}.{_module(name)}")
+    module = import_module(f"{package.__name__}.{_file(name)}")
     command = _command_of(module, name)
     command.name = name
-    command.help = _paragraphs(module.__doc__ or "")
+    command.help = _paragraphs(_help(name))
     return command
 
 
@@ -75,19 +77,27 @@ def each_named(words: Sequence[str]) -> list[str]:
 
 
 def _command_of(module: ModuleType, name: str) -> Any:
-    app = getattr(module, "app", None)
-    if app is None:
-        app = typer.Typer(add_completion=False)
+    several = name not in _IN_FILE_OF and hasattr(module, "app")
+    app = module.app if several else typer.Typer(add_completion=False)
+    if not several:
         app.command()(getattr(module, _module(name)))
     app.rich_markup_mode = None  # plain text everywhere: quick to import, readable in a log
-    return typer.main.get_group(app) if hasattr(module, "app") else typer.main.get_command(app)
+    return typer.main.get_group(app) if several else typer.main.get_command(app)
 
 
-def _first_line(name: str) -> str:
-    spec = PathFinder.find_spec(f"{package.__name__}.{name}", package.__path__)
-    source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
-    text = ast.get_docstring(ast.parse(source)) or ""
-    return text.partition("\n")[0]
+def _help(name: str) -> str:
+    """What a command says of itself, read without importing it."""
+    spec = PathFinder.find_spec(f"{package.__name__}.{_file(name)}", package.__path__)
+    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else "")
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    own = next((f for f in functions if name in _IN_FILE_OF and f.name == _module(name)), None)
+    # The lines of a module's text are kept as they are, indented paragraphs among them.
+    text = ast.get_docstring(tree, clean=False) if own is None else ast.get_docstring(own)
+    return text or ""
+
+
+def _file(name: str) -> str:
+    return _module(_IN_FILE_OF.get(name, name))
 
 
 def _command(module: str) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
+from undertow.files import write_whole
 from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.saving import save_vehicle
@@ -418,6 +419,18 @@ def read_log(
         if beyond_memory([log]):
             return read_in_parts(log)
     return read(path, meaning, commands, window=window)
+
+
+def save_log(run: Run, out: Path) -> None:
+    """Write a run as CSV with the channel names and SI units of undertow, so that it needs no mapping file.
+
+    What was derived from other channels is left out: whoever reads the file derives it again.
+    """
+    import polars as pl
+
+    measured = {name: data for name, data in run.channels.items() if name not in run.derived}
+    table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)
+    write_whole(out, table.write_csv())
 
 
 def fit(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -132,6 +132,11 @@ class ResultBuilder:
     def after(self) -> Fitted:
         """The fit with what is named, or the refitted model where nothing is."""
         return self.fits[len(self.judgement.effects)]
+
+    @property
+    def tried(self) -> dict[str, Fitted]:
+        """The fits with the candidates of the first round that have parameters other than zero."""
+        return {f.id: f.trial.fit for f in self.found.rounds[0].findings if f.trial.kept}
 
     @cached_property
     def _left(self) -> list[Remaining]:
@@ -435,6 +440,8 @@ class DiagnosisResult:
         The fit of `after`.
     given, helped : Vehicle, optional
         The model before any fit, and with all that helps to predict: what a report shows beside the others.
+    tried : dict of Fitted
+        The refitted model with each of the candidates that do something, by the id of the effect.
     """
 
     diagnosis: Diagnosis
@@ -445,6 +452,7 @@ class DiagnosisResult:
     fit: Fitted
     given: Vehicle | None = None
     helped: Vehicle | None = None
+    tried: Mapping[str, Fitted] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -573,6 +581,7 @@ def diagnose(
         builder.after,
         vehicle,
         builder.fits[-1].vehicle,
+        builder.tried,
     )
 
 

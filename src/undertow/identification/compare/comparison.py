@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
@@ -331,10 +331,36 @@ class Comparison:
     free_run: Prediction
     forces: Forces  # Force that the model lacks, along the logs
     profiles: list[Profile]  # The same against every variable
+    regimes: list[Regime]  # The parts of the logs that the error map tells apart
 
     def to_json(self) -> str:
         """The result as JSON."""
         return self.result.model_dump_json(indent=1) + "\n"
+
+    def stretches(self, degree_of_freedom: str, regime: str) -> list[tuple[int, float, float]]:
+        """When a field of the error map applies: number of the run, begin and end in s of each stretch."""
+        place = self.result.degrees_of_freedom.index(degree_of_freedom)
+        inside = next(r.inside[:, place] for r in self.regimes if r.name == regime)
+        forces, found = self.forces, list[tuple[int, float, float]]()
+        for segment in np.unique(forces.segment):
+            rows = np.flatnonzero(forces.segment == segment)
+            half = float(np.median(np.diff(forces.t[rows]))) / 2 if len(rows) > 1 else 0.0
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], inside[rows], [False]]).astype(int)))
+            for first, end in edges.reshape(-1, 2):
+                t = forces.t[rows[first:end]]
+                found.append((int(forces.run[rows[0]]), float(t[0]) - half, float(t[-1]) + half))
+        return found
+
+    @property
+    def variables(self) -> dict[str, tuple[str, Array]]:
+        """What the residual force may go with: unit and values (K,) of every variable, by name."""
+        found = _variables(self.forces, self.vehicle, self.measured_pose)
+        return {name: (unit, value) for name, unit, value in found}
+
+    @property
+    def measured_pose(self) -> tuple[str, ...]:
+        """Names of the pose coordinates that all logs have."""
+        return _measured_pose(self.vehicle, self.ahead.windows.runs)
 
 
 def compare(
@@ -375,8 +401,9 @@ def compare(
     ahead = predict_each(vehicles, cut(runs, vehicle, horizon), predictor)
     free_run = predict_each(vehicles, cut(runs, vehicle, None), predictor)
     progress(0.9, "error map")
-    pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
-    cells = _cells(forces, vehicle, data.sigma)
+    pose = _measured_pose(vehicle, runs)
+    found = regimes(forces, vehicle, data.sigma)
+    cells = _cells(forces, vehicle, found)
     worst = _worst(cells)
     result = ComparisonResult(
         undertow=__version__,
@@ -395,7 +422,23 @@ def compare(
         budget=_budget(forces, vehicle),
         seconds=time.perf_counter() - began,
     )
-    return Comparison(result, vehicle, ahead, free_run, forces, profiles(forces, vehicle, pose))
+    return Comparison(result, vehicle, ahead, free_run, forces, profiles(forces, vehicle, pose), found)
+
+
+def supplied(vehicle: Vehicle, better: Vehicle, runs: Sequence[Run]) -> list[Profile]:
+    """The force by which another model comes nearer to logs than this one does, against every variable.
+
+    What belongs to each run is estimated for the other model as `compare` does.
+    """
+    vehicles, rest = zip(*(adapted(better, run) for run in runs), strict=True)
+    lacking = residual_forces(vehicle, rest)
+    left = residual_forces(Functions(better), rest, prepare(rest, better), vehicles)
+    difference = replace(lacking, missing=lacking.missing - left.missing)
+    return profiles(difference, vehicle, _measured_pose(vehicle, rest))
+
+
+def _measured_pose(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[str, ...]:
+    return tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
 
 
 def _possible(horizon: float, data: WeakData) -> float:
@@ -469,8 +512,7 @@ def _against_noise(residual: Array, sigma: Array) -> dict[str, Any]:
 
 
 # --- error map --------------------------------------------------------------------------------
-def _cells(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Cell]:
-    found = regimes(forces, vehicle, sigma)
+def _cells(forces: Forces, vehicle: Vehicle, found: Sequence[Regime]) -> list[Cell]:
     return [_cell(forces, vehicle, i, r) for i in range(len(vehicle.dof_indices)) for r in found]
 
 

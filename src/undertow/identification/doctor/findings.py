@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable
 from collections.abc import Mapping as TypingMapping
 from typing import Any, Literal, NamedTuple
@@ -176,6 +177,15 @@ def as_toml(edits: Iterable[Edit], *, whole: bool = False) -> str:
     parts += [f"[{table}]\n{_lines(content)}" for table, content in tables.items()]
     head = f'schema = "{SCHEMA}"\n' if whole else ""
     return head + "\n".join(part for part in parts if part).strip()
+
+
+def read_edits(lines: str) -> Edits:
+    """The changes that the lines of a finding stand for: the way back of `as_toml`."""
+    content = tomllib.loads(lines)
+    tables = {key: value for key, value in content.items() if isinstance(value, dict)}
+    on_top = [Edit("", key, value) for key, value in content.items() if key not in tables]
+    inside = [Edit(table, key, value) for table, own in tables.items() for key, value in own.items()]
+    return (*on_top, *inside)
 
 
 def _lines(content: dict[str, Any]) -> str:

@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.identification.compare.comparison import Comparison, Profile
-from undertow.identification.estimation.predictor import predict
-from undertow.identification.estimation.windows import Prediction
-from undertow.identification.logs.run import UNITS
+from undertow.identification.estimation.adaptation import adapted
+from undertow.identification.estimation.predictor import Predictor, predict, predict_each
+from undertow.identification.estimation.windows import Prediction, cut
+from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE_UNITS, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -62,6 +63,16 @@ def traces(
     windows = f"every {before.result.horizon:g} s from the measured motion"
     how = f"simulated {'without any correction' if free else windows}"
     return [RunTraces(run.name, tuple(_traces(i, shown)), how) for i, run in enumerate(found.runs)]
+
+
+def simulated(vehicle: Vehicle, runs: Sequence[Run], horizon: float | None) -> list[RunTraces]:
+    """Measured and simulated channels of runs over windows of a length in s (None: up to the next gap).
+
+    What belongs to each run is estimated from its first third, which is then left out, as `compare` does.
+    """
+    vehicles, rest = zip(*(adapted(vehicle, run) for run in runs), strict=True)
+    found = predict_each(vehicles, cut(rest, vehicle, horizon), Predictor(vehicles[0], compiled=False))
+    return [RunTraces(run.name, tuple(_traces(i, {"before": found}))) for i, run in enumerate(rest)]
 
 
 def _traces(run: int, models: Mapping[str, Prediction]) -> Iterator[Trace]:

@@ -1,0 +1,65 @@
+"""Look at logs and model on a local page: where it fails, what is missing, and what repairs it.
+
+The page shows the logs with the doctor's findings, the error map, the candidates for what is missing and
+what each of them does to the error, and the parameters; effects are added and taken back by buttons. What
+was chosen and found is kept in a folder (VEHICLE.workbench, or that of --session) and is there again at the
+next start, with the vehicle files that were made on the way.
+
+    undertow workbench rov.toml run1.csv run2.csv --holdout run3.csv
+
+The page is served on this machine only (127.0.0.1), at an address with a token that is printed and without
+which nothing is answered; nothing is fetched from outside. It is drawn by NiceGUI:
+pip install "undertow[workbench]".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
+from ._terminal import progress, say
+
+_SESSION = typer.Option("--session", metavar="FOLDER", help="Folder that the session is kept in.")
+_PORT = typer.Option("--port", min=1, max=65535, help="Port of the page.")
+_BROWSER = typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+
+
+@bundled
+def workbench(
+    vehicle: VehicleArgument,
+    logs: LogsArgument,
+    options: LogOptions,
+    holdout: HoldoutOption = None,
+    session: Annotated[Path | None, _SESSION] = None,
+    port: Annotated[int, _PORT] = 8080,
+    browser: Annotated[bool, _BROWSER] = True,
+) -> None:
+    from undertow.workbench.server import require_nicegui, require_port, serve
+    from undertow.workbench.session import LogChoice, Session
+
+    require_nicegui()
+    require_port(port)
+
+    from undertow.workbench.bench import Bench
+
+    span = options.since, options.until
+    # Whole paths, so that the session can go on from any folder.
+    wanted = Session(
+        vehicle=str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle,
+        logs=[
+            *(LogChoice.within(path.absolute(), "train", span) for path in logs),
+            *(LogChoice.within(path.absolute(), "judge", span) for path in holdout or []),
+        ],
+        effects=[str(path.absolute()) for path in options.effects or []],
+        mapping="" if options.map is None else str(options.map.absolute()),
+        fill=options.fill,
+        trust_log=options.trust_log,
+    )
+    folder = session or Path(f"{Path(vehicle).stem}.workbench")
+    with progress("reading the vehicle", None):
+        bench = Bench.open(folder, wanted)
+    say(f"the session is kept in {folder}; Ctrl-C ends the workbench")
+    serve(bench, port, show=browser, said=say)

@@ -1,0 +1,469 @@
+"""The pictures of the workbench, as plain dictionaries for Plotly; names out of files are escaped."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from undertow.figures import unit_text
+from undertow.identification.logs.run import UNITS, Run
+from undertow.identification.report.page import parameter_text
+from undertow.typing import Array
+
+Figure = dict[str, Any]
+Line = list[float | None]
+
+
+@dataclass(frozen=True)
+class FigureSettings:
+    """Sizes that were chosen by looking at the pages on a screen of 1400 pixels."""
+
+    pixels: int = 1000  # of a channel, with a least and a greatest value each
+    row: int = 92  # height of a channel, pixels
+    gap: float = 0.12  # share of a row between two
+    darkest: float = 3.0  # decades of residual force over noise from white to the darkest red
+
+
+SETTINGS = FigureSettings()
+COLOURS = {"train": "#1565c0", "judge": "#2e7d32", "out": "#9e9e9e"}
+ROLE_WORDS = {"train": "training", "judge": "judging", "out": "left out"}
+_MEASURED, _MODEL, _BETTER, _MARK = "#212121", "#e07b00", "#6a1b9a", "#ffca28"
+_FONT = {"family": "Roboto, sans-serif", "size": 12, "color": "#333333"}
+_BARE = {"displayModeBar": False, "responsive": True}
+_WITH_ZOOM = {
+    "displaylogo": False,
+    "responsive": True,
+    "displayModeBar": True,
+    "modeBarButtonsToRemove": ["lasso2d", "autoScale2d", "toImage", "zoomIn2d", "zoomOut2d"],
+}
+
+
+def thinned(t: Array, y: Array, pixels: int = SETTINGS.pixels) -> tuple[Array, Array]:
+    """A series of which every pixel keeps its least and its greatest value, each at its own time.
+
+    `t`, `y`: (n,); what is returned has at most 2 `pixels` entries. A pixel without any value is NaN.
+    """
+    size = math.ceil(len(t) / pixels)
+    if size <= 2:
+        return t, y
+    short = -len(t) % size
+    table = np.concatenate([y, np.full(short, np.nan)]).reshape(-1, size)
+    least = np.argmin(np.where(np.isnan(table), np.inf, table), axis=1)
+    most = np.argmax(np.where(np.isnan(table), -np.inf, table), axis=1)
+    columns = np.sort(np.column_stack([least, most]), axis=1)
+    rows = np.minimum((columns + size * np.arange(len(table))[:, None]).ravel(), len(t) - 1)
+    return t[rows], y[rows]
+
+
+def plain(values: Iterable[float], digits: int = 7) -> Line:
+    """Numbers for JSON, in as many digits as a screen can show; None where there is none."""
+    return [float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in values]
+
+
+def number(value: float) -> str:
+    """A number in three digits, without powers of ten where it is large."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def escaped(text: str) -> str:
+    """A name for a picture, where Plotly would read tags in it."""
+    return html.escape(text)
+
+
+def label(name: str, unit: str) -> str:
+    """A variable with its unit."""
+    shown = unit_text(unit)
+    return escaped(f"{name} ({shown})" if shown not in ("", "1", "command") else name)
+
+
+def _figure(data: list[Figure], height: int, **layout: Any) -> Figure:
+    base = {
+        "height": height,
+        "font": _FONT,
+        "margin": {"l": 70, "r": 20, "t": 30, "b": 45},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "#ffffff",
+        "showlegend": False,
+        "hoverlabel": {"namelength": -1},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#9e9e9e", "activecolor": "#0d47a1"},
+        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0},
+    }
+    return {"data": data, "layout": {**base, **layout}, "config": _BARE}
+
+
+def _axis(title: str = "", **more: Any) -> Figure:
+    lines = {"gridcolor": "#eeeeee", "zerolinecolor": "#cccccc", "linecolor": "#cccccc", "automargin": True}
+    return {"title": {"text": title, "standoff": 6}, **lines, **more}
+
+
+# --- logs ---------------------------------------------------------------------------------------
+def unit_of(name: str, commands: Mapping[str, str]) -> str:
+    """Unit of a channel of a run."""
+    return UNITS.get(name, commands.get(name, ""))
+
+
+def channels(
+    run: Run,
+    names: Sequence[str],
+    units: Mapping[str, str],
+    *,
+    window: tuple[float, float] | None = None,
+    spans: Sequence[tuple[float, float, str]] = (),
+    marks: Sequence[tuple[float, float]] = (),
+    before: Run | None = None,
+    doubtful: Mapping[str, str] | None = None,
+) -> Figure:
+    """Channels of a run one below the other on one time axis, with what is done with its stretches.
+
+    `marks` are times to be pointed out, `before` the run as it was read before; `doubtful` has colours for
+    the names of channels that something is wrong with.
+    """
+    low, high = window or (float(run.t[0]), float(run.t[-1]))
+    data: list[Figure] = []
+    for row, name in enumerate(names, start=1):
+        if before is not None and before.has(name):
+            data.append(_channel(before, name, row, (low, high), "#bdbdbd", "before"))
+        data.append(_channel(run, name, row, (low, high), _MEASURED, name))
+    # Plotly offers its box for choosing a stretch only where some trace has markers.
+    data.append({"type": "scatter", "mode": "markers", "x": [None], "y": [None], "hoverinfo": "skip"})
+    rows = len(names)
+    height = SETTINGS.row * rows + 80
+    shapes = [_band(a, b, COLOURS[role], 0.10) for a, b, role in spans]
+    shapes += [_band(a, b, _MARK, 0.45) for a, b in marks]
+    layout: Figure = {
+        "xaxis": _axis("time (s)", anchor=f"y{rows if rows > 1 else ''}"),
+        "shapes": shapes,
+        "dragmode": "select",
+        "selectdirection": "h",
+        "hovermode": "x",
+        "uirevision": escaped(run.name),
+        "margin": {"l": 80, "r": 15, "t": 28, "b": 45},
+    }
+    for row, name in enumerate(names, start=1):
+        top = 1.0 - (row - 1) / rows
+        domain = [max(top - (1.0 - SETTINGS.gap) / rows, 0.0), top]
+        axis = _axis(label(name, unit_of(name, units)), domain=domain, nticks=4)
+        if doubtful and name in doubtful:
+            axis["title"]["font"] = {"color": doubtful[name]}
+        layout[f"yaxis{row if row > 1 else ''}"] = axis
+    figure = _figure(data, height, **layout)
+    figure["config"] = _WITH_ZOOM
+    return figure
+
+
+def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour: str, said: str) -> Figure:
+    first, last = np.searchsorted(run.t, window)
+    rows = slice(max(int(first) - 1, 0), int(last) + 1)
+    t, y = thinned(run.t[rows], run.channels[name][rows])
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": escaped(said),
+        "x": plain(t, 9),
+        "y": plain(y),
+        "yaxis": f"y{row if row > 1 else ''}",
+        "line": {"width": 1, "color": colour},
+    }
+
+
+def _band(start: float, end: float, colour: str, opacity: float) -> Figure:
+    return {
+        "type": "rect",
+        "xref": "x",
+        "yref": "paper",
+        "x0": start,
+        "x1": end,
+        "y0": 0,
+        "y1": 1,
+        "fillcolor": colour,
+        "opacity": opacity,
+        "line": {"width": 0},
+        "layer": "below",
+    }
+
+
+# --- where it fails -----------------------------------------------------------------------------
+def error_map(result: Mapping[str, Any], chosen: tuple[str, str] | None) -> Figure:
+    """Residual force over its noise by degree of freedom and regime; the chosen cell is framed."""
+    dofs = list(result["dofs"])
+    names = list(dict.fromkeys(c["regime"] for c in result["cells"]))
+    found = {(c["degree_of_freedom"], c["regime"]): c for c in result["cells"]}
+    cells = [[found.get((dof, name)) for name in names] for dof in dofs]
+    ratio = [[None if c is None else c["normalised"] for c in row] for row in cells]
+    heat = {
+        "type": "heatmap",
+        "x": list(range(len(names))),
+        "y": list(range(len(dofs))),
+        "z": [[None if v is None else math.log10(max(v, 1.0)) for v in row] for row in ratio],
+        "text": [["" if v is None else number(v) for v in row] for row in ratio],
+        "customdata": [["" if c is None else _cell_words(c, result["dofs"]) for c in row] for row in cells],
+        "hovertemplate": "%{customdata}<extra></extra>",
+        "texttemplate": "%{text}",
+        "colorscale": [[0, "#ffffff"], [0.5, "#ffb74d"], [1, "#c62828"]],
+        "zmin": 0,
+        "zmax": SETTINGS.darkest,
+        "xgap": 2,
+        "ygap": 2,
+        "showscale": False,
+    }
+    shapes = []
+    if chosen is not None and chosen[0] in dofs and chosen[1] in names:
+        x, y = names.index(chosen[1]), dofs.index(chosen[0])
+        frame = {"x0": x - 0.48, "x1": x + 0.48, "y0": y - 0.46, "y1": y + 0.46}
+        shapes = [{"type": "rect", **frame, "line": {"width": 3, "color": "#0d47a1"}}]
+    ticks: Figure = {"tickmode": "array", "showgrid": False, "zeroline": False}
+    return _figure(
+        [heat],
+        44 * len(dofs) + 90,
+        xaxis=_axis(tickvals=heat["x"], ticktext=[escaped(n) for n in names], tickangle=-35, **ticks),
+        yaxis=_axis(tickvals=heat["y"], ticktext=dofs, autorange="reversed", **ticks),
+        shapes=shapes,
+        margin={"l": 70, "r": 20, "t": 5, "b": 20},
+    )
+
+
+def _cell_words(cell: Mapping[str, Any], units: Mapping[str, str]) -> str:
+    dof, unit = cell["degree_of_freedom"], unit_text(units[cell["degree_of_freedom"]])
+    share = cell["explained_by_noise"]
+    return escaped(
+        f"{dof} {cell['phrase']}: residual {cell['residual_rms']:.3g} {unit}, {cell['normalised']:.3g} times "
+        f"its noise ({share:.0%} explained by noise), {cell['samples']} samples"
+    )
+
+
+def residual_in_time(result: Mapping[str, Any], run: int, dof: str, regime: str | None) -> Figure:
+    """The force that a model lacks along one run, with its noise, and the times of a regime marked."""
+    rows = [i for i, own in enumerate(result["run"]) if own == run]
+    t, force, noise = (
+        [column[i] for i in rows] for column in (result["t"], result["missing"][dof], result["noise"][dof])
+    )
+    spans = result["stretches"][dof].get(regime, []) if regime else []
+    unit = result["dofs"][dof]
+    data = [
+        *_ribbon(t, [0.0] * len(t), [1.96 * (n or 0.0) for n in noise], "#90a4ae", "noise of the sensors"),
+        {"type": "scatter", "mode": "lines", "name": "residual force", "x": t, "y": force}
+        | {"line": {"width": 1.2, "color": _MODEL}},
+    ]
+    return _figure(
+        data,
+        360,
+        xaxis=_axis("time (s)"),
+        yaxis=_axis(label(f"residual in {dof}", unit)),
+        shapes=[_band(a, b, _MARK, 0.45) for own, a, b in spans if own == run],
+        showlegend=True,
+        hovermode="x",
+    )
+
+
+def _ribbon(
+    x: Sequence[Any], middle: Sequence[Any], half: Sequence[Any], colour: str, name: str
+) -> list[Figure]:
+    """A band around a line, as two lines with the space between filled."""
+    low = [None if m is None or h is None else m - h for m, h in zip(middle, half, strict=True)]
+    high = [None if m is None or h is None else m + h for m, h in zip(middle, half, strict=True)]
+    line = {"type": "scatter", "mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "x": list(x)}
+    return [
+        {**line, "y": low, "showlegend": False},
+        {**line, "y": high, "fill": "tonexty", "fillcolor": f"{colour}55", "name": name},
+    ]
+
+
+def residual_against(
+    result: Mapping[str, Any],
+    dof: str,
+    variable: str,
+    regime: str | None = None,
+    curve: tuple[str, Sequence[Mapping[str, Any]]] | None = None,
+) -> Figure:
+    """The force that a model lacks against a variable: points, bins with their band, what an effect adds."""
+    own, force = result["variables"][variable], result["missing"][dof]
+    inside = _inside(result, dof, regime)
+    data = [
+        _points(own["values"], force, [not i for i in inside], "#b0bec5", "other times" if regime else "")
+    ]
+    if regime:
+        data.append(_points(own["values"], force, inside, "#f9a825", escaped(regime)))
+    bins = _of(result["profiles"], dof, variable)
+    if bins:
+        data += _ribbon(bins["centre"], bins["force"], bins["error"], "#1565c0", "95 % of the mean")
+        data.append(_line(bins, "mean in bins", "#0d47a1", "lines+markers"))
+    supplied = _of(curve[1], dof, variable) if curve else None
+    if curve and supplied:
+        data.append(_line(supplied, escaped(f"{curve[0]} would add"), _BETTER, "lines", dash="dash"))
+    return _figure(
+        data,
+        360,
+        xaxis=_axis(label(variable, own["unit"])),
+        yaxis=_axis(label(f"residual in {dof}", result["dofs"][dof])),
+        showlegend=True,
+    )
+
+
+def _inside(result: Mapping[str, Any], dof: str, regime: str | None) -> list[bool]:
+    spans = result["stretches"][dof].get(regime, []) if regime else []
+    pairs = zip(result["run"], result["t"], strict=True)
+    return [any(own == run and a <= t <= b for own, a, b in spans) for run, t in pairs]
+
+
+def _of(profiles: Sequence[Mapping[str, Any]], dof: str, variable: str) -> Mapping[str, Any] | None:
+    return next((p for p in profiles if (p["dof"], p["variable"]) == (dof, variable)), None)
+
+
+def _points(x: Line, y: Line, kept: Sequence[bool], colour: str, name: str) -> Figure:
+    rows = [i for i, k in enumerate(kept) if k]
+    return {
+        "type": "scattergl" if len(rows) > 5000 else "scatter",
+        "mode": "markers",
+        "x": [x[i] for i in rows],
+        "y": [y[i] for i in rows],
+        "name": name,
+        "showlegend": bool(name),
+        "hoverinfo": "skip",
+        "marker": {"size": 4, "color": colour, "opacity": 0.6},
+    }
+
+
+def _line(p: Mapping[str, Any], name: str, colour: str, mode: str, dash: str = "solid") -> Figure:
+    line = {"color": colour, "width": 2.5, "dash": dash}
+    return {"type": "scatter", "mode": mode, "x": p["centre"], "y": p["force"], "name": name, "line": line}
+
+
+# --- what is missing ----------------------------------------------------------------------------
+def simulation(
+    run: Mapping[str, Any], model: str, better: tuple[str, Mapping[str, Any]] | None, horizon: str
+) -> Figure:
+    """Velocities of a validation run, measured and simulated, by the model and with a candidate in it."""
+    rows, data = len(run["channels"]), list[Figure]()
+    layout: Figure = {"xaxis": _axis("time (s)", anchor=f"y{rows if rows > 1 else ''}")}
+    for row, channel in enumerate(run["channels"], start=1):
+        axis, first = f"y{row if row > 1 else ''}", row == 1
+        data.append(_trace(channel["measured"], "measured", _MEASURED, axis, first))
+        data.append(_trace(channel["simulated"], model, _MODEL, axis, first))
+        if better is not None:
+            own = better[1]["channels"][row - 1]
+            data.append(_trace(own["simulated"], escaped(better[0]), _BETTER, axis, first))
+        top = 1.0 - (row - 1) / rows
+        domain = [max(top - (1.0 - SETTINGS.gap) / rows, 0.0), top]
+        title = label(channel["name"], channel["unit"])
+        layout[f"yaxis{row if row > 1 else ''}"] = _axis(title, domain=domain, nticks=4)
+    title = f"{run['run']}, simulated every {horizon} from the measured motion"
+    layout["xaxis"]["title"]["text"] = escaped(f"time (s); {title}")
+    return _figure(
+        data, 105 * rows + 110, **layout, showlegend=True, hovermode="x", uirevision=escaped(run["run"])
+    )
+
+
+def _trace(points: Sequence[Line], name: str, colour: str, axis: str, first: bool) -> Figure:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": points[0],
+        "y": points[1],
+        "name": name,
+        "legendgroup": name,
+        "showlegend": first,
+        "yaxis": axis,
+        "line": {"width": 1.3, "color": colour},
+    }
+
+
+def waterfall(bars: Sequence[tuple[str, float | None]], unit: str, *, floor: float | None) -> Figure:
+    """The error from model to model, on a logarithmic axis where it falls far."""
+    shown = [(escaped(name), value) for name, value in bars if value is not None]
+    values = [value for _, value in shown]
+    far = bool(values) and min(values) > 0 and max(values) / min(values) > 8
+    last = len(shown) - 1
+    bar = {
+        "type": "bar",
+        "x": list(range(len(shown))),
+        "y": values,
+        "text": [number(v) for v in values],
+        "textposition": "outside",
+        "cliponaxis": False,
+        "marker": {"color": [_BETTER if i == last and last > 0 else "#90a4ae" for i in range(len(shown))]},
+        "hoverinfo": "skip",
+    }
+    line = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": floor, "y1": floor}
+    shapes = [] if floor is None else [{**line, "line": {"dash": "dot", "color": "#2e7d32"}}]
+    scale = {"type": "log", "dtick": 1} if far else {"rangemode": "tozero"}
+    ticks: Figure = {"tickmode": "array", "tickvals": bar["x"], "ticktext": [_folded(n) for n, _ in shown]}
+    return _figure(
+        [bar],
+        300,
+        xaxis=_axis(**ticks, showgrid=False),
+        yaxis=_axis(unit, **scale),
+        shapes=shapes,
+        bargap=0.45,
+    )
+
+
+def _folded(name: str) -> str:
+    """A long name in two lines."""
+    head, _, tail = name.partition(" ")
+    return f"{head}<br>{tail}" if len(name) > 12 and tail else name
+
+
+# --- parameters ---------------------------------------------------------------------------------
+def against_priors(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Estimates beside what was stated, both over the stated value, with 95 % intervals."""
+    used = [r for r in rows if r["prior"] and r["estimate"] is not None]
+    names = [escaped(parameter_text(r["name"])) for r in used]
+    stated = _dots(names, [1.0] * len(used), [_over(r["prior_sigma"], r["prior"]) for r in used])
+    found = _dots(
+        names,
+        [r["estimate"] / r["prior"] for r in used],
+        [_over(r["standard_error"], r["prior"]) for r in used],
+    )
+    data = [
+        {**stated, "name": "stated", "marker": {"color": "#90a4ae", "size": 9, "symbol": "square"}},
+        {**found, "name": "estimated", "marker": {"color": _BETTER, "size": 9}},
+    ]
+    return _figure(
+        data,
+        90 + 30 * len(used),
+        xaxis=_axis("value over the stated one (bars: 95 %)"),
+        yaxis=_axis(autorange="reversed"),
+        showlegend=True,
+    )
+
+
+def _over(sigma: float | None, value: float) -> float:
+    return 0.0 if sigma is None else 1.96 * sigma / abs(value)
+
+
+def _dots(names: list[str], x: list[float], half: list[float]) -> Figure:
+    bars = {"type": "data", "array": half, "thickness": 1.5, "width": 4}
+    return {"type": "scatter", "mode": "markers", "y": names, "x": x, "error_x": bars}
+
+
+def correlations(names: Sequence[str], table: Sequence[Sequence[float]]) -> Figure:
+    """Correlation of the errors of the estimates."""
+    shown = [escaped(n) for n in names]
+    heat = {
+        "type": "heatmap",
+        "x": shown,
+        "y": shown,
+        "z": [list(row) for row in table],
+        "zmin": -1,
+        "zmax": 1,
+        "colorscale": [[0, "#1565c0"], [0.5, "#ffffff"], [1, "#c62828"]],
+        "colorbar": {"title": {"text": "correlation"}, "thickness": 12},
+        "text": [[f"{v:.2f}" if abs(v) >= 0.3 else "" for v in row] for row in table],
+        "texttemplate": "%{text}",
+        "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>",
+        "xgap": 1,
+        "ygap": 1,
+    }
+    side = 130 + 30 * len(shown)
+    return _figure(
+        [heat],
+        side,
+        xaxis=_axis(tickangle=-45),
+        yaxis=_axis(autorange="reversed"),
+        margin={"l": 90, "r": 20, "t": 10, "b": 80},
+    )

@@ -1,0 +1,102 @@
+"""What one window shows, and the pieces that pages are put together from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from .bench import Bench
+from .figures import number
+from .session import FORCE
+
+
+def _nothing() -> None:
+    pass
+
+
+@dataclass
+class View:
+    """What one window shows of the workbench that all windows share."""
+
+    bench: Bench
+    page: str = "log"
+    log: int = 0
+    channels: list[str] = field(default_factory=list)
+    zoom: tuple[float, float] | None = None
+    selected: tuple[float, float] | None = None
+    cell: tuple[str, str] | None = None
+    variable: str = ""
+    run: int = 0
+    curve: str = ""
+    hovered: str = ""
+    edits: dict[str, dict[str, Any]] = field(default_factory=dict)
+    draw: Callable[[], None] = _nothing
+    show_progress: Callable[[], None] = _nothing
+    show_simulation: Callable[[], None] = _nothing
+
+    def __post_init__(self) -> None:
+        self._seen = self.bench.revision
+
+    def look(self) -> None:
+        """Draw anew what another window, or the work, has changed."""
+        self.show_progress()
+        if self._seen != self.bench.revision:
+            self._seen = self.bench.revision
+            self.draw()
+
+
+def words_of(measure: str) -> str:
+    """What a measure of an error is."""
+    if measure == FORCE:
+        return "force, times the noise"
+    return f"velocity, {measure}{'' if measure == 'free run' else ' ahead'}"
+
+
+def shown(measure: str, error: float | None) -> str:
+    """An error in its unit."""
+    if error is None:
+        return "diverges"
+    return number(error) if measure == FORCE else f"{number(100 * error)} %"
+
+
+def measures(*tables: Mapping[str, float]) -> list[str]:
+    """Measures that occur, the force first."""
+    found = dict.fromkeys(name for table in tables for name in table)
+    return [FORCE, *(name for name in found if name != FORCE)]
+
+
+def heading(text: str, about: str = "") -> None:
+    """A title with a line that says what is below."""
+    from nicegui import ui
+
+    with ui.column().classes("gap-0"):
+        ui.label(text).classes("text-lg font-medium")
+        if about:
+            ui.label(about).classes("text-sm text-grey-8")
+
+
+def stale() -> None:
+    """Say that what is shown is about something else."""
+    from nicegui import ui
+
+    words = "This was worked out before something was changed: press the button to bring it up to date."
+    ui.label(words).classes("bg-amber-1 text-amber-900 px-2 rounded").mark("stale")
+
+
+def lines(text: str) -> None:
+    """Text of a file or a command, as it is."""
+    from nicegui import ui
+
+    style = "white-space: pre-wrap; overflow-wrap: anywhere; background: #f5f5f5; border-radius: 4px"
+    ui.label(text).classes("font-mono text-xs px-2 py-1 w-full").style(style)
+
+
+def action(text: str, view: View, task: str, *, flat: bool = False, **args: Any) -> Any:
+    """A button that starts a task; it rests while another one is going on."""
+    from nicegui import ui
+
+    button = ui.button(text, on_click=lambda: view.bench.start(task, **args))
+    button.props("dense no-caps padding='4px 12px'" + (" outline" if flat else "")).mark(f"do-{task}")
+    button.set_enabled(view.bench.work is None)
+    return button
