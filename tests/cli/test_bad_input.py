@@ -160,10 +160,6 @@ LOGS: dict[str, tuple[Change, list[str]]] = {
     "Inf in a velocity": (_at("v", 40, np.inf), ["'v'", "infinite", "t = 2 s"]),
     "Inf in a command": (_at("f1", 40, -np.inf), ["'f1'", "infinite", "t = 2 s"]),
     "nothing but NaN": (_at("r", slice(None), np.nan), ["'r'", "no value"]),
-    "every other sample missing": (
-        _at("u", slice(0, None, 2), np.nan),
-        ["without gaps", "21 samples are needed"],
-    ),
 }
 
 

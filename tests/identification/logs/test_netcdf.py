@@ -16,10 +16,11 @@ from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 
 from .dive import dive
+from .field import FIELD
 from .written import assert_the_dive, cut_off, netcdf, refusal
 
 netcdf4 = pytest.importorskip("netCDF4")
-_REAL = Path(__file__).parents[4] / "dev" / "field" / "glider" / "amadeus-2014-204-05-000.dbd"
+_REAL = FIELD / "glider" / "amadeus-2014-204-05-000.dbd"
 _KINDS = ["NETCDF4", "NETCDF3_CLASSIC", "NETCDF3_64BIT_DATA"]
 
 

@@ -15,10 +15,11 @@ from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 
 from .dive import dive
+from .field import FIELD
 from .written import BAGS, BagWriter, assert_the_dive, bag, cut_off, enu
 
 pytest.importorskip("rosbags")
-_REAL = Path(__file__).parents[4] / "dev" / "field" / "ros2"
+_REAL = FIELD / "ros2"
 _BAGS = sorted(BAGS)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.identification.logs.ardusub import ARMED, DISARMED, DIVES, FULL, vehicle_for, write_tlog
 from tests.identification.logs.dive import dive
+from tests.identification.logs.field import FIELD
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats import tlog
 from undertow.identification.logs.formats.ardupilot import vehicle_text
@@ -19,7 +19,7 @@ from undertow.identification.logs.formats.fieldlog import FieldLog, rising
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.reading import read_log
 
-SMALL = Path(os.environ.get("UNDERTOW_FIELD_LOGS", "../dev/field")) / "small.tlog"
+SMALL = FIELD / "small.tlog"
 """testing/small.tlog of clydemcqueen/ardusub_log_tools; its tests are skipped where it is not there."""
 FLOAT32 = 2.0**-23
 

@@ -13,10 +13,11 @@ from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 
 from .dive import dive
+from .field import FIELD
 from .written import assert_the_dive, cut_off, in_newtons, ulog
 
 pyulog = pytest.importorskip("pyulog")
-_REAL = Path(__file__).parents[4] / "dev" / "field" / "px4" / "sample_log_small.ulg"
+_REAL = FIELD / "px4" / "sample_log_small.ulg"
 _COMMANDS = load_vehicle("bluerov2").command_names
 
 

@@ -275,7 +275,8 @@ def _opened(path: Path, where: str, *, packed: bool) -> Iterator[IO[bytes]]:
         with gzip.open(path, "rb") if packed else path.open("rb") as file:
             yield file  # type: ignore[misc]
     except DAMAGED as error:
-        raise UndertowError(f"{where} cannot be read to its end ({error}): copy it again") from error
+        found = "is a damaged gzip file" if packed else "cannot be read to its end"
+        raise UndertowError(f"{where} {found} ({error}): copy it again") from error
 
 
 def _lines(file: IO[bytes], where: str) -> Iterator[bytes]:
