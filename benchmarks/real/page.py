@@ -85,11 +85,7 @@ def _how_much(records: Sequence[Record], planned: Sequence[Case]) -> str:
     if whole == done:
         return ""
     parts = ", ".join(f"{done[kind]} of {n} ({kind})" for kind, n in whole.items())
-    return (
-        f"**Not all of the plan was run**: {parts}. Injections are taken in an order of which every "
-        "beginning has all kinds of change, logs and sizes about equally often; the shares below are of what "
-        "was run.\n"
-    )
+    return f"**Not all of the plan was run**: {parts}; the shares below are of what was run.\n"
 
 
 def errors(values: Sequence[float | None] | None) -> str:
