@@ -88,7 +88,7 @@ def test_a_vehicle_may_use_it_as_the_page_says(tmp_path: Path) -> None:
 
 # --- your-own-log.md --------------------------------------------------------------------------------
 def test_the_files_of_the_page_are_read(tmp_path: Path) -> None:
-    vehicle_file, _, mapping, _ = _blocks("your-own-log.md", "toml")
+    vehicle_file, _, mapping, *_ = _blocks("your-own-log.md", "toml")
     (tmp_path / "my-rov.toml").write_text(vehicle_file, encoding="utf-8")
     (tmp_path / "log.toml").write_text(mapping, encoding="utf-8")
     vehicle = load_vehicle(tmp_path / "my-rov.toml")
