@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import tracemalloc
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from undertow.identification.logs.run import Run
 from undertow.identification.long_logs.checking import checked
 from undertow.identification.long_logs.choosing import Budget, at_full_rate, choose, read_in_parts, too_long
 from undertow.identification.long_logs.information import most_informative
+from undertow.identification.long_logs.spool import Spool
 from undertow.identification.long_logs.thinning import band, thinned
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
@@ -300,3 +302,23 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, size: int) -> 
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
         tracemalloc.stop()
+
+
+def test_a_sensor_slower_than_its_log_keeps_its_reports_when_it_is_thinned(tmp_path: Path) -> None:
+    """Every sixth row has a report: what is thinned and kept knows these, and curves between them only."""
+    t = np.arange(40_000) * 0.01
+    u = np.where(np.arange(len(t)) % 6 == 0, np.sin(t), np.nan)
+    table = {"t": t, "u": u, "r": np.cos(t), "tau_X": np.cos(t)}
+    pl.DataFrame(table, nan_to_null=True).write_parquet(tmp_path / "slow.parquet")
+    log = LongLog(tmp_path / "slow.parquet", LogMapping(), ("tau_X",))
+    whole = read_in_parts(log)
+    assert np.count_nonzero(whole.reported["u"]) == np.count_nonzero(np.isfinite(u))
+    spool = Spool(
+        (part.run for part in log.parts(7_000, 0)), partial(thinned, by=5, step=0.01, commands=["tau_X"])
+    )
+    kept = spool.run(100, 4_100)
+    there = kept.reported["u"]
+    assert 0.8 < np.mean(there) < 0.9  # five sixths of the blocks of five rows
+    np.testing.assert_allclose(kept.channels["u"][there], np.sin(kept.t[there]), atol=5e-4)
+    inside = np.isfinite(kept.channels["u"])
+    np.testing.assert_allclose(kept.channels["u"][inside], np.sin(kept.t[inside]), atol=2e-3)

@@ -180,14 +180,13 @@ class ReadOptions:
     ) -> Loaded | None:
         """Stretches of logs that are too long; None where they are not, or are no tables of one stretch."""
         from undertow.identification.logs.chunks import LongLog
-        from undertow.identification.logs.formats.registry import format_of
         from undertow.identification.logs.mapping import LogMapping
         from undertow.identification.logs.reading import in_any_order as dropping
         from undertow.identification.long_logs import choosing
 
         mapping = self.mapping or LogMapping()
         mapping = dropping(mapping) if in_any_order else mapping
-        if mapping.time.stretch is not None or any(format_of(path) for path in (*logs, *holdout)):
+        if not choosing.in_parts([*logs, *holdout], mapping):
             return None
         window = (self.since, self.until)
         long = [

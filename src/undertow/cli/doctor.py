@@ -76,11 +76,11 @@ def doctor(
 
     def draw(path: Path) -> None:
         from undertow.figures import save_png
-        from undertow.identification.logs.formats.registry import format_of, read_field_log
+        from undertow.identification.logs.formats.registry import open_field_log
         from undertow.identification.report.pictures import rates_picture
 
-        own = [read_field_log(log) for log in logs if format_of(log) is not None and options.map is None]
-        save_png(rates_picture(examined, model, own), path)
+        own = map(open_field_log, logs if options.map is None else ())
+        save_png(rates_picture(examined, model, [log for log in own if log is not None]), path)
 
     write_files(
         (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),

@@ -42,7 +42,7 @@ from .logs.chunks import LongLog
 from .logs.mapping import LogMapping, read_mapping
 from .logs.reading import read_log as read
 from .logs.run import Run
-from .long_logs.choosing import beyond_memory, read_in_parts
+from .long_logs.choosing import beyond_memory, in_parts, read_in_parts
 from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
@@ -413,9 +413,9 @@ def read_log(
     >>> run.t.shape
     (1200,)
     """
-    meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping or LogMapping()
-    if Path(path).is_file():
-        log = LongLog(Path(path), meaning, tuple(commands), window, required=True)
+    meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
+    if Path(path).is_file() and in_parts([Path(path)], meaning or LogMapping()):
+        log = LongLog(Path(path), meaning or LogMapping(), tuple(commands), window, required=True)
         if beyond_memory([log]):
             return read_in_parts(log)
     return read(path, meaning, commands, window=window)

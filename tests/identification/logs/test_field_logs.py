@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+import undertow as ut
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.fieldlog import FieldLog, Series, cut_at, rising, union
 from undertow.identification.logs.formats.registry import format_of, read_field_log
@@ -57,6 +58,12 @@ def test_moos_counts_east_north_and_clockwise(tmp_path: Path) -> None:
     run = read_log(_alog(tmp_path, lines.format(0) + lines.format(1)))
     assert (run.channels["x"][0], run.channels["y"][0], run.channels["z"][0]) == (7.0, 3.0, 2.0)
     assert run.channels["psi"] == pytest.approx(np.pi / 2)
+
+
+def test_python_reads_a_vehicles_own_log_as_the_commands_do(tmp_path: Path) -> None:
+    path = _alog(tmp_path, "".join(f"{k} NAV_X a {k}\n{k} NAV_Y a 7\n" for k in range(5)))
+    direct, shown = read_log(path), ut.read_log(path)
+    assert {n: list(a) for n, a in shown.channels.items()} == {n: list(a) for n, a in direct.channels.items()}
 
 
 def test_texts_and_lines_that_are_cut_off_are_left_out(tmp_path: Path) -> None:

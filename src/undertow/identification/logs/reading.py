@@ -41,7 +41,7 @@ from undertow.typing import Array, Flags, Progress
 
 from . import checks
 from .formats.fieldlog import FieldLog
-from .formats.registry import format_of, read_field_log, readable
+from .formats.registry import open_field_log, readable
 from .mapping import Channel, Column, CommandPolicy, LogMapping, seconds_of
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
@@ -113,8 +113,8 @@ def in_any_order(mapping: LogMapping) -> LogMapping:
 def _opened(path: Path, asked: _Asked) -> tuple[pl.DataFrame, LogMapping, str, tuple[str, ...]]:
     """The table of a log, what its columns mean, the hash of its bytes, and notes on its format."""
     given, where = asked.mapping, f"log {path}"
-    if format_of(path) is not None:
-        log = read_field_log(path, given.messages if given else None)
+    log = open_field_log(path, given.messages if given else None)
+    if log is not None:
         meaning = given or log.mapping_for([*asked.channels, *asked.also])
         if given is None:
             _refuse_other_motors(log, meaning, asked.channels)

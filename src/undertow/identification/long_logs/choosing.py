@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from undertow.files import sha256_of
 from undertow.identification.estimation.windows import HORIZONS
 from undertow.identification.logs.checks import MEASURABLE, refuse_twins, with_distinct_names
 from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.formats.registry import format_of
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
@@ -67,6 +70,11 @@ class CuttingSettings:
 
 
 CUTTING = CuttingSettings()
+
+
+def in_parts(paths: Sequence[Path], mapping: LogMapping) -> bool:
+    """Tell whether logs can be read in parts: tables of one stretch, and no logs as a vehicle wrote them."""
+    return mapping.time.stretch is None and not any(map(format_of, paths))
 
 
 def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:

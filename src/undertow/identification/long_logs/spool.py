@@ -12,6 +12,7 @@ from weakref import finalize
 import numpy as np
 
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.series import with_reports
 from undertow.typing import Array, Index
 
 from .thinning import BAND
@@ -36,6 +37,7 @@ class Spool:
         self.rows = self.samples = self.dropped = self.gaps = 0
         self.longest_gap, self.span = 0.0, (np.inf, -np.inf)
         self._names: tuple[str, ...] = ()
+        self._slow: set[str] = set()  # channels that do not report in every row
         self._missing: Counter[str] = Counter()
         for run in thin(map(self._counted, parts)):
             self._add(run)
@@ -60,7 +62,8 @@ class Spool:
     def _add(self, run: Run) -> None:
         if not self._names:
             self._names, self.like = tuple(run.channels), replace(run.head(1), dropped=0)
-        np.column_stack([run.t, run.matrix(self._names)]).tofile(self._file)
+        np.column_stack([run.t, *map(run.reports, self._names)]).tofile(self._file)
+        self._slow |= {*run.reported}
         self.like = replace(self.like, sigma={**self.like.sigma, **run.sigma})
         self.rows += len(run.t)
 
@@ -69,7 +72,10 @@ class Spool:
         table = self._table(first, stop)
         channels = dict(zip(self._names, table[:, 1:].T, strict=True))
         name = f"{self.like.name} [{table[0, 0]:.0f}-{table[-1, 0]:.0f} s]"
-        return replace(self.like, name=name, t=table[:, 0], channels=channels, part_of=self.like.origin)
+        slow = {n: channels[n] for n in self._slow}
+        reported = {n: np.isfinite(data) for n, data in slow.items()}
+        rows = replace(self.like, name=name, t=table[:, 0], channels=channels, reported=reported)
+        return with_reports(replace(rows, part_of=self.like.origin), slow)
 
     def times(self, first: int, stop: int) -> tuple[float, float]:
         """When some rows begin and end, s."""

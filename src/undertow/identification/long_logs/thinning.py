@@ -13,6 +13,7 @@ from undertow.identification.estimation.windows import time_constants_by_run
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.series import with_reports
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
@@ -130,7 +131,13 @@ def thinned(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) 
 def joined(one: Run, other: Run) -> Run:
     """Two parts that follow each other; angles go on from where they were."""
     channels = {n: np.concatenate([a, _going_on(n, a, other)]) for n, a in one.channels.items()}
-    return replace(other, t=np.concatenate([one.t, other.t]), channels=channels, wrapped={})
+    reported = {
+        n: np.concatenate([r.reported.get(n, np.ones(len(r.t), dtype=bool)) for r in (one, other)])
+        for n in {*one.reported, *other.reported}
+    }
+    t = np.concatenate([one.t, other.t])
+    both = replace(other, t=t, channels=channels, wrapped={}, reported=reported)
+    return with_reports(both, {n: both.reports(n) for n in reported})
 
 
 def _going_on(name: str, before: Array, run: Run) -> Array:
@@ -164,14 +171,18 @@ def _averaged(run: Run, blocks: Index, by: int, step: float, commands: Sequence[
     rows = blocks[:, None] + np.arange(by)
     t = run.t[rows].mean(axis=1)
     channels, sigma = {}, dict(run.sigma)
-    for name, data in run.channels.items():
+    for name in run.channels:
+        data = run.reports(name)
         if name in commands:
             channels[name] = _held(run.t, data, rows, t, by * step)
             continue
         channels[name], count = _means(run.t[rows], data[rows], t)
         if name in sigma:
             sigma[name] /= float(np.sqrt(max(count, 1.0)))
-    return replace(run, t=t, channels=channels, sigma=sigma, wrapped={})
+    slow = {name: channels[name] for name in run.reported}
+    reported = {name: np.isfinite(data) for name, data in slow.items()}
+    fewer = replace(run, t=t, channels=channels, sigma=sigma, wrapped={}, reported=reported)
+    return with_reports(fewer, slow)
 
 
 def _means(times: Array, values: Array, t: Array) -> tuple[Array, float]:

@@ -16,10 +16,9 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array, Flags
@@ -27,6 +26,9 @@ from undertow.typing import Array, Flags
 from .ardupilot import SETTINGS, actuators, armed_stretches, runs_of, used_stretches
 from .dataflash_records import FMT, HEAD, Columns, Records, open_records
 from .fieldlog import FieldLog, Format, outputs_of
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
@@ -147,6 +149,8 @@ class _Navigation:
 
     def _trim(self) -> Rotation:
         """From the axes of the autopilot to those of the vehicle (AHRS_TRIM)."""
+        from scipy.spatial.transform import Rotation  # slow to import, and every log is asked for its format
+
         angles = [self._parameters.get(f"AHRS_TRIM_{axis}", 0.0) for axis in "ZYX"]
         return Rotation.from_euler("ZYX", [a if isinstance(a, float) else 0.0 for a in angles])
 
@@ -161,6 +165,8 @@ class _Navigation:
         return _named(name, angles, "deg") if name else {}
 
     def _by_quaternion(self, name: str, rows: list[Array]) -> dict[str, Column]:
+        from scipy.spatial.transform import Rotation
+
         @_once
         def angles() -> Array:
             q = np.column_stack(rows[1:])

@@ -36,8 +36,8 @@ def format_of(path: Path) -> Format | None:
     return next((one for one in formats() if one.accepts(path, head)), None)
 
 
-def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
-    """Read a log as its vehicle wrote it.
+def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
+    """Read a log as its vehicle wrote it; None for tables, and for what is not there.
 
     Parameters
     ----------
@@ -49,11 +49,11 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     Raises
     ------
     UndertowError
-        If it is of no format that is known, cannot be read, or needs a library that is not installed.
+        If it cannot be read, or needs a library that is not installed.
     """
     found = format_of(path)
     if found is None:
-        raise UndertowError(f"log {path} is of no format that is known: {readable()}")
+        return None
     try:
         return found.read(path, messages)
     except (UndertowError, MemoryError):
@@ -61,6 +61,20 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     except Exception as error:  # whatever a library makes of a damaged file
         words = str(error).split("\n")[0] or type(error).__name__
         raise UndertowError(f"log {path} cannot be read as {found.name}: {words}: copy it again") from error
+
+
+def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
+    """The same, of what has to be such a log.
+
+    Raises
+    ------
+    UndertowError
+        If it is of no format that is known, too.
+    """
+    found = open_field_log(path, messages)
+    if found is None:
+        raise UndertowError(f"log {path} is of no format that is known: {readable()}")
+    return found
 
 
 def readable() -> str:
