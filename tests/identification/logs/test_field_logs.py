@@ -11,8 +11,9 @@ import pytest
 
 import undertow as ut
 from undertow.errors import UndertowError
-from undertow.identification.logs.formats.fieldlog import FieldLog, Series, cut_at, rising, union
+from undertow.identification.logs.formats.fieldlog import FieldLog, Series, rising, union
 from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.formats.stretches import cut_at
 from undertow.identification.logs.mapping import Column, LogMapping, mapping_text, read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle

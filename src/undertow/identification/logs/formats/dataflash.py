@@ -23,9 +23,10 @@ import numpy as np
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array, Flags
 
-from .ardupilot import SETTINGS, actuators, armed_stretches, runs_of, used_stretches
+from .ardupilot import SETTINGS, actuators
 from .dataflash_records import FMT, HEAD, Columns, Records, open_records
 from .fieldlog import FieldLog, Format, outputs_of
+from .stretches import armed_stretches, runs_of, used_stretches
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

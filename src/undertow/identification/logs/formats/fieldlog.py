@@ -283,16 +283,3 @@ def union(times: Sequence[Array]) -> tuple[Array, list[Places]]:
     if any(np.any(np.diff(row[place]) == 0) for place in own):  # two samples of one clock in a row: all apart
         return every, own
     return every[np.unique(row, return_index=True)[1]], [row[place] for place in own]
-
-
-def cut_at(
-    stretches: Iterable[tuple[float, float]], resets: Iterable[float]
-) -> tuple[tuple[float, float], ...]:
-    """Cut stretches where an estimator was reset; the sample of the reset begins a new one."""
-    cuts = sorted(set(resets))
-    pieces: list[tuple[float, float]] = []
-    for first, last in stretches:
-        inside = [c for c in cuts if first < c <= last]
-        ends = [*(float(np.nextafter(c, first)) for c in inside), last]
-        pieces += zip([first, *inside], ends, strict=True)
-    return tuple(piece for piece in pieces if piece[1] > piece[0])

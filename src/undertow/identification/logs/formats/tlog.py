@@ -27,9 +27,10 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .ardupilot import SETTINGS, actuators, armed_stretches, runs_of, used_stretches
+from .ardupilot import SETTINGS, actuators
 from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
 from .position import north_east
+from .stretches import armed_stretches, runs_of, used_stretches
 
 # --- frames ---------------------------------------------------------------------------------------
 _STAMP = 8  # bytes of the time before every message, microseconds since 1970

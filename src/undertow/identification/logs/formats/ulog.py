@@ -20,9 +20,9 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .ardupilot import armed_stretches, used_stretches
 from .attitude import ANGLES, angles
 from .fieldlog import FieldLog, Format, Series, library, outputs_of
+from .stretches import armed_stretches, used_stretches
 
 _SIGNATURE = b"ULog\x01\x12\x35"
 _ARMED = 2  # vehicle_status.arming_state
