@@ -23,9 +23,9 @@ SMALL, MANY = 60, 25
 # One file for each effect: what the budgets of packages and journeys leave out.
 EFFECTS = "undertow.model.effects"
 JOURNEYS = {
-    "a log column to a verdict": "undertow.cli.diagnose",
+    "a log column to a verdict": "undertow.cli.identification.diagnose",
     "a gain to its conditions": "undertow.control.conditions.check",
-    "a gain to all that `gains` prints": "undertow.cli.gains",
+    "a gain to all that `gains` prints": "undertow.cli.control.gains",
 }
 _REACHED = """
 import sys

@@ -28,8 +28,8 @@ from benchmarks.fuzz.mutations import Mutation, mutated, parquet, zipped
 from benchmarks.fuzz.originals import diagnosis, originals
 from benchmarks.fuzz.readers import READERS, refusal
 from benchmarks.shape.hulls import spheroid_mesh, stl
+from undertow.cli.control.simulate import ScenarioOptions, ScheduleOptions
 from undertow.cli.main import run
-from undertow.cli.simulate import ScenarioOptions, ScheduleOptions
 from undertow.control.closed_loop import Scenario
 from undertow.control.gains import GainTable, gains_from_table, load_gains
 from undertow.control.linear.report import Snapshot

@@ -95,7 +95,7 @@ def test_a_long_log_is_read_in_parts_where_that_can_be_done(
     parts = LongLog.parts
     monkeypatch.setattr(LongLog, "parts", lambda log, *more: (read.append(log.path), parts(log, *more))[1])
     # Shorter than that as it is packed, longer as it is read.
-    monkeypatch.setattr("undertow.cli.identify._LONG", packed.stat().st_size)
+    monkeypatch.setattr("undertow.cli.identification.identify._LONG", packed.stat().st_size)
     assert main(whole) == 0
     assert read == [Path(packed.name)] * 2
     capsys.readouterr()

@@ -29,7 +29,8 @@ from undertow.cli.main import main
 from undertow.codegen.cache import library_for
 from undertow.codegen.compiler import find_compiler
 import casadi, numpy, polars, rich.table, scipy.linalg, scipy.optimize, scipy.stats, tomlkit
-import undertow.cli.add, undertow.cli.fit, undertow.codegen.export, undertow.identification.api
+import undertow.cli.identification.add, undertow.cli.identification.fit
+import undertow.codegen.export, undertow.identification.api
 import undertow.identification.report.pictures, undertow.model.saving
 with tempfile.TemporaryDirectory() as name, redirect_stdout(sys.stderr):  # what is loaded late is loaded now
     main(["codegen", "box-hull", "--out", name])

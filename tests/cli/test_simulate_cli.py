@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from tests.control.loops import run as simulated
+from undertow.cli.control.simulate import show
 from undertow.cli.main import main
-from undertow.cli.simulate import show
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import bundled_vehicles
 

@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from undertow.cli.diagnose import _content  # words for verdicts that no log here has
+from undertow.cli.identification.diagnose import _content  # words for verdicts that no log here has
 from undertow.errors import UndertowError
 from undertow.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.diagnose import _with_doctor  # for findings that no log here has

@@ -6,9 +6,9 @@ import ast
 import os
 import pkgutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
-from importlib.machinery import PathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from keyword import iskeyword
 from pathlib import Path
 from types import ModuleType
@@ -24,7 +24,6 @@ from undertow.version import __version__
 
 from ._terminal import insisting
 
-_ENTRY = "main"
 _TAKING_SEVERAL = {"--holdout"}
 # Commands that stand in the file of another one, which is about the same; their help is the function's.
 _IN_FILE_OF = {"audit-tables": "audit"}
@@ -33,11 +32,9 @@ _IN_FILE_OF = {"audit-tables": "audit"}
 def commands() -> dict[str, str]:
     """Name and first docstring line of every command, sorted by name.
 
-    ``a_b.py`` is the command ``a-b``, ``import_.py`` the command ``import``.
+    ``a_b.py`` is the command ``a-b``, ``import_.py`` the command ``import``; its folder only sorts it.
     """
-    names = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
-    public = [_command(name) for name in names if name[0] != "_" and name != _ENTRY]
-    return {name: _help(name).partition("\n")[0] for name in sorted([*public, *_IN_FILE_OF])}
+    return {name: _help(name).partition("\n")[0] for name in sorted([*_specs(), *_IN_FILE_OF])}
 
 
 def load(name: str) -> Any:
@@ -46,7 +43,7 @@ def load(name: str) -> Any:
     The module holds a ``typer.Typer`` called ``app`` (a command with sub-commands) or a function called like
     the command. The module's docstring is the text of ``--help``; indented paragraphs of it keep their lines.
     """
-    module = import_module(f"{package.__name__}.{_file(name)}")
+    module = import_module(_spec(name).name)
     command = _command_of(module, name)
     command.name = name
     command.help = _paragraphs(_help(name))
@@ -87,8 +84,7 @@ def _command_of(module: ModuleType, name: str) -> Any:
 
 def _help(name: str) -> str:
     """What a command says of itself, read without importing it."""
-    spec = PathFinder.find_spec(f"{package.__name__}.{_file(name)}", package.__path__)
-    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else "")
+    tree = ast.parse(Path(_spec(name).origin or "").read_text(encoding="utf-8"))
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
     own = next((f for f in functions if name in _IN_FILE_OF and f.name == _module(name)), None)
     # The lines of a module's text are kept as they are, indented paragraphs among them.
@@ -96,8 +92,26 @@ def _help(name: str) -> str:
     return text or ""
 
 
-def _file(name: str) -> str:
-    return _module(_IN_FILE_OF.get(name, name))
+def _spec(name: str) -> ModuleSpec:
+    return _specs()[_IN_FILE_OF.get(name, name)]
+
+
+def _specs() -> dict[str, ModuleSpec]:
+    """The module of every command, found without importing any."""
+    public = [spec for spec in _found(package.__name__, package.__path__) if spec.name != __name__]
+    return {_command(spec.name.rpartition(".")[2]): spec for spec in public}
+
+
+def _found(parent: str, path: Sequence[str]) -> Iterator[ModuleSpec]:
+    for module in pkgutil.iter_modules(path):
+        name = f"{parent}.{module.name}"
+        spec = PathFinder.find_spec(name, path)
+        if module.name[0] == "_" or spec is None:
+            continue
+        if module.ispkg:
+            yield from _found(name, spec.submodule_search_locations or [])
+        else:
+            yield spec
 
 
 def _command(module: str) -> str:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument, bundled, say_long
-from ._terminal import progress
+from .._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument, bundled, say_long
+from .._terminal import progress
 
 if TYPE_CHECKING:
     from undertow.identification.compare.comparison import ComparisonResult

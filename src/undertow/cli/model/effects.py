@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._options import EffectsOption, JsonOption, NewForceOption, known_effects, new_file
-from ._terminal import console, print_json, progress, say, section, table, text
+from .._options import EffectsOption, JsonOption, NewForceOption, known_effects, new_file
+from .._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
     from undertow.model.contract import ContractCheck

@@ -19,8 +19,8 @@ from typing import Annotated
 
 import typer
 
-from ._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
-from ._terminal import progress, say
+from .._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
+from .._terminal import progress, say
 
 _SESSION = typer.Option("--session", metavar="FOLDER", help="Folder that the session is kept in.")
 _PORT = typer.Option("--port", min=1, max=65535, help="Port of the page.")

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import EffectsOption, VehicleArgument
-from ._terminal import progress
+from .._options import EffectsOption, VehicleArgument
+from .._terminal import progress
 
 if TYPE_CHECKING:
     from undertow.codegen.export import Export, Report

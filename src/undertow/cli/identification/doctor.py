@@ -35,8 +35,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgument, bundled, say_long
-from ._terminal import console, progress, say, section, table, text, write_files
+from .._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgument, bundled, say_long
+from .._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.doctor.examine import Examined

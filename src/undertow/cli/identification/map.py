@@ -16,8 +16,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import NewForceOption, new_file
-from ._terminal import progress, say, section, table
+from .._options import NewForceOption, new_file
+from .._terminal import progress, say, section, table
 
 app = typer.Typer(add_completion=False)
 

@@ -35,8 +35,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import JsonFileOption, LogOptions, VehicleArgument, bundled, say_long, words
-from ._terminal import console, progress, say, section, table, text, write_files
+from .._options import JsonFileOption, LogOptions, VehicleArgument, bundled, say_long, words
+from .._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.planning.parameters import Planned

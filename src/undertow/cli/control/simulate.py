@@ -35,8 +35,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import EffectsOption, JsonFileOption, VehicleArgument, bundled, in_si, number_or_text
-from ._terminal import progress, section, table
+from .._options import EffectsOption, JsonFileOption, VehicleArgument, bundled, in_si, number_or_text
+from .._terminal import progress, section, table
 
 if TYPE_CHECKING:
     from undertow.control.closed_loop import Choices, LoopResult, Push, Record, Scenario

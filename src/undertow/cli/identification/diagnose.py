@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import (
+from .._options import (
     HoldoutOption,
     JsonFileOption,
     LogOptions,
@@ -36,7 +36,7 @@ from ._options import (
     bundled,
     say_long,
 )
-from ._terminal import console, progress, text
+from .._terminal import console, progress, text
 from .doctor import show_finding
 
 if TYPE_CHECKING:

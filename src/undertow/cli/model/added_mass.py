@@ -26,8 +26,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import InPlaceOption, JsonOption, OutOption, bundled, target_of
-from ._terminal import console, print_json, progress, say, section, table
+from .._options import InPlaceOption, JsonOption, OutOption, bundled, target_of
+from .._terminal import console, print_json, progress, say, section, table
 from .vehicle import CreaseOption, FrameOption, PanelsOption, UnitOption, read, three
 
 if TYPE_CHECKING:

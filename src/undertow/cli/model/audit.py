@@ -21,8 +21,8 @@ from typing import Annotated
 
 import typer
 
-from ._options import EffectsOption, JsonOption
-from ._terminal import console, print_json, progress, say, section, text
+from .._options import EffectsOption, JsonOption
+from .._terminal import console, print_json, progress, say, section, text
 
 _VEHICLE = typer.Argument(
     metavar="VEHICLE",

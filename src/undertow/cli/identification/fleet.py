@@ -17,8 +17,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import EffectsOption, FillOption, LogsArgument, MapOption, TrustOption, bundled
-from ._terminal import console, progress, say, section, table, text
+from .._options import EffectsOption, FillOption, LogsArgument, MapOption, TrustOption, bundled
+from .._terminal import console, progress, say, section, table, text
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

@@ -20,8 +20,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import MapOption, NewForceOption, new_file
-from ._terminal import progress, say, section, table, write_files
+from .._options import MapOption, NewForceOption, new_file
+from .._terminal import progress, say, section, table, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.logs.formats.fieldlog import FieldLog, Series

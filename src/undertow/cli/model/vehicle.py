@@ -22,8 +22,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import NewForceOption, new_file
-from ._terminal import console, progress, say, text
+from .._options import NewForceOption, new_file
+from .._terminal import console, progress, say, text
 
 if TYPE_CHECKING:
     from undertow.shape.bodies import AddedMass

@@ -34,8 +34,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import EffectsOption, JsonOption, VehicleArgument
-from ._terminal import console, print_json, progress, say, section, table, text
+from .._options import EffectsOption, JsonOption, VehicleArgument
+from .._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
     from undertow.control.conditions.repair import Repair, SingleRepair

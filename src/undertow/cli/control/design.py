@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ._options import EffectsOption, VehicleArgument, in_si, names_and_values
-from ._terminal import console, progress, say, section, table, text
+from .._options import EffectsOption, VehicleArgument, in_si, names_and_values
+from .._terminal import console, progress, say, section, table, text
 from .linearize import DIRECTION, directions, show_modes
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ._options import EffectsOption, JsonOption, VehicleArgument
-from ._terminal import console, print_json, section, table, text
+from .._options import EffectsOption, JsonOption, VehicleArgument
+from .._terminal import console, print_json, section, table, text
 
 if TYPE_CHECKING:
     from undertow.model.vehicle import Vehicle

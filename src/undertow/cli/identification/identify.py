@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ._options import (
+from .._options import (
     InPlaceOption,
     JsonFileOption,
     LogOptions,
@@ -39,7 +39,7 @@ from ._options import (
     bundled,
     target_of,
 )
-from ._terminal import console, progress, say, section, table, text
+from .._terminal import console, progress, say, section, table, text
 
 if TYPE_CHECKING:
     from undertow.paper.least_squares import Estimation, Experiment, Identified

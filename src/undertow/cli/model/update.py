@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import EffectsOption, VehicleArgument
-from ._terminal import progress, say, section, table
-from .linearize import held
+from .._options import EffectsOption, VehicleArgument
+from .._terminal import progress, say, section, table
+from ..control.linearize import held
 
 if TYPE_CHECKING:
     from undertow.codegen.export import Report

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ._options import (
+from .._options import (
     HoldoutOption,
     InPlaceOption,
     JsonFileOption,
@@ -46,7 +46,7 @@ from ._options import (
     say_long,
     target_of,
 )
-from ._terminal import console, progress, say, section, table, text, write_files
+from .._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.api import Refit

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._options import (
+from .._options import (
     HoldoutOption,
     InPlaceOption,
     JsonFileOption,
@@ -30,7 +30,7 @@ from ._options import (
     say_long,
     target_of,
 )
-from ._terminal import progress, say, section, table
+from .._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
     from undertow.codegen.export import Report

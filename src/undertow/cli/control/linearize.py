@@ -32,8 +32,8 @@ import typer
 
 from undertow.errors import UndertowError
 
-from ._options import EffectsOption, JsonOption, VehicleArgument, in_si, names_and_values, words
-from ._terminal import print_json, progress, say, section, table
+from .._options import EffectsOption, JsonOption, VehicleArgument, in_si, names_and_values, words
+from .._terminal import print_json, progress, say, section, table
 
 if TYPE_CHECKING:
     from undertow.control.linear.analysis import Margins, Mode, Reach

@@ -1,0 +1,1 @@
+"""Commands about vehicles and what they are made of."""
