@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
 from undertow.codegen.functions import Functions
@@ -388,24 +390,49 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
 def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: float) -> tuple[str, ...]:
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
-    This thins an effect out; whether it is needed at all is for the validation data to say, so one stays.
+    Others may make up for what is dropped as far as their bounds allow: where only the ratio of stiffness and
+    inertia shows, no inertia below zero stands in for a stiffness. This thins an effect out; whether it is
+    needed at all is for the validation data to say, so one stays.
     """
-    names = list(fit.model.free)
+    names, bounds = list(fit.model.free), np.array(bounds_of(fit.model))
     information = fit.information
     inflation = np.sqrt(np.diag(fit.covariance) / np.diag(inverse_of(information)))
     active = list(range(len(names)))
     estimate = np.array([fit.values[n] for n in names])
     while True:
-        spread = np.sqrt(np.diag(inverse_of(information[np.ix_(active, active)]))) * inflation[active]
-        t = np.abs(estimate[active]) / spread
+        left = information[np.ix_(active, active)]
         open_to_drop = [i for i, k in enumerate(active) if names[k] in removable]
-        weakest = min(open_to_drop, key=lambda i: t[i], default=None)
-        if weakest is None or len(open_to_drop) == 1 or t[weakest] >= least:
+        without = [_without(i, estimate[active], left, bounds[:, active]) for i in open_to_drop]
+        t = [np.sqrt(w.rise) / inflation[active[i]] for i, w in zip(open_to_drop, without, strict=True)]
+        if len(open_to_drop) < 2 or min(t) >= least:
             return tuple(names[k] for k in active if names[k] in removable)
-        gone = active.pop(weakest)
-        # Fixing one parameter at zero moves the others along the bottom of the cost.
-        others = inverse_of(information[np.ix_(active, active)]) @ information[np.ix_(active, [gone])].ravel()
-        estimate[active] += others * estimate[gone]
+        weakest = int(np.argmin(t))
+        estimate[active] = without[weakest].values
+        active.pop(open_to_drop[weakest])
+
+
+class _Without(NamedTuple):
+    """The bottom of a quadratic cost where one parameter is zero, and how much higher it lies."""
+
+    values: Array
+    rise: float
+
+
+def _without(i: int, estimate: Array, information: Array, bounds: Array) -> _Without:
+    """Parameters once the i-th is zero and the others stay within bounds (rows: lower, upper)."""
+    others = np.arange(len(estimate)) != i
+    covariance = inverse_of(information)
+    values = estimate - covariance[:, i] * estimate[i] / covariance[i, i]
+    low, high = np.minimum(bounds[0], estimate), np.maximum(bounds[1], estimate)
+    if np.all((values >= low) & (values <= high) | ~others):
+        return _Without(values, float(estimate[i] ** 2 / covariance[i, i]))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(scale, scale) + 1e-11 * np.eye(len(scale))
+    factor = np.linalg.cholesky(scaled).T / scale
+    within = (low[others] - 1e-12, high[others] + 1e-12)
+    found = lsq_linear(factor[:, others], factor @ estimate, bounds=within, method="bvls")
+    values[others], values[i] = found.x, 0.0
+    return _Without(values, 2.0 * float(found.cost))
 
 
 # Relative difference of two residuals up to which they are the same.
