@@ -1,4 +1,4 @@
-"""A ship in free roll: only the ratio of stiffness and inertia shows, and the file may have either of them wrong."""
+"""A ship in free roll: only the ratio of stiffness and inertia shows; the file may have either one wrong."""
 
 from __future__ import annotations
 
