@@ -153,6 +153,7 @@ def test_the_notebook_stores_no_outputs() -> None:
     assert [c["id"] for c in _cells() if c.get("outputs") or c.get("execution_count")] == []
 
 
+@pytest.mark.slow
 def test_the_notebook_does_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its code, run as one program: an error, or a warning, in any cell fails."""
     monkeypatch.setenv("MPLBACKEND", "agg")

@@ -30,7 +30,6 @@ from tests.cli.bad import (
     surge_log,
     text_of,
 )
-from tests.quick import first_quick
 from undertow import files
 from undertow.cli.main import main, run
 
@@ -311,7 +310,8 @@ def test_comparing_with_a_million_samples_is_an_answer(million: Path, capsys: Ca
     out.unlink()
 
 
-@pytest.mark.parametrize("command", first_quick(("fit", "add", "diagnose")))
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ("fit", "add", "diagnose"))
 def test_of_more_samples_than_a_search_can_take_those_that_tell_most_are_used(
     command: str, million: Path, capsys: Capture
 ) -> None:

@@ -168,7 +168,7 @@ def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Cap
     assert holding(sled, capsys, gains) >= wanted
 
 
-@pytest.mark.parametrize("gain", first_quick(["K_V", "K_I"]))
+@pytest.mark.parametrize("gain", first_quick(["K_I", "K_V"]))
 def test_a_printed_bound_of_one_gain_is_on_the_safe_side(gain: str, sled: Path, capsys: Capture) -> None:
     out = printed("mini-auv", "paper-pid")
     bounds = [float(b) for b in re.findall(rf"x: routh +\w+ +{gain} [<>] ({NUMBER})", out)]

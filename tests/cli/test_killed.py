@@ -208,6 +208,7 @@ def test_the_code_of_a_vehicle_is_old_or_new_file_by_file(older: Path, driver: D
         assert whole.last.keys() <= killed.last.keys()
 
 
+@pytest.mark.slow
 def test_a_fitted_vehicle_is_old_or_new(case: Path, driver: Driver) -> None:
     words = "fit usv.toml train.csv --in-place"
     whole, old = driver.run(case, words), before(case)

@@ -54,6 +54,7 @@ def test_routh_over_intervals_and_ellipsoid(k_v: float, box: str) -> None:
         assert told["X_udot_forward"] == pytest.approx(1.630825 + 1.959964 * 0.1, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_ellipsoid_is_exact_where_the_margin_is_linear() -> None:
     """Support function: margin - sqrt(chi2) * sqrt(c' Sigma c) changes its sign at the verdict."""
     reach = 2.4477468306808161  # root of the 95 % quantile of chi-square with 2 degrees of freedom

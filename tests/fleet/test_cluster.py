@@ -49,6 +49,7 @@ def test_one_process_names_what_fouls_and_nothing_else(alone: FleetReport) -> No
     assert (alone.done, alone.worked, alone.failed) == (18, 18, {})
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_though_a_worker_is_killed(
     fleet: Path, alone: FleetReport, cluster: DaskEngine, tmp_path: Path
 ) -> None:

@@ -124,6 +124,7 @@ def test_covariance_and_residual_variance_are_those_of_the_normal_equations(runs
     assert t_values(found)["X_u"] == pytest.approx(abs(theta[1]) / expected[1])
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_repeated_experiments_where_nothing_is_filtered(runs: dict[float, Run]) -> None:
     run, rng = runs[0.2], np.random.default_rng(8)
     estimates = []

@@ -252,6 +252,7 @@ def test_at_full_rate_the_rows_are_those_of_the_log(vehicle: Vehicle, tmp_path: 
 # --- memory, and what is refused ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(vehicle: Vehicle, tmp_path: Path) -> None:
     peaks = []
     for count in (200_000, 800_000):

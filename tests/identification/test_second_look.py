@@ -35,6 +35,7 @@ def _bench() -> tuple[Vehicle, Bench, float]:
     return vehicle, open_bench(vehicle, train, test), case.truth["values"]["net_buoyancy"]["B_net"]
 
 
+@pytest.mark.slow
 def test_the_model_without_the_force_calls_it_a_disturbance() -> None:
     _, bench, _ = _bench()
     assert np.any(bench.base.disturbance)

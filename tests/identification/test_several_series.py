@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from tests.identification.several import CURRENT, NOISE, Dive, model, truth, written
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.compare.comparison import compare
 from undertow.identification.diagnose import diagnose
@@ -203,7 +204,7 @@ def _errors_in_sigmas(fit: object) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("how", ["weak", "output", "prediction"])
+@pytest.mark.parametrize("how", first_quick(["weak", "output", "prediction"], 2))
 def test_the_truth_is_found_within_its_intervals(how: str, union: list[Run], dense: list[Run]) -> None:
     """As well as from a dense log, which has many more reports."""
     vehicle = _with_current()

@@ -137,6 +137,7 @@ def test_what_a_log_in_parts_lacks_is_told_as_for_the_whole(tmp_path: Path) -> N
             estimate_streaming(VEHICLE, [log], [CASES["11"]], rows=300)
 
 
+@pytest.mark.slow
 def test_two_hundred_thousand_rows_in_constant_memory(tmp_path: Path) -> None:
     frame = long_log(200_000)
     cases = [CASES["2"], CASES["11"]]

@@ -159,6 +159,7 @@ def test_a_complete_model_leaves_white_noise_and_true_parameters(
         assert abs(value - case.truth["parameters"][name]) < 5 * error, name
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_repeated_logs(tmp_path: Path) -> None:
     """Over many noise draws the estimates scatter as the fit says they do."""
     model, runs = _case(tmp_path, "usv", (), 6, 40.0)

@@ -162,6 +162,7 @@ def test_what_is_missing_lists_candidates_and_draws_the_one_pointed_at(place: Wo
     _played_on(place, story)
 
 
+@pytest.mark.slow
 def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place: Workspace) -> None:
     found = place.result("diagnose")
     assert found is not None
@@ -220,6 +221,7 @@ def _markers(user: User) -> set[str]:
         return {m for e in ui.context.client.elements.values() for m in e._markers}
 
 
+@pytest.mark.slow
 def test_parameters_are_shown_with_their_doubts_and_edited(place: Workspace) -> None:
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}&page=parameters")
@@ -262,6 +264,7 @@ def test_out_gives_the_command_lines(place: Workspace, monkeypatch: pytest.Monke
     _played_on(place, story)
 
 
+@pytest.mark.slow
 def test_two_windows_and_a_reload_share_the_work(place: Workspace) -> None:
     async def story(user: User, bench: Bench) -> None:
         first = await user.open(f"/?token={TOKEN}")
@@ -278,6 +281,7 @@ def test_two_windows_and_a_reload_share_the_work(place: Workspace) -> None:
     _played_on(place, story)
 
 
+@pytest.mark.slow
 def test_a_remedy_mends_the_mapping_and_shows_before_and_after(tmp_path: Path) -> None:
     """A heading in degrees: found, mended, and the log then agrees with itself."""
     degrees = pl.col("psi") * 57.29577951308232

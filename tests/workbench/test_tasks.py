@@ -115,6 +115,7 @@ def test_add_makes_the_file_that_the_command_makes(
     assert _without_history(made) == _without_history(place.vehicle_file())
 
 
+@pytest.mark.slow
 def test_an_effect_that_does_not_help_needs_a_second_word(place: Workspace, job: Make) -> None:
     found = tasks.add(job(effect="dry_friction"))
     assert not found["helps"]
@@ -182,6 +183,7 @@ def test_outputs_replace_no_input(place: Workspace, job: Make) -> None:
             task(job(out=place.session.vehicle))
 
 
+@pytest.mark.slow
 def test_report_and_code_are_written(place: Workspace, job: Make, tmp_path: Path) -> None:
     tasks.write_report(job(out=str(tmp_path / "report.html")))
     assert "ocean_current" in (tmp_path / "report.html").read_text()
