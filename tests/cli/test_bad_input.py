@@ -311,7 +311,7 @@ def test_comparing_with_a_million_samples_is_an_answer(million: Path, capsys: Ca
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ("fit", "add", "diagnose"))
+@pytest.mark.parametrize("command", ["fit", "add", "diagnose"])
 def test_of_more_samples_than_a_search_can_take_those_that_tell_most_are_used(
     command: str, million: Path, capsys: Capture
 ) -> None:
