@@ -322,6 +322,16 @@ def test_horizons_are_bounded_by_the_record() -> None:
     assert short <= middle / 2 <= long / 4
 
 
+def test_windows_of_a_log_whose_position_drops_out_are_as_short_as_the_stretches_between() -> None:
+    vehicle, run = _damped(X_udot=-0.5, X_u=-0.4, X_uabsu=0.0), _steady_run(200.0)
+    x = 0.2 * run.t
+    x[::250] = np.nan  # every 25 s
+    gappy = replace(run, channels={**run.channels, "x": x})
+    *_, long = horizons(vehicle, [gappy])
+    assert long <= 25.0
+    assert len(cut([gappy], vehicle, long)) >= 4
+
+
 @pytest.mark.parametrize("damping", [0.0, 0.3])
 def test_without_a_time_constant_horizons_are_shares_of_the_record(damping: float) -> None:
     vehicle = _damped(X_u=damping, X_uabsu=0.0)

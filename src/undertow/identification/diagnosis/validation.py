@@ -546,7 +546,9 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
 def _pieces(run: Run, settings: Settings) -> list[Run]:
     count = settings.pieces
     start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / count
-    edges = [start + i * length for i in range(count + 1)]
+    # Between two samples: whether one lies on an edge must not hang on the last digit of its time.
+    beside = 0.25 * run.step
+    edges = [start + i * length - (beside if 0 < i < count else 0.0) for i in range(count + 1)]
     gap = min(settings.piece_gap, 0.1 * length)
     return [
         replace(

@@ -569,7 +569,8 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
 
 def _longest_stretch(vehicle: Vehicle, run: Run) -> float:
     """Length of the longest part of a run without gaps, s."""
-    names = [n for n in (*vehicle.velocity_names, *vehicle.command_names) if run.has(n)]
+    wanted = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
+    names = [n for n in wanted if run.has(n)]  # what `cut` wants without gaps
     return max((float(run.t[s.stop - 1] - run.t[s.start]) for s in run.segments(names)), default=0.0)
 
 
