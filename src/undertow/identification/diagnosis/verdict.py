@@ -166,14 +166,21 @@ def _named(
     winners: list[FoundEffect], sets: list[Indistinguishable], share: float, residual_is_noise: bool
 ) -> str:
     open_ = {e for s in sets for e in s.effects}
-    how = "it explains" if len(unique_ids(winners)) == 1 else "together they explain"
-    rest = "what remains is noise" if residual_is_noise else f"{how} {share:.0%} of what exceeds the noise"
+    rest = "what remains is noise" if residual_is_noise else _explaining(len(unique_ids(winners)), share)
     names = " and ".join(n for n in unique_ids(winners) if n not in open_)
     if not sets:
         return f"Missing: {names}; {rest}."
     choice = "; ".join(" or ".join(s.effects) for s in sets)
     certain = f"Missing: {names}. Beside it these data cannot tell" if names else "These data cannot tell"
     return f"{certain}: {choice}. Any of them brings the error down alike; {rest}."
+
+
+def _explaining(count: int, share: float) -> str:
+    """What effects do to the force by itself, which fits to long simulations need not make smaller."""
+    if share <= 0.0:
+        return "only simulations get better by it: the force that is left, sample by sample, is no smaller"
+    how = "it explains" if count == 1 else "together they explain"
+    return f"{how} {share:.0%} of what exceeds the noise"
 
 
 def unique_ids(findings: list[FoundEffect]) -> list[str]:
