@@ -293,12 +293,12 @@ class ResultBuilder:
         unseen = -math.inf
         return sorted(
             self.found.rounds[0].findings,
-            key=lambda f: (f.id != leader, not f.significant, -falls.get(f.id, unseen)),
+            key=lambda f: (f.id != leader, not self._shown(f), -falls.get(f.id, unseen)),
         )
 
     def _ranked(self, finding: FoundEffect) -> Ranked:
         trial = finding.trial
-        helps = finding.significant or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
+        helps = self._shown(finding) or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
         names = finding.parameters if helps and trial.kept else ()
         return Ranked(
             effect=finding.id,
@@ -311,12 +311,16 @@ class ResultBuilder:
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,
             # Where nothing is missing the simulation, which has the last word, needs none of them.
-            significant=finding.significant and self.judgement.verdict != "adequate",
+            significant=self._shown(finding) and self.judgement.verdict != "adequate",
             p_value=finding.p_value if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
             not_named=self._reason(finding.id),
             falls=self._falls(finding.id),
         )
+
+    def _shown(self, finding: FoundEffect) -> bool:
+        """Whether a candidate is beyond chance, by the residual alone or with the simulation's word."""
+        return finding.significant or (self._selection is not None and finding.id in self._selection.worth)
 
     @cached_property
     def _claimed(self) -> set[str]:

@@ -384,8 +384,8 @@ class _Selector:
         best = self._best(slow, first=True)
         if best is not None:
             return slow, best
-        seen = {f.id for f in current.findings if f.significant}
-        more = [f for f in slow.findings if f.significant and f.id not in seen]
+        seen = {f.id for f in _beyond_chance(current)}
+        more = [f for f in _beyond_chance(slow) if f.id not in seen]
         known = {f.id for f in more}
         others = [f for f in current.findings if f.id not in known]
         return replace(current, findings=[*others[: len(seen)], *more, *others[len(seen) :]]), None
@@ -416,8 +416,8 @@ class _Selector:
         if first:
             self._worth |= worth
             reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
-            beyond_chance = (f.id for f in current.findings if f.significant)
-            self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in beyond_chance}
+            shown = (f.id for f in _beyond_chance(current))
+            self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in shown}
         if not worthy:
             return None
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
@@ -431,7 +431,7 @@ class _Selector:
         Where a record was filtered, what leads by the residual may do nothing for predictions; where the weak
         form fits poorly, the other way round: of both orders the first are taken in turns.
         """
-        found = [f for f in current.findings if f.significant]
+        found = _beyond_chance(current)
         most = self._settings.simulated
         if len(found) <= most:
             return found
@@ -486,6 +486,16 @@ class _Selector:
                 f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
             )
         return ""
+
+
+def _beyond_chance(current: Round) -> list[FoundEffect]:
+    """Candidates whose evidence chance does not give, however little of the residual they explain.
+
+    A small steady force in one equation hardly shows sample by sample, and adds up over a long simulation: how
+    much an effect matters is for that to say.
+    """
+    error, limit = current.bench.base_score.error, current.bench.settings.false_alarm_rate
+    return [f for f in current.findings if f.p_value < limit and f.trial.score.error < error]
 
 
 def selected(found: Search, selection: Selection) -> Search:
