@@ -421,7 +421,12 @@ class _Selector:
         if not worthy:
             return None
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
-        rivals = [f for f in (*leading, *near) if f is not chosen and not doubts[f.id]]
+        # A current on one heading is not refuted: these logs do not show what would be special about it.
+        rivals = [
+            f
+            for f in (*leading, *near)
+            if f is not chosen and (not doubts[f.id] or doubts[f.id] == _never_turned(f, bench))
+        ]
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
 
