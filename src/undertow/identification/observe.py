@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
+from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.observer.consistency import Normalised, Whiteness, nis, whiteness
 from undertow.observer.filters import SEARCH, Estimate, Method, Observer, Reports, most_likely, smoothed
-from undertow.observer.process import BIASES, CURRENT, Kind, Process, process_of
+from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, process_of
 from undertow.typing import Array, Flags, Index, Progress
 
 from .logs.run import Run
@@ -26,15 +26,6 @@ class ObserveSettings:
     # Longest step of the filter, s, and as a part of the fastest time constant of the vehicle.
     step: float = 0.25
     reach: float = 0.5
-    # Standard deviations before the first report: far beyond what vehicles do, so that reports decide.
-    position: float = 100.0  # m
-    angle: float = 3.0  # rad
-    velocity: float = 3.0  # m/s
-    rate: float = 1.0  # rad/s
-    acceleration: float = 1.0  # m/s^2, rad/s^2
-    effect_state: float = 1.0  # lags and fluid memory, in their own unit
-    current: float = 1.0  # m/s
-    bias: float = 0.3  # m/s, rad/s
     # Random walk of a parameter, standard deviation in an hour: currents turn with the tide, biases with heat.
     current_walk: float = 0.2  # m/s
     bias_walk: float = 0.02  # m/s, rad/s
@@ -262,21 +253,7 @@ def first_guess(process: Process, reports: Reports) -> tuple[Array, Array]:
         found = np.flatnonzero(np.isfinite(reports.y[:, i]))
         if len(found):
             mean[process.index(name)] = reports.y[found[0], i]
-    return mean, np.diag([_spread(name) ** 2 for name in process.state_names])
-
-
-def _spread(name: str) -> float:
-    s = SETTINGS
-    kinds = (
-        (POSE[:3], s.position),
-        (POSE[3:], s.angle),
-        (VELOCITY[:3], s.velocity),
-        (VELOCITY[3:], s.rate),
-        (CURRENT, s.current),
-        (BIASES, s.bias),
-        (tuple(f"{v}_dot" for v in VELOCITY), s.acceleration),
-    )
-    return next((size for names, size in kinds if name in names), s.effect_state)
+    return mean, UNKNOWN.covariance(process)
 
 
 def _first_densities(process: Process, stated: Mapping[str, float]) -> tuple[Array, Flags]:

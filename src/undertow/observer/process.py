@@ -184,3 +184,45 @@ def _moving(f: Functions, kind: Kind) -> tuple[ca.SX, ca.SX, tuple[str, ...], tu
         names,
         tuple(range(2 * n, 3 * n)),
     )
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Standard deviations before the first report, around what it says or zero.
+
+    Attributes
+    ----------
+    position, angle, velocity, rate, acceleration, current, bias, effect_state : float
+        m, rad, m/s, rad/s, m/s^2 and rad/s^2, m/s, m/s and rad/s, and the own unit of a lag or fluid memory.
+    """
+
+    position: float = 100.0
+    angle: float = 3.0
+    velocity: float = 3.0
+    rate: float = 1.0
+    acceleration: float = 1.0
+    current: float = 1.0
+    bias: float = 0.3
+    effect_state: float = 1.0
+
+    def covariance(self, process: Process) -> Array:
+        """Of the state of a process, shape (nx, nx)."""
+        return np.diag([self._of(name) ** 2 for name in process.state_names])
+
+    def _of(self, name: str) -> float:
+        kinds = (
+            (POSE[:3], self.position),
+            (POSE[3:], self.angle),
+            (VELOCITY[:3], self.velocity),
+            (VELOCITY[3:], self.rate),
+            (CURRENT, self.current),
+            (BIASES, self.bias),
+            (tuple(f"{v}_dot" for v in VELOCITY), self.acceleration),
+        )
+        return next((size for names, size in kinds if name in names), self.effect_state)
+
+
+UNKNOWN = Prior()
+"""Far beyond what vehicles do, so that reports decide: for logs."""
+AT_REST = Prior(velocity=0.05, rate=0.05, acceleration=0.05, current=0.3, bias=0.05, effect_state=0.1)
+"""A vehicle that is switched on where it lies: for filters on board."""
