@@ -11,8 +11,9 @@ from undertow.errors import UndertowError
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.observer.consistency import Normalised, Whiteness, nis, whiteness
+from undertow.observer.design import SCHEMA
 from undertow.observer.filters import SEARCH, Estimate, Method, Observer, Reports, most_likely, smoothed
-from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, process_of
+from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, longest_step, process_of
 from undertow.typing import Array, Flags, Index, Progress
 
 from .logs.run import Run
@@ -23,9 +24,6 @@ from .logs.series import report_noise
 class ObserveSettings:
     """Numbers of observing a log."""
 
-    # Longest step of the filter, s, and as a part of the fastest time constant of the vehicle.
-    step: float = 0.25
-    reach: float = 0.5
     # Random walk of a parameter, standard deviation in an hour: currents turn with the tide, biases with heat.
     current_walk: float = 0.2  # m/s
     bias_walk: float = 0.02  # m/s, rad/s
@@ -237,14 +235,6 @@ def _held(data: Array) -> Array:
     return np.where(last >= 0, np.nan_to_num(data)[np.maximum(last, 0)], 0.0)
 
 
-def longest_step(process: Process) -> float:
-    """Longest step of the filter, s: short beside the fastest motion at rest."""
-    zero = np.zeros(process.x.numel())
-    slopes = process.system(zero, np.zeros(process.u.numel()), process.values, 0.0)[1]
-    fastest = np.abs(np.linalg.eigvals(np.nan_to_num(np.asarray(slopes)))).max(initial=0.0)
-    return min(SETTINGS.step, SETTINGS.reach / max(float(fastest), 1e-9))
-
-
 # --- first guesses --------------------------------------------------------------------------------
 def first_guess(process: Process, reports: Reports) -> tuple[Array, Array]:
     """Mean and covariance before the first report: the first one of each channel, and hardly any certainty."""
@@ -300,3 +290,20 @@ def csv(observed: Observed) -> str:
     extra = {f"sd_{n}": d for n, d in deviations(observed).items()}
     columns = {"t": observed.run.t, **observed.run.channels, **extra}
     return pl.DataFrame(columns).fill_nan(None).write_csv()
+
+
+def observer_file(observed: Observed, run: Run, name: str) -> str:
+    """An observer file (TOML) with the sensors of a log, their noise and rates, and the noise that was found."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document.update({"schema": SCHEMA, "name": name, "process": observed.process})
+    document["estimate"] = list(observed.parameters)
+    sensors = tomlkit.table()
+    for channel, sigma in observed.noise.items():
+        row = tomlkit.inline_table()
+        row.update({"noise": f"{sigma:.4g} {MOTION_UNITS[channel]}", "period": f"{run.period(channel):.4g} s"})
+        sensors[channel] = row
+    document["sensors"] = sensors
+    document["disturbance"] = {n: float(f"{v:.4g}") for n, v in observed.disturbance.items()}
+    return tomlkit.dumps(document)

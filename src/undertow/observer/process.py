@@ -226,3 +226,22 @@ UNKNOWN = Prior()
 """Far beyond what vehicles do, so that reports decide: for logs."""
 AT_REST = Prior(velocity=0.05, rate=0.05, acceleration=0.05, current=0.3, bias=0.05, effect_state=0.1)
 """A vehicle that is switched on where it lies: for filters on board."""
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """How long a step of a filter may be."""
+
+    longest: float = 0.25  # s
+    reach: float = 0.5  # of the fastest time constant of the vehicle at rest
+
+
+STEP = StepSettings()
+
+
+def longest_step(process: Process) -> float:
+    """Longest step of a filter, s: short beside the fastest motion at rest."""
+    zero = np.zeros(process.x.numel())
+    slopes = process.system(zero, np.zeros(process.u.numel()), process.values, 0.0)[1]
+    fastest = np.abs(np.linalg.eigvals(np.nan_to_num(np.asarray(slopes)))).max(initial=0.0)
+    return min(STEP.longest, STEP.reach / max(float(fastest), STEP.reach / STEP.longest))

@@ -46,6 +46,9 @@ _CURRENT = typer.Option("--current", help="Estimate the velocity of the water (w
 _BIAS = typer.Option("--bias", metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
 _OUT = typer.Option("--out", metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
 _TRUST_MODEL = typer.Option("--trust-model", help="Write --out also where the model made the velocities.")
+_SAVE = typer.Option(
+    "--save", metavar="NEW.toml", help="Write an observer file for simulate, linearize and codegen."
+)
 _PLOT = typer.Option("--plot", metavar="OUT.png", help="Draw estimates with two sigma, and the NIS.")
 
 
@@ -60,13 +63,14 @@ def observe(
     bias: Annotated[str | None, _BIAS] = None,
     out: Annotated[Path | None, _OUT] = None,
     trust_model: Annotated[bool, _TRUST_MODEL] = False,
+    save: Annotated[Path | None, _SAVE] = None,
     plot: Annotated[Path | None, _PLOT] = None,
     json: JsonOption = False,
 ) -> None:
     from undertow.files import check_writable, write_whole
-    from undertow.identification.observe import csv, observe
+    from undertow.identification.observe import csv, observe, observer_file
 
-    check_writable(out, plot, inputs=[vehicle, log, *options.files])
+    check_writable(out, save, plot, inputs=[vehicle, log, *options.files])
     if out is not None and process == "model" and not trust_model:
         raise UndertowError(
             f"--out {out}: velocities that the model made must not go into a diagnosis of it; take --process "
@@ -83,7 +87,11 @@ def observe(
 
         save_png(observed_picture(found, run), path)
 
-    write_files((out, lambda path: write_whole(path, csv(found))), (plot, draw))
+    write_files(
+        (out, lambda path: write_whole(path, csv(found))),
+        (save, lambda path: write_whole(path, observer_file(found, run, path.stem))),
+        (plot, draw),
+    )
     if json:
         print_json(found.content())
     else:
