@@ -24,13 +24,13 @@ from .logs.series import report_noise
 class ObserveSettings:
     """Numbers of observing a log."""
 
-    # Random walk of a parameter, standard deviation in an hour: currents turn with the tide, biases with heat.
+    # Random walk of a parameter, standard deviation in an hour: tides turn currents, heat moves biases.
     current_walk: float = 0.2  # m/s
     bias_walk: float = 0.02  # m/s, rad/s
     # First guess of the noise on an acceleration, m/s^1.5, or on its rate, m/s^2.5; also rad.
     first_model: float = 0.02
     first_kinematics: float = 0.1
-    # Noise of a report is this share of the channel's spread at least, so that a noiseless log has a solution.
+    # Least noise of a report, as a share of the channel's spread: a log without noise has a solution, too.
     least: float = 1e-5
     together: float = 1e-9  # s by which times may differ that are one
     fewest: int = 10  # reports of all channels
@@ -109,10 +109,10 @@ def observe(
 ) -> Observed:
     """Estimate pose and velocity from the reports that a log has.
 
-    Kinematics alone (the default) knows nothing of forces: a smooth motion with white noise on the rate of its
-    acceleration. Its velocities may be given to a diagnosis. With the model the estimate is closer where the
-    model is right, and leans towards it where it is wrong: it is for control and for currents, and a diagnosis
-    of it would find its own model again.
+    Kinematics alone (the default) knows nothing of forces: a smooth motion with white noise on the rate of
+    its acceleration. Its velocities may be given to a diagnosis. With the model the estimate is closer where
+    the model is right, and leans towards it where it is wrong: it is for control and for currents, and a
+    diagnosis of it would find its own model again.
 
     Parameters
     ----------
@@ -145,7 +145,8 @@ def observe(
     filtered = Observer(what, densities).run(reports, mean, covariance, method, progress)
     found = smoothed(filtered)
     last = (found.mean[-1], found.deviation[-1])
-    known, gone = reports.there.any(axis=0), reports.there & ~filtered.used
+    known: Flags = np.asarray(reports.there.any(axis=0))
+    gone = reports.there & ~filtered.used
     return Observed(
         _as_run(run, what, found, rows),
         process,
@@ -237,7 +238,7 @@ def _held(data: Array) -> Array:
 
 # --- first guesses --------------------------------------------------------------------------------
 def first_guess(process: Process, reports: Reports) -> tuple[Array, Array]:
-    """Mean and covariance before the first report: the first one of each channel, and hardly any certainty."""
+    """Mean and covariance before the first report: what it says of each channel, and hardly any certainty."""
     mean = np.zeros(len(process.state_names))
     for i, name in enumerate(process.channels):
         found = np.flatnonzero(np.isfinite(reports.y[:, i]))
@@ -293,7 +294,7 @@ def csv(observed: Observed) -> str:
 
 
 def observer_file(observed: Observed, run: Run, name: str) -> str:
-    """An observer file (TOML) with the sensors of a log, their noise and rates, and the noise that was found."""
+    """An observer file (TOML): the sensors of a log with noise and rates, and the noise that was found."""
     import tomlkit
 
     document = tomlkit.document()
@@ -302,7 +303,9 @@ def observer_file(observed: Observed, run: Run, name: str) -> str:
     sensors = tomlkit.table()
     for channel, sigma in observed.noise.items():
         row = tomlkit.inline_table()
-        row.update({"noise": f"{sigma:.4g} {MOTION_UNITS[channel]}", "period": f"{run.period(channel):.4g} s"})
+        row.update(
+            {"noise": f"{sigma:.4g} {MOTION_UNITS[channel]}", "period": f"{run.period(channel):.4g} s"}
+        )
         sensors[channel] = row
     document["sensors"] = sensors
     document["disturbance"] = {n: float(f"{v:.4g}") for n, v in observed.disturbance.items()}

@@ -96,7 +96,7 @@ def innovations(found: Estimate, channel: int) -> Array:
 
 
 def nis(found: Estimate, channels: tuple[str, ...]) -> tuple[Normalised, ...]:
-    """Normalised innovation squared of every channel that reports, and of all (Bar-Shalom et al. 2001, 5.4)."""
+    """Normalised innovation squared of every channel that reports, and of all (Bar-Shalom et al. 2001)."""
     each = {n: innovations(found, i) ** 2 for i, n in enumerate(channels)}
     each = {n: squares for n, squares in each.items() if len(squares)}
     whole = np.concatenate(list(each.values())) if each else np.empty(0)
@@ -111,7 +111,7 @@ def nees(found: Estimate, truth: Array, rows: slice = slice(None)) -> Array:
     truth : ndarray, shape (n, nx)
         True states.
     rows : slice
-        Rows that are looked at. Errors of neighbouring rows are correlated: bounds hold for rows far apart, or
+        Rows that are looked at. Errors of neighbours are correlated: bounds hold for rows far apart, or
         of different runs.
     """
     error = (found.mean - truth)[rows]

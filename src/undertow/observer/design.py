@@ -34,6 +34,8 @@ class DesignSettings:
     # Reports older than this, s, are refused: at 1 m/s one of 20 ms is wrong by 2 cm, less than most noise.
     # Older ones have to be given to the filter at the time when they were true.
     late: float = 0.02
+    # Time between reports, s, that come with every sample, where no sampling interval is at hand.
+    sample: float = 0.01
 
 
 SETTINGS = DesignSettings()

@@ -109,7 +109,10 @@ class ObserverExport:
     def _start(self) -> str:
         n = len(self._design.process.state_names)
         spread = np.diagonal(AT_REST.covariance(self._design.process))
-        lines = [f"  for (int i = 0; i < {n}; i++) x[i] = 0;", f"  for (int i = 0; i < {n * n}; i++) P[i] = 0;"]
+        lines = [
+            f"  for (int i = 0; i < {n}; i++) x[i] = 0;",
+            f"  for (int i = 0; i < {n * n}; i++) P[i] = 0;",
+        ]
         lines += [f"  P[{i * n + i}] = {float(value)!r};" for i, value in enumerate(spread)]
         return f"void {self._name}_start(double *x, double *P) {{\n" + "\n".join(lines) + "\n}\n"
 

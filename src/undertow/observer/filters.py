@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from math import log, pi
-from typing import Literal
+from math import floor, log, pi
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -27,10 +27,10 @@ class FilterSettings:
 
     # Terms of the series of the discrete process noise: with five, chains of three integrators are exact.
     terms: int = 5
-    # Squared innovation over its variance from which a report is not believed: one in a million of a Gaussian.
+    # Squared innovation over its variance beyond which a report is not believed: one in a million.
     gate: float = 23.9
-    # Sigma points (Wan and van der Merwe 2000): spread as wide as the square root of the number of states, and
-    # beta for a Gaussian. The centre has then no weight in the mean, and covariances stay positive.
+    # Sigma points (Wan and van der Merwe 2000): as wide as the square root of the number of states, beta for
+    # a Gaussian. The centre has then no weight in the mean, and covariances stay positive.
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
@@ -139,10 +139,10 @@ def _symmetric(matrix: ca.SX) -> ca.SX:
 
 
 def propagate(process: Process, x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX, dt: ca.SX) -> list[ca.SX]:
-    """State after dt and its Jacobian Phi, by the same Runge-Kutta step of rates and variational equations."""
+    """State after dt and its Jacobian Phi, by one Runge-Kutta step of rates and variational equations."""
     system = process.system
 
-    def rates(parts: list[ca.SX], reach: float) -> list[ca.SX]:
+    def rates(parts: Sequence[Any], reach: float) -> Sequence[Any]:
         x_dot, a, _, _ = system(parts[0], u, p, t + reach * dt)
         return [x_dot, a @ parts[1]]
 
@@ -211,7 +211,9 @@ def corrected(
     used = there * (error**2 <= gate * variance)
     gain = used * along / variance
     rest = ca.SX.eye(x.numel()) - gain @ h
-    return Believed(x + gain * error, _symmetric(rest @ P @ rest.T + gain @ gain.T * r), error, variance, used)
+    return Believed(
+        x + gain * error, _symmetric(rest @ P @ rest.T + gain @ gain.T * r), error, variance, used
+    )
 
 
 # --- filters --------------------------------------------------------------------------------------
@@ -223,7 +225,7 @@ class Observer:
     process : Process
         What moves, and what sensors report.
     densities : ndarray, shape (len(process.driven),)
-        Spectral density of the white noise on the rates of the driven states, squared unit of the rate times s.
+        Spectral density of the white noise on the rates of the driven states, (unit of the rate)^2 s.
     compiled : bool
         Whether the extended filter is worth compiling (seconds, once): many rows are filtered many times.
     """
@@ -262,8 +264,8 @@ class Observer:
                 "units or commands (undertow doctor), or estimate with kinematics (--process kinematics)"
             )
         there = reports.there
-        hidden = {n: np.where(there, getattr(found, n), np.nan) for n in ("innovation", "variance")}
-        return replace(found, **hidden)
+        innovation, variance = (np.where(there, a, np.nan) for a in (found.innovation, found.variance))
+        return replace(found, innovation=innovation, variance=variance)
 
     # --- extended -----------------------------------------------------------------------------
     def _extended(self, reports: Reports, x: Array, P: Array, progress: Progress) -> Estimate:
@@ -278,7 +280,9 @@ class Observer:
             count = rows.stop - rows.start
             given = [u[rows].T, self.process.values, self.densities, reports.t[rows][None], steps[rows][None]]
             given += [y[rows].T, reports.variance, there[rows].T]
-            found = [np.asarray(o) for o in _rolled(_row_of(self.process, self._compiled), count)(x, P, *given)]
+            found = [
+                np.asarray(o) for o in _rolled(_row_of(self.process, self._compiled), count)(x, P, *given)
+            ]
             blocks.append([_by_row(o, count) for o in found])
             x, P = blocks[-1][0][-1, :, 0], blocks[-1][1][-1]
             progress(rows.stop / total, "filtering")
@@ -303,7 +307,7 @@ class Observer:
         f = self.process
         q, dt, count = ca.SX.sym("q", len(f.driven)), ca.SX.sym("dt"), 2 * f.x.numel() + 1
         given = [f.x, f.u, f.p, f.t]
-        step = ca.Function("step", [*given, dt], [ca.densify(propagate(f, *given, dt)[0])])
+        step = ca.Function("step", [*given, dt], [ca.densify(propagate(f, f.x, f.u, f.p, f.t, dt)[0])])
         see = ca.Function("see", given, [ca.densify(f.reports)])
         added = discrete_noise(f, f.system(*given)[1], q, dt)
         noise = ca.Function("noise", [*given, q, dt], [ca.densify(added)])
@@ -326,7 +330,7 @@ class Observer:
             cross = points.covariance(before - x, after - x0)
             x, P = x0, P0
             done = np.zeros((m, 3))
-            for i in np.flatnonzero(reports.there[k]):
+            for i in map(int, np.flatnonzero(reports.there[k])):
                 spread = points.around(x, P)
                 seen = see(spread, u, p, now)[0][:, i, 0]
                 x, P, done[i] = self._believe(i, points, spread, seen, x, P, reports, k)
@@ -334,8 +338,9 @@ class Observer:
                 place[k] = value
             if k % SETTINGS.rows_per_call == 0:
                 progress(k / total, "filtering")
-        *states, used = out
-        return Estimate(reports.t, self.process.state_names, *states, used > 0)
+        mean, after, x0, before, cross, error, variance, used = out
+        names = self.process.state_names
+        return Estimate(reports.t, names, mean, after, x0, before, cross, error, variance, used > 0)
 
     def _believe(
         self,
@@ -349,10 +354,10 @@ class Observer:
         row: int,
     ) -> tuple[Array, Array, tuple[float, float, bool]]:
         """State, covariance, and innovation, its variance and whether it was believed, after one report."""
-        wrap: Callable[[Array], Array] = _wrapped if self.process.angles[channel] else np.asarray
-        centre = seen[0] + points.mean @ wrap(seen - seen[0])
-        off = wrap(seen - centre)[:, None]
-        error = float(wrap(np.array(reports.y[row, channel] - centre)))
+        centre = points.mean @ seen
+        off = (seen - centre)[:, None]
+        error = float(reports.y[row, channel] - centre)
+        error = _wrapped(error) if self.process.angles[channel] else error
         variance = float(points.covariance(off, off)[0, 0] + reports.variance[channel])
         used = error**2 <= SETTINGS.gate * variance
         gain = points.covariance(spread - x, off)[:, 0] / variance
@@ -404,8 +409,8 @@ def _row_of(process: Process, compiled: bool) -> ca.Function:
     x0, P0, cross = predicted(process, *before)
     x, P, done = x0, P0, []
     for i in range(m):
-        one = (v[i] for v in more)
-        got = corrected(process, i, x, P, s["u"], s["p"], s["t"], *one, ca.SX(SETTINGS.gate))
+        y, r, there = (v[i] for v in more)
+        got = corrected(process, i, x, P, s["u"], s["p"], s["t"], y, r, there, ca.SX(SETTINGS.gate))
         x, P = got.x, got.P
         done.append(ca.horzcat(got.innovation, got.variance, got.used))
     inputs = [s["x"], full, s["u"], s["p"], s["q"], s["t"], s["dt"], *more]
@@ -426,8 +431,9 @@ def _by_row(stacked: Array, count: int) -> Array:
     return stacked.reshape(len(stacked), count, -1).transpose(1, 0, 2)
 
 
-def _wrapped(angle: Array) -> Array:
-    return angle - 2 * pi * np.floor((angle + pi) / (2 * pi))
+def _wrapped(angle: float) -> float:
+    """The same angle within half a turn."""
+    return angle - 2 * pi * floor((angle + pi) / (2 * pi))
 
 
 # --- smoothing ------------------------------------------------------------------------------------

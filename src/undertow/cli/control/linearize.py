@@ -11,8 +11,8 @@ have a unit: --at "psi=30 deg".
     undertow linearize bluerov2 --current 0.3,0.1
 
 With --gains the poles are those of the closed loop, and the margins those of each force with the others
-closed; with --observer, too, of the loop with the Kalman filter in it, as it settles. Where forward and backward motion have parameters of their own and the vehicle is at rest, --direction
-says which to take.
+closed. With --observer the Kalman filter is in that loop, as it settles. Where forward and backward motion
+have parameters of their own and the vehicle is at rest, --direction says which to take.
 
     undertow linearize mini-auv --gains paper-pid --direction u=-1 --plot root-locus --out locus.png
 

@@ -171,7 +171,7 @@ def simulate(
         raise UndertowError(
             f"--out {out} holds one run, and there are {len(gains)} gain files: give one of them"
         )
-    inputs = [vehicle, *gains, *filter(None, [plant, observer]), *(effects or [])]
+    inputs: list[str | Path] = [vehicle, *gains, *(one for one in (plant, observer) if one), *(effects or [])]
     check_writable(out, json, inputs=inputs)
     if figures is not None:
         check_folder(figures)

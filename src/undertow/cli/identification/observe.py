@@ -8,15 +8,15 @@ tested: their size against what the filter expects (NIS), and whether they are w
 
     undertow observe rov.toml dive.csv --process model --current --bias r
 
---process kinematics, the default, knows nothing of forces: a motion whose acceleration wanders. Its velocities
-may go into a diagnosis of a log that has none:
+--process kinematics, the default, knows nothing of forces: a motion whose acceleration wanders. Velocities
+from it may go into a diagnosis of a log that has none:
 
     undertow observe rov.toml dive.csv --out smoothed.csv
     undertow diagnose rov.toml smoothed.csv
 
 --process model predicts with the equations of the vehicle file. It is closer to the truth where the model is
-right, estimates the current (--current), and leans towards the model where that is wrong: a diagnosis of such a
-log finds the model that it was made with, so it is written with --trust-model only.
+right, estimates the current (--current), and leans towards the model where that is wrong: a diagnosis of
+such a log finds the model that it was made with, so it is written with --trust-model only.
 
 The noise of a report is that of the mapping file, or found from differences; the noise that drives the motion
 is that for which the reports are likeliest.
@@ -120,10 +120,8 @@ def show(found: Observed) -> None:
     for one in found.nis[:-1]:
         p = f"{white[one.name].p_value:.2g}" if one.name in white else ""
         gone = found.disbelieved.get(one.name, 0)
-        rows.append(
-            (one.name, f"{found.noise[one.name]:.3g}", f"{one.count}", f"{gone or ''}", f"{one.mean:.3f}")
-            + (f"{one.low:.3f} to {one.high:.3f}", p)
-        )
+        numbers = (f"{found.noise[one.name]:.3g}", str(one.count), f"{gone or ''}", f"{one.mean:.3f}")
+        rows.append((one.name, *numbers, f"{one.low:.3f} to {one.high:.3f}", p))
     head = ("sensor", "noise", "reports", "disbelieved", "NIS", "95 %", "white, p")
     section(f"Innovations ({found.process})", table(head, rows))
     driven = [(n, f"{v:.3g}") for n, v in found.disturbance.items()]

@@ -454,9 +454,7 @@ class Choices:
         known = self.with_sway(vehicle)
         moving = self.in_current(self.with_sway(plant) if plant else known)
         chosen = None if observer is None else load_observer(observer, known)
-        return ClosedLoop(
-            load_gains(gains, known, self.changed), moving, compiled=compiled, observer=chosen
-        )
+        return ClosedLoop(load_gains(gains, known, self.changed), moving, compiled=compiled, observer=chosen)
 
     def changed(self, table: GainTable) -> GainTable:
         """A gain file with these choices."""

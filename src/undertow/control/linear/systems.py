@@ -17,6 +17,7 @@ from undertow.control.laws import JUMPING
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.observer.design import SETTINGS as DESIGN
 from undertow.observer.design import Design
 from undertow.observer.process import process_of
 from undertow.typing import Array
@@ -423,7 +424,7 @@ class SettledObserver:
     """The Kalman filter that an observer settles to at a trim, in continuous time.
 
     Reports every T s with variance r say as much as a continuous report with spectral density r T
-    (Simon 2006, section 8.1), and a sensor without a period counts as one with `period`.
+    (Simon 2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`.
 
     Attributes
     ----------
@@ -433,8 +434,6 @@ class SettledObserver:
         Of the innovations.
     """
 
-    period = 0.01
-
     def __init__(self, observer: Design, trim: Trim) -> None:
         own = observer.process
         process = process_of(in_direction(own.vehicle, trim.direction), own.estimated, own.kind)
@@ -443,22 +442,25 @@ class SettledObserver:
         x = np.array([known.get(name, 0.0) for name in self.names])
         u = np.array([trim.commands.get(name, 0.0) for name in process.vehicle.command_names])
         _, a, _, c = (np.nan_to_num(m) for m in map(np.asarray, process.system(x, u, process.values, 0.0)))
-        slope = ca.Function("by_u", [process.x, process.u, process.p, process.t], [
-            ca.densify(ca.jacobian(process.rates, process.u))
-        ])
+        slope = ca.Function(
+            "by_u",
+            [process.x, process.u, process.p, process.t],
+            [ca.densify(ca.jacobian(process.rates, process.u))],
+        )
         self.a, self.b, self.c = a, np.asarray(slope(x, u, process.values, 0.0)), c[list(observer.channels)]
         noise = np.zeros((len(x), len(x)))
         noise[process.driven, process.driven] = observer.densities
-        r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, self.period))
+        r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, DESIGN.sample))
         self.gain = self._settled(noise, r)
 
     def _settled(self, noise: Array, r: Array) -> Array:
         try:
             covariance, _, _ = ct.care(self.a.T, self.c.T, noise, r)
         except (ValueError, np.linalg.LinAlgError, ct.ControlArgument) as error:
+            sensors = ", ".join(self.observer.sensors)
             raise UndertowError(
-                f"observer '{self.observer.name}' does not settle: its sensors ({', '.join(self.observer.sensors)})"
-                " do not show all of what drifts; add one, or estimate less"
+                f"observer '{self.observer.name}' does not settle: its sensors ({sensors}) do not show "
+                "all that drifts; add one, or estimate less"
             ) from error
         return np.asarray(covariance @ self.c.T @ np.linalg.inv(r))
 
