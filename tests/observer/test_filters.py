@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.identification.observe import first_guess, reports_of
 from undertow.model.loading import load_vehicle
 from undertow.observer.consistency import ljung_box, nees, nees_bounds, nis, whiteness
-from undertow.observer.filters import Observer, Reports, smoothed
+from undertow.observer.filters import Method, Observer, Reports, smoothed
 from undertow.observer.process import Prior, Process, process_of
 
 A = np.array([[0.0, 1.0], [-0.09, -0.3]])
@@ -158,6 +158,22 @@ def test_errors_and_innovations_are_as_large_as_the_filter_says(estimates) -> No
     white = [one.white for _, found, _ in estimates for one in whiteness(found, process.channels)]
     assert len(white) == 50
     assert sum(white) >= 46
+
+
+def test_sigma_points_stay_honest_where_the_first_velocity_is_unknown() -> None:
+    process = process_of(auv(), ("V_N", "V_E"), "model")
+    q = np.array([DRIVE.get(n, 0.0) for n in process.driven_names]) ** 2
+    values: dict[Method, list[float]] = {"ekf": [], "ukf": []}
+    for seed in range(5):
+        run, x, _ = log(auv(**CURRENT), 12.0, seed, EVERY)
+        given, _ = reports_of(run, process)
+        truth = np.column_stack([x, np.tile(list(CURRENT.values()), (len(x), 1))])
+        for method, found in values.items():
+            estimate = Observer(process, q).run(given, *first_guess(process, given), method)
+            found.append(nees(estimate, truth, slice(100, 101))[0])
+    low, high = nees_bounds(len(process.state_names), 5)
+    assert low < np.mean(values["ukf"]) < high
+    assert np.mean(values["ekf"]) > high
 
 
 def test_the_smoother_is_never_less_certain_and_closer_to_the_truth(estimates) -> None:

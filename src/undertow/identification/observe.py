@@ -103,7 +103,7 @@ def observe(
     *,
     process: Kind = "kinematics",
     estimated: Sequence[str] = (),
-    method: Method = "ekf",
+    method: Method | None = None,
     disturbance: Mapping[str, float] | None = None,
     progress: Progress = lambda done, words: None,
 ) -> Observed:
@@ -125,7 +125,8 @@ def observe(
     estimated : sequence of str
         V_N, V_E (with the model), b_u ... b_r.
     method : str
-        "ekf" or "ukf".
+        "ekf" or "ukf"; by default "ukf" with the model, else "ekf". First velocity and current are unknown,
+        and quadratic drag linearised there misleads an extended filter for minutes, but not sigma points.
     disturbance : mapping, optional
         Root of the spectral density of the noise on driven states by name; what is not stated is that for
         which the reports are likeliest.
@@ -142,7 +143,8 @@ def observe(
     if free.any():
         part = reports.first(SEARCH.rows)
         densities = most_likely(what, part, mean, covariance, densities, free, progress)
-    filtered = Observer(what, densities).run(reports, mean, covariance, method, progress)
+    chosen: Method = method or ("ukf" if process == "model" else "ekf")
+    filtered = Observer(what, densities).run(reports, mean, covariance, chosen, progress)
     found = smoothed(filtered)
     last = (found.mean[-1], found.deviation[-1])
     known: Flags = np.asarray(reports.there.any(axis=0))

@@ -41,7 +41,11 @@ if TYPE_CHECKING:
 
 _LOG = typer.Argument(metavar="LOG", help="A table, or a log as a vehicle wrote it.")
 _PROCESS = typer.Option("--process", help="What moves: kinematics alone, or the model.")
-_FILTER = typer.Option("--filter", help="Extended or unscented Kalman filter.")
+_FILTER = typer.Option(
+    "--filter",
+    help="Extended or unscented Kalman filter.",
+    show_default="ukf with the model, which a first velocity that is unknown misleads less; else ekf",
+)
 _CURRENT = typer.Option("--current", help="Estimate the velocity of the water (with the model).")
 _BIAS = typer.Option("--bias", metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
 _OUT = typer.Option("--out", metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
@@ -58,7 +62,7 @@ def observe(
     log: Annotated[Path, _LOG],
     options: ReadOptions,
     process: Annotated[Literal["kinematics", "model"], _PROCESS] = "kinematics",
-    filter: Annotated[Literal["ekf", "ukf"], _FILTER] = "ekf",
+    filter: Annotated[Literal["ekf", "ukf"] | None, _FILTER] = None,
     current: Annotated[bool, _CURRENT] = False,
     bias: Annotated[str | None, _BIAS] = None,
     out: Annotated[Path | None, _OUT] = None,
