@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 import undertow
-from tests.observer.simulated import auv, log
+from benchmarks.observer_log import auv, log
 from undertow.cli.main import main
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.observer.simulated import BIAS, CURRENT, DRIVE, NOISE, auv, log
+from benchmarks.observer_log import BIAS, CURRENT, DRIVE, NOISE, auv, log
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.identification.observe import deviations, observe, observer_file, reports_of

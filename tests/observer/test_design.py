@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.observer.simulated import auv
+from benchmarks.observer_log import auv
 from undertow.codegen.compiler import find_compiler
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.gains import load_gains

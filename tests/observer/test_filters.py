@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
-from tests.observer.simulated import CURRENT, DRIVE, auv, log
+from benchmarks.observer_log import CURRENT, DRIVE, auv, log
 from undertow.errors import UndertowError
 from undertow.identification.observe import first_guess, reports_of
 from undertow.model.loading import load_vehicle

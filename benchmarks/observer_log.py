@@ -1,4 +1,4 @@
-"""A mini-AUV that noise drives as an observer takes it to, seen by sensors with rates of their own."""
+"""Logs for observers: a mini-AUV that white noise drives, seen by sensors with rates of their own."""
 
 from __future__ import annotations
 
