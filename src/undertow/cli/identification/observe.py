@@ -145,4 +145,4 @@ def verdict(found: Observed) -> str:
     coloured = [one.name for one in found.white if not one.white]
     faults += [f"innovations of {', '.join(coloured)} are not white"] if coloured else []
     what = "noise or model are not as stated" if found.process == "model" else "noise is not as stated"
-    return f"{'; '.join(faults)}: {what}, standard deviations are too good"
+    return f"{'; '.join(faults)}: {what}, so that standard deviations do not hold"
