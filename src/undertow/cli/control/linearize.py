@@ -11,8 +11,8 @@ have a unit: --at "psi=30 deg".
     undertow linearize bluerov2 --current 0.3,0.1
 
 With --gains the poles are those of the closed loop, and the margins those of each force with the others
-closed. Where forward and backward motion have parameters of their own and the vehicle is at rest, --direction
-says which to take.
+closed. With --observer the Kalman filter is in that loop, as it settles. Where forward and backward motion
+have parameters of their own and the vehicle is at rest, --direction says which to take.
 
     undertow linearize mini-auv --gains paper-pid --direction u=-1 --plot root-locus --out locus.png
 
@@ -52,6 +52,7 @@ DIRECTION = typer.Option(
     show_default="1",
 )
 _GAINS = typer.Option("--gains", metavar="GAINS", help="Gain file, or name of a bundled one: closed loop.")
+_OBSERVER = typer.Option("--observer", metavar="FILE", help="Observer file: the law gets its estimate.")
 _INPUT = typer.Option("--input", metavar="NAME", help="Command, force (surge ...) or, with gains, set-point.")
 _OUTPUT = typer.Option("--output", metavar="NAME", help="Reported pose or velocity.")
 _SENSORS = typer.Option(
@@ -72,6 +73,7 @@ def linearize(
     current: Annotated[str | None, _CURRENT] = None,
     direction: Annotated[list[str] | None, DIRECTION] = None,
     gains: Annotated[str | None, _GAINS] = None,
+    observer: Annotated[Path | None, _OBSERVER] = None,
     input: Annotated[str | None, _INPUT] = None,
     output: Annotated[str | None, _OUTPUT] = None,
     sensors: Annotated[str | None, _SENSORS] = None,
@@ -95,6 +97,7 @@ def linearize(
             free=words(free or []),
             direction=directions(direction or []),
             gains=gains,
+            observer=observer,
             pade=pade,
             sensors=words([sensors]) if sensors else [],
             family_of=family or 0,

@@ -16,6 +16,9 @@ moves the other one. A set-point has x, y, z as far as the vehicle has them, and
 without one it is taken from the direction of the set-point (--heading). Numbers are in SI unless they have a
 unit: 135deg. A current, noise and pushes are not known to the controller.
 
+With --observer the controller gets the estimate of a Kalman filter; its sensors report with the noise and at
+the times that the file states (undertow observe --save writes one from a log).
+
 --out writes a log that undertow itself reads: what the sensors report, and the mean of every command from one
 row to the next. An interval --dt that is too long for the law is refused, and the limit is named. The exit
 code is 1 if a run diverges: if the state is not finite, a speed is beyond 100 m/s or 100 rad/s, which nothing
@@ -51,6 +54,9 @@ _START = typer.Option("--from", metavar="X,Y,Z[,PSI]", help="Where the vehicle b
 _MOVING = typer.Option("--moving", metavar="NAME=VALUE", help="A velocity that it begins with, as u=0.2.")
 _WITHOUT = typer.Option("--without", metavar="EFFECT", help="Leave an effect of the vehicle out.")
 _PLANT = typer.Option("--plant", metavar="OTHER.toml", help="The vehicle that moves, if it is another one.")
+_OBSERVER = typer.Option(
+    "--observer", metavar="FILE", help="The controller gets the estimate of this observer file (TOML)."
+)
 _FILE = "gain file"
 _ORDER = typer.Option("--order", help="Heading first, or all at once.", show_default=_FILE)
 _HEADING = typer.Option("--heading", help="Heading to a set-point without one.", show_default=_FILE)
@@ -150,6 +156,7 @@ def simulate(
     schedule: ScheduleOptions,
     without: Annotated[list[str] | None, _WITHOUT] = None,
     plant: Annotated[str | None, _PLANT] = None,
+    observer: Annotated[Path | None, _OBSERVER] = None,
     out: Annotated[Path | None, _OUT] = None,
     figures: Annotated[Path | None, _FIGURES] = None,
     json: JsonFileOption = None,
@@ -164,7 +171,8 @@ def simulate(
         raise UndertowError(
             f"--out {out} holds one run, and there are {len(gains)} gain files: give one of them"
         )
-    check_writable(out, json, inputs=[vehicle, *gains, *([plant] if plant else []), *(effects or [])])
+    inputs: list[str | Path] = [vehicle, *gains, *(one for one in (plant, observer) if one), *(effects or [])]
+    check_writable(out, json, inputs=inputs)
     if figures is not None:
         check_folder(figures)
     scenario, choices = scenario_options.scenario(), schedule.choices()
@@ -172,7 +180,9 @@ def simulate(
     _remark_turns("--to", scenario.pose(scenario.to, known.pose_names, "set-point"), scenario.to)
     moving = load_vehicle(plant, effect_files=effects or []) if plant else None
     with progress("simulating", total=len(gains) * scenario.duration) as report:
-        records = simulate_all(known, gains, scenario, choices, plant=moving, progress=report)
+        records = simulate_all(
+            known, gains, scenario, choices, plant=moving, observer=observer, progress=report
+        )
     show([record.result for record in records])
     _write(records, out, figures, json)
     return int(any(record.result.diverged is not None for record in records))

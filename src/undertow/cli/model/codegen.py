@@ -9,6 +9,9 @@ of its own: one step function with schedule, thrust allocation and anti-windup, 
 
     undertow codegen mini-auv --controller paper-pid
 
+With --observer a Kalman filter is written as observer.c and observer.h: predict, and one update for each
+sensor of the observer file (undertow observe --save writes one from a log).
+
 With --check nothing is written; the exit code is 1 when the code does not fit the files any more.
 """
 
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
     from undertow.codegen.export import Export, Report
     from undertow.control.controller import ControllerExport
     from undertow.model.vehicle import Vehicle
+    from undertow.observer.export import ObserverExport
 
 _OUT = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
 _CHECK = typer.Option("--check", help="Write nothing; exit with 1 when the code is missing or stale.")
@@ -34,10 +38,13 @@ _CONTROLLER = typer.Option(
     "--controller", metavar="GAINS", help="Gain file (TOML), or the name of a bundled one: write that, too."
 )
 
+_OBSERVER = typer.Option("--observer", metavar="FILE", help="Observer file (TOML): write that filter, too.")
+
 
 def codegen(
     vehicle: VehicleArgument,
     controller: Annotated[str | None, _CONTROLLER] = None,
+    observer: Annotated[Path | None, _OBSERVER] = None,
     out: Annotated[Path, _OUT] = Path("build"),
     check: Annotated[bool, _CHECK] = False,
     effects: EffectsOption = None,
@@ -48,12 +55,15 @@ def codegen(
 
     with progress("writing C", None):
         model = load_vehicle(vehicle, effect_files=effects or [])
-        exports: list[Export | ControllerExport] = [Export(model)]
+        exports: list[Export | ControllerExport | ObserverExport] = [Export(model)]
         if controller is not None:
             exports.append(_controller_export(controller, model))
+        if observer is not None:
+            exports.append(_observer_export(observer, model))
         with together():
             found = [export.check(out) if check else export.write(out) for export in exports]
-    again = vehicle if controller is None else f"{vehicle} --controller {controller}"
+    given = {"--controller": controller, "--observer": observer}
+    again = " ".join([vehicle, *(f"{name} {value}" for name, value in given.items() if value is not None)])
     return max([_checked(report, again) if check else _written(report) for report in found])
 
 
@@ -63,6 +73,15 @@ def _controller_export(gains: str, vehicle: Vehicle) -> ControllerExport:
 
     export = ControllerExport(Controller(load_gains(gains, vehicle)))
     assert export.texts  # what cannot be stated in C is refused before anything is written
+    return export
+
+
+def _observer_export(path: Path, vehicle: Vehicle) -> ObserverExport:
+    from undertow.observer.design import load_observer
+    from undertow.observer.export import ObserverExport
+
+    export = ObserverExport(load_observer(path, vehicle))
+    assert export.texts
     return export
 
 

@@ -12,6 +12,7 @@ from undertow.codegen.functions import Functions
 from undertow.control.controller import Controller
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.observer.design import Design
 
 # Cosine of 45 degrees, less what rounding takes off.
 _ALIKE = math.sqrt(0.5) - 1e-9
@@ -26,6 +27,8 @@ class Parts:
         The vehicle that moves.
     controller : Controller
         The controller; the vehicle that it knows may have fewer degrees of freedom.
+    observer : Design, optional
+        Between the sensors and the controller, which then gets the estimate.
 
     Raises
     ------
@@ -33,8 +36,8 @@ class Parts:
         If the vehicle lacks a motion or a command of the controller.
     """
 
-    def __init__(self, vehicle: Vehicle, controller: Controller) -> None:
-        self.vehicle, self.controller = vehicle, controller
+    def __init__(self, vehicle: Vehicle, controller: Controller, observer: Design | None = None) -> None:
+        self.vehicle, self.controller, self.observer = vehicle, controller, observer
         self.functions = Functions(vehicle)
         known = controller.gains.plant.vehicle
         self._check("degree of freedom", known.degrees_of_freedom, vehicle.degrees_of_freedom)
@@ -43,6 +46,9 @@ class Parts:
         wanted = (*known.pose_names, *known.velocity_names)
         self.controller_inputs = [self.reported_names.index(name) for name in wanted]
         self.commanded = [vehicle.command_names.index(name) for name in controller.command_names]
+        if observer is not None:
+            self._check("sensor of the observer", observer.sensors, self.reported_names)
+            self._check("motion of the observer", wanted, observer.process.state_names)
 
     def _check(self, what: str, needed: tuple[str, ...], present: tuple[str, ...]) -> None:
         missing = [name for name in needed if name not in present]
@@ -82,7 +88,44 @@ class Parts:
     @cached_property
     def control(self) -> ca.Function:
         """`(u, s_next, tau) = control(y, r, s, k, dt)` in the reports and commands of the vehicle."""
-        return self._wired(self.controller.sampled, "control")
+        sampled = self.controller.sampled
+        if self.observer is None:
+            return self._wired(sampled, "control")
+        return self._observing(self.observer, sampled)
+
+    def first_states(self, start: np.ndarray) -> np.ndarray:
+        """Values of s at first for a first pose and velocity, shape (ns,)."""
+        own = np.array(self.controller.initial_states())
+        if self.observer is None:
+            return own
+        near = dict(zip(self.reported_names, start, strict=True))
+        return np.concatenate([self.observer.first(near), own])
+
+    def estimates(self, s: np.ndarray) -> dict[str, np.ndarray]:
+        """What the observer carries to the next sample, by state, of rows of s."""
+        names = self.observer.process.state_names if self.observer else ()
+        return {name: s[:, i] for i, name in enumerate(names)}
+
+    def _observing(self, observer: Design, sampled: ca.Function) -> ca.Function:
+        """The controller behind an observer, whose states stand before those of the controller."""
+        names, process = sampled.name_in(), observer.process
+        y = ca.SX.sym("y", len(self.reported_names))
+        r, s, k, dt = (
+            ca.SX.sym(n, sampled.size1_in(n) + (observer.size if n == "s" else 0)) for n in names[1:]
+        )
+        reports = y[[self.reported_names.index(n) for n in observer.sensors]]
+        x, P, age = observer.seen(s[: observer.size], reports, dt)
+        motion = [process.index(self.reported_names[i]) for i in self.controller_inputs]
+        commands, own, tau = sampled(x[motion], r, s[observer.size :], k, dt)
+        known = ca.SX.zeros(process.u.numel(), 1)
+        for i, name in enumerate(self.controller.command_names):
+            if name in process.vehicle.command_names:
+                known[process.vehicle.command_names.index(name)] = commands[i]
+        u = ca.SX.zeros(self.functions.u.numel(), 1)
+        u[self.commanded] = commands
+        following = ca.vertcat(observer.ahead(x, P, age, known, dt), own)
+        outputs = [ca.densify(o) for o in ca.cse([u, following, tau])]
+        return ca.Function("control", [y, r, s, k, dt], outputs, names, sampled.name_out())
 
     @cached_property
     def law(self) -> ca.Function:

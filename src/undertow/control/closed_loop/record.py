@@ -6,7 +6,7 @@ import io
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,6 +91,8 @@ class Record:
         Desired less true pose, and along and across the track, by name.
     result : LoopResult
         The measures.
+    estimated : mapping
+        What an observer predicts for the next sample, by state; empty without one.
     """
 
     t: np.ndarray
@@ -100,6 +102,7 @@ class Record:
     force: Mapping[str, np.ndarray]
     errors: Mapping[str, np.ndarray]
     result: LoopResult
+    estimated: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def to_csv(self) -> str:
         """A log as undertow reads it: t, what the sensors report, and the commands."""
@@ -136,7 +139,7 @@ class Recorder:
             return
         samples = begin + np.arange(len(rows.x))
         every = np.flatnonzero(samples % self._stride == 0)
-        self._kept.append((samples[every], *(part[every] for part in (rows.x, rows.y, rows.tau))))
+        self._kept.append((samples[every], *(part[every] for part in (rows.x, rows.y, rows.tau, rows.s))))
         bins = samples // self._stride
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
         self._sums[bins[starts]] += np.add.reduceat(rows.u, starts)
@@ -144,7 +147,7 @@ class Recorder:
 
     def record(self, start: Mapping[str, float], to: Mapping[str, float], measures: Measures) -> Record:
         """The rows and the result."""
-        samples, x, y, tau = (np.concatenate(part) for part in zip(*self._kept, strict=True))
+        samples, x, y, tau, s = (np.concatenate(part) for part in zip(*self._kept, strict=True))
         t, parts = samples * self._scenario.dt, self._parts
         vehicle, known = parts.vehicle, self._parts.controller.gains.plant.vehicle
         means = (self._sums / np.maximum(self._counts, 1)[:, None])[samples // self._stride]
@@ -159,6 +162,7 @@ class Recorder:
             dict(zip(known.degrees_of_freedom, tau.T, strict=True)),
             errors,
             self._result(start, to, measures, {n: _cycle(t, e) for n, e in errors.items()}),
+            parts.estimates(s),
         )
 
     def _result(

@@ -17,6 +17,7 @@ from undertow.control.gains import GainSet, GainTable, load_gains
 from undertow.errors import UndertowError, nearest
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
+from undertow.observer.design import Design, load_observer
 from undertow.typing import Progress
 
 from .measures import CREDIBLE, Measures
@@ -182,7 +183,8 @@ def blocks(
 
     The noise of run i is that of seed + i.
     """
-    spread = scenario.noise_of(parts.reported_names)
+    sensors = parts.observer.noise if parts.observer else {}
+    spread = replace(scenario, noise={**sensors, **scenario.noise}).noise_of(parts.reported_names)
     random = [np.random.default_rng(scenario.seed + i) for i in runs] if spread.any() else []
     _check_pushes(parts, scenario)
     for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
@@ -222,6 +224,9 @@ class ClosedLoop:
     compiled : bool, optional
         True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
         compiled code is used where a compiler is found.
+    observer : Design, optional
+        Gives the controller an estimate in place of the reports; noise that a scenario does not state is then
+        that of its sensors.
 
     Raises
     ------
@@ -230,11 +235,16 @@ class ClosedLoop:
     """
 
     def __init__(
-        self, gains: GainSet, vehicle: Vehicle | None = None, *, compiled: bool | None = None
+        self,
+        gains: GainSet,
+        vehicle: Vehicle | None = None,
+        *,
+        compiled: bool | None = None,
+        observer: Design | None = None,
     ) -> None:
         known = gains.plant.vehicle
         self.vehicle = _with_forces(vehicle or known)
-        self.parts = Parts(self.vehicle, Controller(gains))
+        self.parts = Parts(self.vehicle, Controller(gains), observer)
         self.stepper = self._best_stepper(compiled)
         self._known_substeps: dict[tuple[float, ...], int] = {}
 
@@ -358,6 +368,8 @@ class ClosedLoop:
         k: np.ndarray | None = None,
     ) -> LoopProblem:
         """Runs of a scenario from the states `first` on, with parameters and gains of their own if given."""
+        if scenario.continuous and self.parts.observer:
+            raise UndertowError("an observer works on samples, but the law is not sampled: leave one out")
         desired = np.array([to[n] for n in self.gains.plant.vehicle.pose_names])
         substeps = self._substeps(scenario, start, to, desired)
         return problem_of(self.parts, first, desired, scenario.dt, substeps, scenario.continuous, p, k)
@@ -417,6 +429,7 @@ class Choices:
         plant: Vehicle | None = None,
         *,
         compiled: bool | None = None,
+        observer: str | Path | None = None,
     ) -> ClosedLoop:
         """A closed loop with these choices.
 
@@ -430,6 +443,8 @@ class Choices:
             The vehicle that moves; by default the same.
         compiled : bool, optional
             As for `ClosedLoop`.
+        observer : str or Path, optional
+            Observer file, for the vehicle that the controller knows.
 
         Raises
         ------
@@ -438,7 +453,8 @@ class Choices:
         """
         known = self.with_sway(vehicle)
         moving = self.in_current(self.with_sway(plant) if plant else known)
-        return ClosedLoop(load_gains(gains, known, self.changed), moving, compiled=compiled)
+        chosen = None if observer is None else load_observer(observer, known)
+        return ClosedLoop(load_gains(gains, known, self.changed), moving, compiled=compiled, observer=chosen)
 
     def changed(self, table: GainTable) -> GainTable:
         """A gain file with these choices."""
@@ -491,13 +507,14 @@ def simulate_all(
     choices: Choices,
     *,
     plant: Vehicle | None = None,
+    observer: str | Path | None = None,
     progress: Progress = lambda done, words: None,
 ) -> list[Record]:
     """A run with every gain file; `progress` gets the seconds that are done, all runs together."""
 
     def run(place: int, name: str) -> Record:
         before = place * scenario.duration
-        loop = choices.loop(name, vehicle, plant)
+        loop = choices.loop(name, vehicle, plant, observer=observer)
         return loop.run(scenario, lambda done, words: progress(before + done, words))
 
     return [run(i, name) for i, name in enumerate(gains)]

@@ -165,7 +165,7 @@ def problem_of(
         np.tile(np.asarray(desired, dtype=float), (runs, 1)),
         k,
         _at_rest(parts, start, p),
-        np.tile(np.array(parts.controller.initial_states()), (runs, 1)),
+        np.array([parts.first_states(one) for one in start]),
         np.zeros((runs, parts.functions.u.numel())),
         np.zeros((runs, delay + 1, parts.functions.u.numel())),
         np.zeros((runs, int(delays.max(initial=0)) + 1, len(delays))),

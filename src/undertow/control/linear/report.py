@@ -18,6 +18,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.model.loading import resolve_vehicle
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
+from undertow.observer.design import Design, load_observer
 from undertow.typing import Array, Progress
 
 from .analysis import (
@@ -68,13 +69,14 @@ class Analysis:
     pade: int = 0  # order of the approximation of a dead time
     sensors: Sequence[str] = ()  # outputs that are measured; all if empty
     family: Family | None = None
+    observer: Design | None = None  # gives the law an estimate
 
     @cached_property
     def loop(self) -> LinearLoop | None:
         """The closed loop, where there is a law."""
         if self.gains is None:
             return None
-        return close_loop(self.vehicle, self.gains, self.trim, pade=self.pade)
+        return close_loop(self.vehicle, self.gains, self.trim, pade=self.pade, observer=self.observer)
 
     @cached_property
     def plant(self) -> ct.StateSpace:
@@ -272,6 +274,7 @@ def analyse(
     free: Sequence[str] = (),
     direction: Mapping[str, int] | None = None,
     gains: str | None = None,
+    observer: str | Path | None = None,
     pade: int = 0,
     sensors: Sequence[str] = (),
     family_of: int = 0,
@@ -289,6 +292,8 @@ def analyse(
         As for `find_trim`.
     gains : str, optional
         Gain file, or name of a bundled one: the closed loop.
+    observer : str or Path, optional
+        Observer file: the law gets its estimate.
     pade, sensors
         As for `Analysis`.
     family_of, source, seed : int, str or Path, int
@@ -297,8 +302,11 @@ def analyse(
         Told what share is done, and what is being done.
     """
     law = load_gains(gains, vehicle) if gains else None
+    if observer is not None and law is None:
+        raise UndertowError(f"observer {observer} is for a law: give one with --gains")
     progress(0.1, "finding the trim")
     found = Analysis(vehicle, find_trim(vehicle, at, free=free, direction=direction), law, pade, sensors)
+    found.observer = None if observer is None else load_observer(observer, vehicle)
     if family_of:
         progress(0.3, "drawing vehicles")
         path = resolve_vehicle(source)

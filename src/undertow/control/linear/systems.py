@@ -17,6 +17,9 @@ from undertow.control.laws import JUMPING
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
+from undertow.observer.design import SETTINGS as DESIGN
+from undertow.observer.design import Design
+from undertow.observer.process import process_of
 from undertow.typing import Array
 
 from .analysis import Margins, margins, minimal
@@ -187,6 +190,7 @@ class LawSystem:
         allocation = self._controller.allocation
         self.acting = allocation.rows
         self.share = allocation.share
+        self.commands = self._controller.command_names
         self._k = self._controller.gain_values()
 
     def outputs(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
@@ -300,6 +304,7 @@ def close_loop(
     *,
     pade: int = 0,
     nominal: Vehicle | None = None,
+    observer: Design | None = None,
 ) -> LinearLoop:
     """A law that keeps a vehicle at a trim, as linear systems.
 
@@ -315,6 +320,8 @@ def close_loop(
         Order of the approximation of a dead time between command and thrust.
     nominal : Vehicle, optional
         What the law takes for the vehicle.
+    observer : Design, optional
+        Gives the law an estimate in place of the reports: the Kalman filter that it settles to at this trim.
 
     Raises
     ------
@@ -329,7 +336,7 @@ def close_loop(
         b, d, names = plant.B[:, places], plant.D[:, places], [plant.input_labels[i] for i in places]
         system = ct.ss(plant.A, b, plant.C, d)
         plant = named(system, plant.state_labels, names, plant.output_labels, plant.name)
-    return LinearLoop(plant, law, found)
+    return LinearLoop(plant, law, found, observer)
 
 
 def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> LawSystem:
@@ -344,9 +351,13 @@ class LinearLoop:
     forces.
     """
 
-    def __init__(self, plant: ct.StateSpace, system: LawSystem, trim: Trim) -> None:
+    def __init__(
+        self, plant: ct.StateSpace, system: LawSystem, trim: Trim, observer: Design | None = None
+    ) -> None:
         self.plant, self._system, self.trim = plant, system, trim
         self.law = system.linear(trim)
+        if observer is not None:
+            self.law = _behind(self.law, system, SettledObserver(observer, trim))
 
     @cached_property
     def _reference(self) -> Array:
@@ -407,6 +418,74 @@ class LinearLoop:
     def margins(self) -> dict[str, Margins]:
         """Margins of the loop of each force that commands give, with the others closed."""
         return {force: margins(self.cut(force)) for force in self.forces}
+
+
+class SettledObserver:
+    """The Kalman filter that an observer settles to at a trim, in continuous time.
+
+    Reports every T s with variance r say as much as a continuous report with spectral density r T
+    (Simon 2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`.
+
+    Attributes
+    ----------
+    a, b, c : ndarray
+        dx/dt = a x + b u and the reports c x of its process, deviations from the trim.
+    gain : ndarray, shape (nx, k)
+        Of the innovations.
+    """
+
+    def __init__(self, observer: Design, trim: Trim) -> None:
+        own = observer.process
+        process = process_of(in_direction(own.vehicle, trim.direction), own.estimated, own.kind)
+        self.observer, self.names = observer, process.state_names
+        known = {**trim.states, **dict(zip(process.vehicle.parameter_names, process.values, strict=True))}
+        x = np.array([known.get(name, 0.0) for name in self.names])
+        u = np.array([trim.commands.get(name, 0.0) for name in process.vehicle.command_names])
+        _, a, _, c = (np.nan_to_num(m) for m in map(np.asarray, process.system(x, u, process.values, 0.0)))
+        slope = ca.Function(
+            "by_u",
+            [process.x, process.u, process.p, process.t],
+            [ca.densify(ca.jacobian(process.rates, process.u))],
+        )
+        self.a, self.b, self.c = a, np.asarray(slope(x, u, process.values, 0.0)), c[list(observer.channels)]
+        noise = np.zeros((len(x), len(x)))
+        noise[process.driven, process.driven] = observer.densities
+        r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, DESIGN.sample))
+        self.gain = self._settled(noise, r)
+
+    def _settled(self, noise: Array, r: Array) -> Array:
+        try:
+            covariance, _, _ = ct.care(self.a.T, self.c.T, noise, r)
+        except (ValueError, np.linalg.LinAlgError, ct.ControlArgument) as error:
+            sensors = ", ".join(self.observer.sensors)
+            raise UndertowError(
+                f"observer '{self.observer.name}' does not settle: its sensors ({sensors}) do not show "
+                "all that drifts; add one, or estimate less"
+            ) from error
+        return np.asarray(covariance @ self.c.T @ np.linalg.inv(r))
+
+    @property
+    def rates(self) -> Array:
+        """Eigenvalues of the error of the estimate, 1/s."""
+        return np.asarray(np.linalg.eigvals(self.a - self.gain @ self.c))
+
+
+def _behind(law: ct.StateSpace, system: LawSystem, filter: SettledObserver) -> ct.StateSpace:
+    """A law that gets the estimate: references and reports to forces, the estimate among the states."""
+    n, names, measured = len(system.references), filter.names, system.measured
+    take = np.zeros((2 * n, len(names)))
+    take[np.arange(2 * n), [names.index(m) for m in measured]] = 1.0
+    given = np.zeros((len(filter.observer.sensors), 2 * n))
+    given[np.arange(len(given)), [measured.index(m) for m in filter.observer.sensors]] = 1.0
+    commands = filter.observer.process.vehicle.command_names
+    push = filter.b[:, [commands.index(c) for c in system.commands]] @ system.share
+    b_ref, b_y, d_ref, d_y = law.B[:, :n], law.B[:, n:] @ take, law.D[:, :n], law.D[:, n:] @ take
+    a = np.block([[law.A, b_y], [push @ law.C, filter.a - filter.gain @ filter.c + push @ d_y]])
+    b = np.block([[b_ref, np.zeros((law.nstates, 2 * n))], [push @ d_ref, filter.gain @ given]])
+    d = np.hstack([d_ref, np.zeros((law.noutputs, 2 * n))])
+    states = [*law.state_labels, *(f"estimate_{m}" for m in names)]
+    whole = ct.ss(a, b, np.hstack([law.C, d_y]), d)
+    return named(whole, states, law.input_labels, law.output_labels, "law behind observer")
 
 
 def _closed(plant: ct.StateSpace, law: ct.StateSpace) -> ct.StateSpace:

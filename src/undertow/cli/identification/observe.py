@@ -1,0 +1,148 @@
+"""Estimate pose and velocities from the sensors of a log, smoothed, with standard deviations.
+
+An extended (or unscented) Kalman filter and a Rauch-Tung-Striebel smoother go over the log. Sensors may
+report at rates of their own, late (a velocity_delay of the vehicle file), or not at all. Innovations are
+tested: their size against what the filter expects (NIS), and whether they are white.
+
+    undertow observe rov.toml dive.csv --map log.toml --out smoothed.csv --plot observed.png
+
+    undertow observe rov.toml dive.csv --process model --current --bias r
+
+--process kinematics, the default, knows nothing of forces: a motion whose acceleration wanders. Velocities
+from it may go into a diagnosis of a log that has none:
+
+    undertow observe rov.toml dive.csv --out smoothed.csv
+    undertow diagnose rov.toml smoothed.csv
+
+--process model predicts with the equations of the vehicle file. It is closer to the truth where the model is
+right, estimates the current (--current), and leans towards the model where that is wrong: a diagnosis of
+such a log finds the model that it was made with, so it is written with --trust-model only.
+
+The noise of a report is that of the mapping file, or found from differences; the noise that drives the motion
+is that for which the reports are likeliest.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from undertow.errors import UndertowError
+
+from .._options import JsonOption, ReadOptions, VehicleArgument, bundled, words
+from .._terminal import print_json, progress, say, section, table, write_files
+
+if TYPE_CHECKING:
+    from undertow.identification.logs.run import Run
+    from undertow.identification.observe import Observed
+    from undertow.model.vehicle import Vehicle
+
+_LOG = typer.Argument(metavar="LOG", help="A table, or a log as a vehicle wrote it.")
+_PROCESS = typer.Option("--process", help="What moves: kinematics alone, or the model.")
+_FILTER = typer.Option(
+    "--filter",
+    help="Extended or unscented Kalman filter.",
+    show_default="ukf with the model, which a first velocity that is unknown misleads less; else ekf",
+)
+_CURRENT = typer.Option("--current", help="Estimate the velocity of the water (with the model).")
+_BIAS = typer.Option("--bias", metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
+_OUT = typer.Option("--out", metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
+_TRUST_MODEL = typer.Option("--trust-model", help="Write --out also where the model made the velocities.")
+_SAVE = typer.Option(
+    "--save", metavar="NEW.toml", help="Write an observer file for simulate, linearize and codegen."
+)
+_PLOT = typer.Option("--plot", metavar="OUT.png", help="Draw estimates with two sigma, and the NIS.")
+
+
+@bundled
+def observe(
+    vehicle: VehicleArgument,
+    log: Annotated[Path, _LOG],
+    options: ReadOptions,
+    process: Annotated[Literal["kinematics", "model"], _PROCESS] = "kinematics",
+    filter: Annotated[Literal["ekf", "ukf"] | None, _FILTER] = None,
+    current: Annotated[bool, _CURRENT] = False,
+    bias: Annotated[str | None, _BIAS] = None,
+    out: Annotated[Path | None, _OUT] = None,
+    trust_model: Annotated[bool, _TRUST_MODEL] = False,
+    save: Annotated[Path | None, _SAVE] = None,
+    plot: Annotated[Path | None, _PLOT] = None,
+    json: JsonOption = False,
+) -> None:
+    from undertow.files import check_writable, write_whole
+    from undertow.identification.observe import csv, observe, observer_file
+
+    check_writable(out, save, plot, inputs=[vehicle, log, *options.files])
+    if out is not None and process == "model" and not trust_model:
+        raise UndertowError(
+            f"--out {out}: velocities that the model made must not go into a diagnosis of it; take --process "
+            "kinematics, or give --trust-model if the log is for something else"
+        )
+    model, run = _read(vehicle, log, options)
+    estimated = (*(("V_N", "V_E") if current else ()), *(f"b_{n}" for n in words([bias] if bias else [])))
+    with progress("observing") as report:
+        found = observe(model, run, process=process, estimated=estimated, method=filter, progress=report)
+
+    def draw(path: Path) -> None:
+        from undertow.figures import save_png
+        from undertow.identification.report.pictures import observed_picture
+
+        save_png(observed_picture(found, run), path)
+
+    write_files(
+        (out, lambda path: write_whole(path, csv(found))),
+        (save, lambda path: write_whole(path, observer_file(found, run, path.stem))),
+        (plot, draw),
+    )
+    if json:
+        print_json(found.content())
+    else:
+        show(found)
+
+
+def _read(vehicle: str, log: Path, options: ReadOptions) -> tuple[Vehicle, Run]:
+    """The vehicle and the log, as it is: an observer derives nothing."""
+    from undertow.identification.logs.reading import read_logs
+    from undertow.model.loading import load_vehicle
+
+    model = load_vehicle(vehicle, effect_files=options.effects or [])
+    window, fill = (options.since, options.until), options.fill
+    runs = read_logs(
+        [log], model, options.mapping, window=window, missing_commands=fill or "gap", one_motion=True
+    )
+    if len(runs) > 1:
+        raise UndertowError(f"log {log} has {len(runs)} stretches: choose one with --from and --to")
+    return model, runs[0]
+
+
+def show(found: Observed) -> None:
+    """Print sensors, noise, estimated parameters and the tests."""
+    white = {one.name: one for one in found.white}
+    rows = []
+    for one in found.nis[:-1]:
+        p = f"{white[one.name].p_value:.2g}" if one.name in white else ""
+        gone = found.disbelieved.get(one.name, 0)
+        numbers = (f"{found.noise[one.name]:.3g}", str(one.count), f"{gone or ''}", f"{one.mean:.3f}")
+        rows.append((one.name, *numbers, f"{one.low:.3f} to {one.high:.3f}", p))
+    head = ("sensor", "noise", "reports", "disbelieved", "NIS", "95 %", "white, p")
+    section(f"Innovations ({found.process})", table(head, rows))
+    driven = [(n, f"{v:.3g}") for n, v in found.disturbance.items()]
+    section("Noise on rates, root of the spectral density", table(("state", "SI, s^0.5"), driven))
+    if found.parameters:
+        values = [(n, f"{v:.4g}", f"{s:.2g}") for n, (v, s) in found.parameters.items()]
+        section("Estimated", table(("parameter", "value", "sigma"), values))
+    say(verdict(found), "bold")
+
+
+def verdict(found: Observed) -> str:
+    """One line on the whole."""
+    whole = found.nis[-1]
+    if found.honest:
+        return f"innovations are as large as expected (NIS {whole.mean:.3f}) and white"
+    faults = [] if whole.honest else [f"NIS {whole.mean:.3f}, not {whole.low:.3f} to {whole.high:.3f}"]
+    coloured = [one.name for one in found.white if not one.white]
+    faults += [f"innovations of {', '.join(coloured)} are not white"] if coloured else []
+    what = "noise or model are not as stated" if found.process == "model" else "noise is not as stated"
+    return f"{'; '.join(faults)}: {what}, so that standard deviations do not hold"

@@ -1,0 +1,314 @@
+"""States of a log: a run through an observer and its smoother, with what tells whether to believe them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.model.symbols import MOTION_UNITS
+from undertow.model.vehicle import Vehicle
+from undertow.observer.consistency import Normalised, Whiteness, nis, whiteness
+from undertow.observer.design import SCHEMA
+from undertow.observer.filters import SEARCH, Estimate, Method, Observer, Reports, most_likely, smoothed
+from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, longest_step, process_of
+from undertow.typing import Array, Flags, Index, Progress
+
+from .logs.run import Run
+from .logs.series import report_noise
+
+
+@dataclass(frozen=True)
+class ObserveSettings:
+    """Numbers of observing a log."""
+
+    # Random walk of a parameter, standard deviation in an hour: tides turn currents, heat moves biases.
+    current_walk: float = 0.2  # m/s
+    bias_walk: float = 0.02  # m/s, rad/s
+    # First guess of the noise on an acceleration, m/s^1.5, or on its rate, m/s^2.5; also rad.
+    first_model: float = 0.02
+    first_kinematics: float = 0.1
+    # Least noise of a report, as a share of the channel's spread: a log without noise has a solution, too.
+    least: float = 1e-5
+    together: float = 1e-9  # s by which times may differ that are one
+    fewest: int = 10  # reports of all channels
+    hour: float = 3600.0
+
+
+SETTINGS = ObserveSettings()
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A log with its states.
+
+    Attributes
+    ----------
+    run : Run
+        Pose, velocities and commands at the rows of the log, in order to be read by every command.
+    process : str
+        "model" or "kinematics".
+    estimate : Estimate
+        Smoothed states at the rows of the filter.
+    filtered : Estimate
+        The same given the past alone, with the innovations.
+    noise : dict of float
+        Standard deviation of a report by channel.
+    disturbance : dict of float
+        Root of the spectral density of the noise on the rate of each driven state, unit of the rate times
+        s^0.5.
+    nis, white : tuple
+        Tests of the innovations.
+    parameters : dict of (float, float)
+        Smoothed value at the end of each estimated parameter, and its standard deviation.
+    disbelieved : dict of int
+        Reports beyond the gate by channel.
+    """
+
+    run: Run
+    process: Kind
+    estimate: Estimate
+    filtered: Estimate
+    noise: dict[str, float]
+    disturbance: dict[str, float]
+    nis: tuple[Normalised, ...]
+    white: tuple[Whiteness, ...]
+    parameters: dict[str, tuple[float, float]]
+    disbelieved: dict[str, int]
+
+    @property
+    def honest(self) -> bool:
+        """Whether innovations are as large as the filter says, and white."""
+        return self.nis[-1].honest and all(one.white for one in self.white)
+
+    def content(self) -> dict[str, object]:
+        """The numbers, for JSON."""
+        return {
+            "process": self.process,
+            "rows": len(self.run.t),
+            "noise": self.noise,
+            "disturbance": self.disturbance,
+            "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in self.parameters.items()},
+            "nis": [vars(one) | {"honest": one.honest} for one in self.nis],
+            "whiteness": [vars(one) | {"white": one.white} for one in self.white],
+            "disbelieved": self.disbelieved,
+        }
+
+
+def observe(
+    vehicle: Vehicle,
+    run: Run,
+    *,
+    process: Kind = "kinematics",
+    estimated: Sequence[str] = (),
+    method: Method | None = None,
+    disturbance: Mapping[str, float] | None = None,
+    progress: Progress = lambda done, words: None,
+) -> Observed:
+    """Estimate pose and velocity from the reports that a log has.
+
+    Kinematics alone (the default) knows nothing of forces: a smooth motion with white noise on the rate of
+    its acceleration. Its velocities may be given to a diagnosis. With the model the estimate is closer where
+    the model is right, and leans towards it where it is wrong: it is for control and for currents, and a
+    diagnosis of it would find its own model again.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    run : Run
+        The log; a channel that is computed from others counts as none.
+    process : str
+        "kinematics" or "model".
+    estimated : sequence of str
+        V_N, V_E (with the model), b_u ... b_r.
+    method : str
+        "ekf" or "ukf"; by default "ukf" with the model, else "ekf". First velocity and current are unknown,
+        and quadratic drag linearised there misleads an extended filter for minutes, but not sigma points.
+    disturbance : mapping, optional
+        Root of the spectral density of the noise on driven states by name; what is not stated is that for
+        which the reports are likeliest.
+
+    Raises
+    ------
+    UndertowError
+        If the log has too few reports or lacks commands, or the estimate diverges.
+    """
+    what = process_of(vehicle, estimated, process)
+    reports, rows = reports_of(run, what)
+    mean, covariance = first_guess(what, reports)
+    densities, free = _first_densities(what, disturbance or {})
+    if free.any():
+        part = reports.first(SEARCH.rows)
+        densities = most_likely(what, part, mean, covariance, densities, free, progress)
+    chosen: Method = method or ("ukf" if process == "model" else "ekf")
+    filtered = Observer(what, densities).run(reports, mean, covariance, chosen, progress)
+    found = smoothed(filtered)
+    last = (found.mean[-1], found.deviation[-1])
+    known: Flags = np.asarray(reports.there.any(axis=0))
+    gone = reports.there & ~filtered.used
+    return Observed(
+        _as_run(run, what, found, rows),
+        process,
+        found,
+        filtered,
+        {n: float(np.sqrt(reports.variance[i])) for i, n in enumerate(what.channels) if known[i]},
+        dict(zip(what.driven_names, np.sqrt(densities).tolist(), strict=True)),
+        nis(filtered, what.channels),
+        whiteness(filtered, what.channels),
+        {n: (float(last[0][what.index(n)]), float(last[1][what.index(n)])) for n in estimated},
+        {n: int(c) for n, c in zip(what.channels, gone.sum(axis=0), strict=True) if c},
+    )
+
+
+# --- what a log reports ---------------------------------------------------------------------------
+def reports_of(run: Run, process: Process) -> tuple[Reports, Index]:
+    """Reports at the times at which they were true, and the rows of them that are those of the log.
+
+    A report that is late by a known age is put where it belongs, so that the order in time is that of truth.
+    """
+    own = [name if run.has(name) and name not in run.derived else "" for name in process.channels]
+    late = np.where([bool(name) for name in own], process.late, 0.0)
+    times = np.concatenate([run.t - age for age in {0.0, *late.tolist()}])
+    t = _filled(_distinct(np.sort(times[times >= run.t[0] - SETTINGS.together])), longest_step(process))
+    y = np.full((len(t), len(own)), np.nan)
+    for i, name in enumerate(own):
+        if name:
+            at, reports = run.t - late[i], run.reports(name)
+            good = np.isfinite(reports) & (at >= t[0] - SETTINGS.together)
+            y[_nearest(t, at[good]), i] = reports[good]
+    count = int(np.isfinite(y).sum())
+    if count < SETTINGS.fewest:
+        raise UndertowError(
+            f"run {run.name!r} has {count} reports of {', '.join(process.channels)}; {SETTINGS.fewest} are "
+            "needed: map its columns (--map)"
+        )
+    variance = np.array([_noise(run, name, y[:, i], t) ** 2 for i, name in enumerate(process.channels)])
+    return Reports(t, _commands(run, process, t), y, variance), _nearest(t, run.t)
+
+
+def _noise(run: Run, name: str, reports: Array, t: Array) -> float:
+    """Standard deviation of a report: stated, or by differences; of no meaning where there is none."""
+    there = np.isfinite(reports)
+    if not there.any():
+        return 1.0
+    stated = run.sigma.get(name)
+    found = report_noise(t[there], reports[there]) if stated is None else stated
+    return float(max(found, SETTINGS.least * (np.std(reports[there]) or 1.0)))
+
+
+def _distinct(t: Array) -> Array:
+    return t[np.concatenate([[True], np.diff(t) > SETTINGS.together])]
+
+
+def _filled(t: Array, longest: float) -> Array:
+    """Times with more of them in between, so that no step is too long."""
+    parts = np.ceil(np.diff(t) / longest - 1e-9).astype(int)
+    pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(t[:-1], t[1:], parts, strict=True)]
+    return np.concatenate([*pieces, t[-1:]])
+
+
+def _nearest(t: Array, wanted: Array) -> Index:
+    after = np.clip(np.searchsorted(t, wanted), 1, max(len(t) - 1, 1))
+    return np.where(wanted - t[after - 1] <= t[after] - wanted, after - 1, after)
+
+
+def _commands(run: Run, process: Process, t: Array) -> Array:
+    """Commands that act at each time, held from sample to sample; a missing one is held on."""
+    names = process.vehicle.command_names
+    if process.kind == "kinematics":
+        return np.zeros((len(t), len(names)))
+    missing = [n for n in names if not run.has(n) and not n.startswith("tau_")]
+    if missing:
+        raise UndertowError(
+            f"run {run.name!r} has no command {missing[0]!r}, which the model needs: map its column, or "
+            "estimate with kinematics (--process kinematics)"
+        )
+    columns = [_held(run.channels[n]) if run.has(n) else np.zeros(len(run.t)) for n in names]
+    at = np.searchsorted(run.t, t - process.dead_time + SETTINGS.together, side="right") - 1
+    return np.column_stack(columns)[np.maximum(at, 0)] if columns else np.zeros((len(t), 0))
+
+
+def _held(data: Array) -> Array:
+    """A column without gaps: the last value is held, zero before the first."""
+    there = np.isfinite(data)
+    last = np.maximum.accumulate(np.where(there, np.arange(len(data)), -1))
+    return np.where(last >= 0, np.nan_to_num(data)[np.maximum(last, 0)], 0.0)
+
+
+# --- first guesses --------------------------------------------------------------------------------
+def first_guess(process: Process, reports: Reports) -> tuple[Array, Array]:
+    """Mean and covariance before the first report: what it says of each channel, and hardly any certainty."""
+    mean = np.zeros(len(process.state_names))
+    for i, name in enumerate(process.channels):
+        found = np.flatnonzero(np.isfinite(reports.y[:, i]))
+        if len(found):
+            mean[process.index(name)] = reports.y[found[0], i]
+    return mean, UNKNOWN.covariance(process)
+
+
+def _first_densities(process: Process, stated: Mapping[str, float]) -> tuple[Array, Flags]:
+    """Spectral densities, and which of them are to be found."""
+    s = SETTINGS
+    first = s.first_model if process.kind == "model" else s.first_kinematics
+    walk = {n: s.current_walk / np.sqrt(s.hour) for n in CURRENT}
+    walk |= {n: s.bias_walk / np.sqrt(s.hour) for n in BIASES}
+    alien = [n for n in stated if n not in process.driven_names]
+    if alien:
+        raise UndertowError(
+            f"disturbance of '{alien[0]}' is stated, but noise drives {', '.join(process.driven_names)}"
+        )
+    known = walk | dict(stated)
+    roots = [known.get(n, first) for n in process.driven_names]
+    return np.array(roots) ** 2, np.array([n not in known for n in process.driven_names])
+
+
+def _as_run(run: Run, process: Process, found: Estimate, rows: Index) -> Run:
+    """Smoothed pose and velocities at the rows of the log, with its commands."""
+    names = process.channels
+    states = {n: found.mean[rows, process.index(n)] for n in names}
+    deviation = found.deviation[rows]
+    sigma = {n: float(np.median(deviation[:, process.index(n)])) for n in names}
+    others = {n: c for n, c in run.channels.items() if n not in MOTION_UNITS}
+    channels = {**states, **others}
+    note = f"pose and velocities smoothed ({process.kind})"
+    kept = replace(run, channels=channels, reported={}, wrapped={}, derived=frozenset(), sigma=sigma)
+    return kept.with_notes(note)
+
+
+def deviations(observed: Observed) -> dict[str, Array]:
+    """Standard deviation of every pose and velocity at the rows of the log, by name."""
+    at = _nearest(observed.estimate.t, observed.run.t)
+    names = [n for n in observed.estimate.names if n in MOTION_UNITS]
+    found = observed.estimate.deviation
+    return {n: found[at, observed.estimate.names.index(n)] for n in names}
+
+
+def csv(observed: Observed) -> str:
+    """A log as undertow reads it: t, pose, velocities, commands, and standard deviations (sd_x ...)."""
+    import polars as pl
+
+    extra = {f"sd_{n}": d for n, d in deviations(observed).items()}
+    columns = {"t": observed.run.t, **observed.run.channels, **extra}
+    return pl.DataFrame(columns).fill_nan(None).write_csv()
+
+
+def observer_file(observed: Observed, run: Run, name: str) -> str:
+    """An observer file (TOML): the sensors of a log with noise and rates, and the noise that was found."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document.update({"schema": SCHEMA, "name": name, "process": observed.process})
+    document["estimate"] = list(observed.parameters)
+    sensors = tomlkit.table()
+    for channel, sigma in observed.noise.items():
+        row = tomlkit.inline_table()
+        row.update(
+            {"noise": f"{sigma:.4g} {MOTION_UNITS[channel]}", "period": f"{run.period(channel):.4g} s"}
+        )
+        sensors[channel] = row
+    document["sensors"] = sensors
+    document["disturbance"] = {n: float(f"{v:.4g}") for n, v in observed.disturbance.items()}
+    return tomlkit.dumps(document)

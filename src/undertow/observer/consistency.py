@@ -1,0 +1,141 @@
+"""Whether a filter is as good as it says: NEES, NIS and the whiteness of innovations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from undertow.typing import Array
+
+from .filters import Estimate
+
+
+@dataclass(frozen=True)
+class ConsistencySettings:
+    """Numbers of the tests."""
+
+    level: float = 0.95  # of the bounds
+    rejected: float = 0.01  # probability below which innovations are not white
+    lags: int = 20  # of the Ljung-Box test at most
+    per_lag: int = 5  # reports for every lag at least
+    burn_in: int = 10  # reports of a channel at first, which say more about the first guess than the filter
+
+
+SETTINGS = ConsistencySettings()
+
+
+@dataclass(frozen=True)
+class Normalised:
+    """A mean of normalised squared errors, which is one for an honest filter.
+
+    Attributes
+    ----------
+    name : str
+        The channel, or "all".
+    mean : float
+        Mean of the squares for each degree of freedom: above the bounds the filter thinks itself better than
+        it is, below them worse.
+    low, high : float
+        Bounds of the chi-squared distribution for an honest filter.
+    count : int
+        Squares that it is taken of.
+    """
+
+    name: str
+    mean: float
+    low: float
+    high: float
+    count: int
+
+    @property
+    def honest(self) -> bool:
+        """Whether the mean is within the bounds."""
+        return self.low <= self.mean <= self.high
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """The Ljung-Box test of the innovations of a channel.
+
+    Attributes
+    ----------
+    name : str
+        The channel.
+    lags : int
+        Lags that are looked at.
+    statistic, p_value : float
+        The sum, chi-squared with as many degrees of freedom as lags for white innovations, and the
+        probability that chance gives as much.
+    """
+
+    name: str
+    lags: int
+    statistic: float
+    p_value: float
+
+    @property
+    def white(self) -> bool:
+        """Whether chance explains the correlations."""
+        return self.p_value >= SETTINGS.rejected
+
+
+def _normalised(name: str, squares: Array) -> Normalised:
+    k = len(squares)
+    tail = (1 - SETTINGS.level) / 2
+    low, high = (float(chi2.ppf(tail, k)) / k, float(chi2.ppf(1 - tail, k)) / k) if k else (0.0, np.inf)
+    return Normalised(name, float(np.mean(squares)) if k else np.nan, low, high, k)
+
+
+def innovations(found: Estimate, channel: int) -> Array:
+    """Normalised innovations of the believed reports of a channel, in order of time, without the first."""
+    used = found.used[:, channel]
+    e, s = found.innovation[used, channel], found.variance[used, channel]
+    return (e / np.sqrt(s))[SETTINGS.burn_in :]
+
+
+def nis(found: Estimate, channels: tuple[str, ...]) -> tuple[Normalised, ...]:
+    """Normalised innovation squared of every channel that reports, and of all (Bar-Shalom et al. 2001)."""
+    each = {n: innovations(found, i) ** 2 for i, n in enumerate(channels)}
+    each = {n: squares for n, squares in each.items() if len(squares)}
+    whole = np.concatenate(list(each.values())) if each else np.empty(0)
+    return (*(_normalised(n, squares) for n, squares in each.items()), _normalised("all", whole))
+
+
+def nees(found: Estimate, truth: Array, rows: slice = slice(None)) -> Array:
+    """Normalised estimation error squared of every row, for each state, shape (n,).
+
+    Parameters
+    ----------
+    truth : ndarray, shape (n, nx)
+        True states.
+    rows : slice
+        Rows that are looked at. Errors of neighbours are correlated: bounds hold for rows far apart, or
+        of different runs.
+    """
+    error = (found.mean - truth)[rows]
+    solved = np.linalg.solve(found.covariance[rows], error[..., None])[..., 0]
+    return np.asarray((error * solved).sum(axis=1)) / error.shape[1]
+
+
+def nees_bounds(states: int, count: int) -> tuple[float, float]:
+    """Bounds of the mean of so many independent NEES values, for each state."""
+    k, tail = states * count, (1 - SETTINGS.level) / 2
+    return float(chi2.ppf(tail, k)) / k, float(chi2.ppf(1 - tail, k)) / k
+
+
+def whiteness(found: Estimate, channels: tuple[str, ...]) -> tuple[Whiteness, ...]:
+    """The Ljung-Box test for every channel with reports enough (Ljung and Box 1978)."""
+    each = ((n, innovations(found, i)) for i, n in enumerate(channels))
+    return tuple(ljung_box(n, e) for n, e in each if len(e) >= 2 * SETTINGS.per_lag)
+
+
+def ljung_box(name: str, e: Array) -> Whiteness:
+    """The test of one series, shape (n,), whose mean is zero if the filter is right."""
+    n = len(e)
+    lags = max(min(SETTINGS.lags, n // SETTINGS.per_lag), 1)
+    power = float(e @ e) or 1.0
+    r = np.array([e[k:] @ e[:-k] for k in range(1, lags + 1)]) / power
+    statistic = float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1))))
+    return Whiteness(name, lags, statistic, float(chi2.sf(statistic, lags)))

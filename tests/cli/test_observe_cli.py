@@ -1,0 +1,94 @@
+"""`undertow observe`, and the commands that take its files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import undertow
+from benchmarks.observer_log import auv, log
+from undertow.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Positions and headings of thirty seconds."""
+    run, _, _ = log(auv(), 30.0, 1, {"x": 1, "y": 1, "z": 1, "psi": 1})
+    path = tmp_path_factory.mktemp("dive") / "dive.csv"
+    pl.DataFrame({"t": run.t, **run.channels}).write_csv(path)
+    return path
+
+
+def test_a_log_gets_velocities_with_deviations(dive: Path, tmp_path: Path, capsys) -> None:
+    out, save, picture = (tmp_path / n for n in ("smoothed.csv", "observer.toml", "observed.png"))
+    files = ["--out", str(out), "--save", str(save), "--plot", str(picture)]
+    assert main(["observe", "mini-auv", str(dive), *files]) == 0
+    assert "NIS" in capsys.readouterr().out
+    table = pl.read_csv(out)
+    assert {"t", "x", "u", "r", "f1", "sd_x", "sd_u"} <= set(table.columns)
+    assert table["sd_u"].max() < 1.0
+    assert picture.stat().st_size > 10_000
+    assert main(["compare", "mini-auv", str(out)]) == 0
+
+
+def test_json_has_the_numbers(dive: Path, capsys) -> None:
+    assert main(["observe", "mini-auv", str(dive), "--process", "model", "--current", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["parameters"]["V_N"]["sigma"] > 0
+    assert abs(content["parameters"]["V_N"]["value"]) < 4 * content["parameters"]["V_N"]["sigma"]
+    assert np.isfinite(content["nis"][-1]["mean"])
+
+
+def test_the_chain_from_a_log_to_a_loop_and_to_c(dive: Path, tmp_path: Path, capsys) -> None:
+    save = tmp_path / "observer.toml"
+    assert main(["observe", "mini-auv", str(dive), "--process", "model", "--save", str(save)]) == 0
+    loop = ["simulate", "mini-auv", "paper-pd", "--to=0,0,0.2,0.1", "--for", "2", "--dt", "0.1"]
+    assert main([*loop, "--observer", str(save)]) == 0
+    assert main(["linearize", "mini-auv", "--gains", "paper-pid", "--observer", str(save)]) == 0
+    assert main(["codegen", "mini-auv", "--observer", str(save), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "mini-auv" / "observer" / "observer.c").is_file()
+    assert main(["codegen", "mini-auv", "--observer", str(save), "--out", str(tmp_path), "--check"]) == 0
+    assert "estimate_x" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--current"], "does not show in kinematics"),
+        (["--process", "model", "--out", "made.csv"], "--trust-model"),
+        (["--bias", "q"], "does not occur"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(dive: Path, words, complaint, capsys, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["observe", "mini-auv", str(dive), *words]) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "made.csv").exists()
+
+
+def test_an_observer_without_a_law_is_refused(tmp_path: Path, capsys) -> None:
+    assert main(["linearize", "mini-auv", "--observer", str(tmp_path / "none.toml")]) == 2
+    assert "--gains" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_diagnosis_of_smoothed_velocities_names_the_hidden_current(tmp_path: Path, capsys) -> None:
+    """The demo, whose velocities are taken away first: positions and heading alone are left."""
+    demo = Path(undertow.__file__).parent / "demo_data" / "auv"
+    vehicle = str(demo / "vehicle.toml")
+    smoothed = {}
+    for name in ("train_1", "train_2", "train_3", "holdout"):
+        table = pl.read_csv(demo / f"{name}.csv.gz", infer_schema_length=None)
+        table.drop(["u", "v", "w", "p", "q", "r"]).write_csv(tmp_path / f"{name}.csv")
+        smoothed[name] = str(tmp_path / f"{name}-smoothed.csv")
+        assert main(["observe", vehicle, str(tmp_path / f"{name}.csv"), "--out", smoothed[name]]) == 0
+    capsys.readouterr()
+    *fitted, kept = smoothed.values()
+    assert main(["diagnose", vehicle, *fitted, "--holdout", kept]) == 0
+    assert "Missing: ocean_current" in " ".join(capsys.readouterr().out.split())

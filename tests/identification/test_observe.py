@@ -1,0 +1,90 @@
+"""States of logs: rates and delays of sensors, biases, currents, and smoothing with a wrong model."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.observer_log import BIAS, CURRENT, DRIVE, NOISE, auv, log
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.identification.observe import deviations, observe, observer_file, reports_of
+from undertow.observer.design import ObserverTable, design
+from undertow.observer.process import process_of
+
+EVERY = {"x": 10, "y": 10, "z": 5, "psi": 1, "u": 2, "v": 2, "w": 2, "r": 1}
+WALKS = {"V_N": 1e-4, "V_E": 1e-4, "b_r": 1e-5}
+
+
+def test_slow_late_and_biased_sensors_give_motion_current_and_bias() -> None:
+    late = 0.3
+    truth = auv(**CURRENT, **BIAS, velocity_delay=late)
+    run, x, names = log(truth, 60.0, 2, EVERY, late)
+    known = auv(velocity_delay=late)
+    found = observe(
+        known, run, process="model", estimated=["V_N", "V_E", "b_r"], disturbance=DRIVE | WALKS, method="ukf"
+    )
+    for name, true in {**CURRENT, **BIAS}.items():
+        value, sigma = found.parameters[name]
+        assert abs(value - true) < 3 * sigma, name
+        assert sigma < 0.03
+    spread, inner = deviations(found), slice(50, -20)
+    for name in ("x", "y", "u", "v", "w", "psi", "r"):
+        error = (found.run.channels[name] - x[:, names.index(name)])[inner] / spread[name][inner]
+        assert 0.4 < np.sqrt(np.mean(error**2)) < 1.6, name
+    ignorant = observe(
+        auv(), run, process="model", estimated=["V_N", "V_E", "b_r"], disturbance=DRIVE | WALKS, method="ekf"
+    )
+    assert found.filtered.log_likelihood > ignorant.filtered.log_likelihood + 20
+
+
+def test_reports_stand_at_the_time_when_they_were_true() -> None:
+    vehicle = auv(velocity_delay=0.25)
+    t = 0.1 * np.arange(100)
+    run = Run("late", t, {"u": t - 0.25, "x": t, **{f"f{i}": np.zeros(100) for i in range(1, 5)}})
+    given, rows = reports_of(run, process_of(vehicle, (), "kinematics"))
+    u = given.y[:, 4]
+    there = np.isfinite(u)
+    np.testing.assert_allclose(u[there], given.t[there], atol=1e-9)
+    np.testing.assert_allclose(given.t[rows], t, atol=1e-9)
+    assert np.isnan(given.y[rows[0], 4]) or given.y[rows[0], 4] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_kinematics_is_honest_where_the_model_leans_towards_itself() -> None:
+    """A tenth of the buoyancy is missing in the model, and no velocity is measured."""
+    right = auv()
+    buoyancy = right.value_of("B_net")
+    wrong = right.with_values({"B_net": replace(buoyancy, value=0.9 * buoyancy.value)})
+    run, x, names = log(right, 60.0, 3, {"x": 1, "y": 1, "z": 1, "psi": 1})
+    true, inner = x[:, names.index("w")], slice(50, -50)
+    pulls = {}
+    for process, noise in (("kinematics", None), ("model", dict.fromkeys(DRIVE, 0.003))):
+        found = observe(wrong, run, process=process, disturbance=noise, method="ekf")
+        pulls[process] = (found.run.channels["w"] - true)[inner] / deviations(found)["w"][inner]
+    # Steps of the thrusters are no white noise, so that kinematics is a little too sure, too.
+    assert 0.5 < np.sqrt(np.mean(pulls["kinematics"] ** 2)) < 2
+    assert np.sqrt(np.mean(pulls["model"] ** 2)) > 4
+
+
+def test_the_noise_that_drives_the_motion_is_found() -> None:
+    run, _, _ = log(auv(), 60.0, 4, {"x": 1, "y": 1, "z": 1, "psi": 1, "u": 1, "v": 1, "w": 1, "r": 1})
+    found = observe(auv(), run, process="model", method="ekf")
+    for name, true in DRIVE.items():
+        assert found.disturbance[name] == pytest.approx(true, rel=0.35)
+    assert found.nis[-1].honest
+    assert found.noise["x"] == NOISE["x"]
+    table = observer_file(found, run, "found")
+    again = design(ObserverTable.model_validate(tomllib.loads(table)), auv())
+    assert again.noise["psi"] == pytest.approx(NOISE["psi"])
+    assert again.period == pytest.approx(np.full(8, 0.1))
+
+
+def test_too_few_reports_and_missing_commands_are_refused() -> None:
+    t = 0.1 * np.arange(50)
+    with pytest.raises(UndertowError, match="0 reports"):
+        observe(auv(), Run("empty", t, {"f1": t}))
+    with pytest.raises(UndertowError, match="no command 'f1'"):
+        observe(auv(), Run("no commands", t, {"x": t}), process="model")

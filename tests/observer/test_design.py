@@ -1,0 +1,190 @@
+"""Observers on board: their C against Python, in a simulated loop and in its linear form."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.observer_log import auv
+from undertow.codegen.compiler import find_compiler
+from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.gains import load_gains
+from undertow.control.linear.systems import SettledObserver, close_loop
+from undertow.control.linear.trim import find_trim
+from undertow.errors import UndertowError
+from undertow.model.loading import load_vehicle
+from undertow.observer.design import Design, ObserverTable, design, load_observer
+from undertow.observer.export import ObserverExport
+from undertow.observer.filters import Observer, Reports
+from undertow.observer.process import AT_REST
+
+SENSORS = {
+    "x": {"noise": "5 cm", "period": "1 s"},
+    "y": {"noise": "5 cm", "period": "1 s"},
+    "z": {"noise": "1 cm", "period": "0.2 s"},
+    "psi": {"noise": "0.5 deg", "period": "0.1 s"},
+    "r": {"noise": "0.3 deg/s"},
+}
+DISTURBANCE = {"u": 0.01, "v": 0.01, "w": 0.01, "r": 0.02}
+WALK = {"V_N": 0.003, "V_E": 0.003}
+
+
+def table(**more: object) -> ObserverTable:
+    content = {
+        "schema": "undertow/observer/1",
+        "name": "usbl",
+        "sensors": SENSORS,
+        "disturbance": DISTURBANCE,
+    }
+    return ObserverTable.model_validate(content | more)
+
+
+def with_current() -> Design:
+    return design(table(estimate=["V_N", "V_E"], disturbance=DISTURBANCE | WALK), load_vehicle("mini-auv"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
+def test_the_filter_in_c_is_that_of_python(tmp_path: Path) -> None:
+    compiler = find_compiler()
+    if compiler is None:
+        pytest.skip("no C compiler on this machine")
+    observer = with_current()
+    folder = ObserverExport(observer).write(tmp_path).folder
+    strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
+    command = [*compiler.command, *strict, "-fPIC", "-shared", "observer.c", "-lm", "-o", "observer.so"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    library = ctypes.CDLL(str(folder / "observer.so"))
+    n, rows, dt = observer.process.x.numel(), 40, 0.1
+    x, P = np.zeros(n), np.zeros((n, n))
+    library.mini_auv_usbl_start(_pointer(x), _pointer(P))
+    np.testing.assert_array_equal(P, AT_REST.covariance(observer.process))
+    t, rng = dt * np.arange(rows), np.random.default_rng(5)
+    u = np.column_stack([np.full(rows, -7.15), np.sin(t), np.full(rows, -7.15), np.cos(t)])
+    y = np.full((rows, 8), np.nan)
+    for k, i in enumerate(observer.channels):
+        y[:: k + 1, i] = 0.1 * rng.standard_normal(len(y[:: k + 1]))
+    variance = np.ones(8)
+    variance[list(observer.channels)] = observer.variance
+    python = Observer(observer.process, observer.densities).run(Reports(t, u, y, variance), x, P)
+    for k in range(rows):
+        held = np.ascontiguousarray(u[max(k - 1, 0)])
+        if k:
+            now, step = ctypes.c_double(t[k - 1]), ctypes.c_double(t[k] - t[k - 1])
+            library.mini_auv_usbl_predict(_pointer(x), _pointer(P), _pointer(held), now, step)
+        for name, i in zip(observer.sensors, observer.channels, strict=True):
+            if np.isfinite(y[k, i]):
+                update = getattr(library, f"mini_auv_usbl_update_{name}")
+                update.restype = ctypes.c_double
+                report = ctypes.c_double(y[k, i])
+                nis = update(_pointer(x), _pointer(P), _pointer(held), ctypes.c_double(t[k]), report)
+                assert nis == pytest.approx(python.innovation[k, i] ** 2 / python.variance[k, i], rel=1e-9)
+        np.testing.assert_allclose(x, python.mean[k], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(P, python.covariance[k], rtol=1e-10, atol=1e-12)
+    assert ObserverExport(observer).check(tmp_path).changes == ()
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+@pytest.fixture(scope="module")
+def record():
+    """To a depth and a heading, in a current that the observer finds."""
+    gains = load_gains("paper-pd", load_vehicle("mini-auv"))
+    moving = auv(V_N=0.05, V_E=-0.03)
+    loop = ClosedLoop(gains, moving, observer=with_current(), compiled=False)
+    return loop.run(Scenario((0.0, 0.0, 1.0, 0.5), 40.0, 0.1))
+
+
+def test_the_controller_sees_the_estimate(record) -> None:
+    t, late = record.t, slice(200, -1)
+    assert t[1] == pytest.approx(0.1)
+    for name, size in {"x": 0.05, "u": 0.02, "z": 0.01, "psi": 0.01, "r": 0.005}.items():
+        error = record.estimated[name][late] - record.state[name][200:][1:]  # is of the next sample
+        assert np.std(error) < size, name
+    assert record.estimated["V_N"][-1] == pytest.approx(0.05, abs=0.02)
+    assert record.estimated["V_E"][-1] == pytest.approx(-0.03, abs=0.02)
+    assert record.state["z"][-1] == pytest.approx(1.0, abs=0.05)
+    assert record.state["psi"][-1] == pytest.approx(0.5, abs=0.05)
+    # Sensors have the noise of the file where the scenario states none.
+    assert np.std(record.reported["x"] - record.state["x"]) == pytest.approx(0.05, rel=0.15)
+
+
+def test_compiled_loops_with_an_observer_are_those_of_the_virtual_machine() -> None:
+    if find_compiler() is None:
+        pytest.skip("no C compiler on this machine")
+    gains, observer = (
+        load_gains("paper-pd", load_vehicle("mini-auv")),
+        design(table(), load_vehicle("mini-auv")),
+    )
+    scenario = Scenario((0.2, 0.0, 0.3, 0.5), 2.0, 0.1)
+    runs = [ClosedLoop(gains, observer=observer, compiled=c).run(scenario) for c in (True, False)]
+    for name, values in runs[0].estimated.items():
+        np.testing.assert_allclose(values, runs[1].estimated[name], rtol=1e-8, atol=1e-10)
+
+
+def test_poles_of_the_loop_are_those_of_the_law_and_of_the_filter() -> None:
+    vehicle = load_vehicle("mini-auv")
+    observer, trim = design(table(), vehicle), find_trim(vehicle)
+    gains = load_gains("paper-pid", vehicle)
+    alone = close_loop(vehicle, gains, trim)
+    loop = close_loop(vehicle, gains, trim, observer=observer)
+    both = np.concatenate([np.linalg.eigvals(alone.closed.A), SettledObserver(observer, trim).rates])
+    found = np.linalg.eigvals(loop.closed.A)
+    for pole in both:
+        assert np.abs(found - pole).min() < 1e-6
+    # Characteristic polynomials agree, so that no pole is missing either.
+    at = 0.3 + 0.7j
+    assert np.prod(at - found) == pytest.approx(np.prod(at - both), rel=1e-8)
+
+
+def test_a_filter_that_settles_has_the_gain_of_the_loop() -> None:
+    """Sampled quickly, the covariance of the extended filter becomes that of the Riccati equation."""
+    vehicle = load_vehicle("mini-auv")
+    quick = {n: {"noise": s["noise"], "period": "0.01 s"} for n, s in SENSORS.items()}
+    quick["r"]["noise"] = "3 deg/s"  # slow beside the samples
+    observer, trim = design(table(sensors=quick), vehicle), find_trim(vehicle)
+    settled = SettledObserver(observer, trim)
+    n, p = 4000, observer.process
+    y, variance = np.full((n, 8), np.nan), np.ones(8)
+    y[:, list(observer.channels)], variance[list(observer.channels)] = 0.0, observer.variance
+    u = np.tile([trim.commands[c] for c in p.vehicle.command_names], (n, 1))
+    given = Reports(0.01 * np.arange(n), u, y, variance)
+    found = Observer(p, observer.densities).run(given, np.zeros(8), 0.01 * np.eye(8))
+    c = settled.c
+    gain = found.covariance[-1] @ c.T / (observer.variance * 0.01)
+    np.testing.assert_allclose(gain[[0, 3, 7]], settled.gain[[0, 3, 7]], rtol=0.05, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"sensors": {"q": {"noise": 0.1}}}, "sensor 'q' is none"),
+        ({"disturbance": {"u": 0.1}}, r"\[disturbance\] lacks v"),
+        ({"sensors": {}}, r"\[sensors\] is empty"),
+        ({"sensors": {"x": {"noise": 0.0}}}, "give a standard deviation above zero"),
+        ({"estimate": ["V_X"]}, "cannot be estimated as a state"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused(more, words) -> None:
+    with pytest.raises(UndertowError, match=words):
+        design(table(**more), load_vehicle("mini-auv"))
+
+
+def test_late_reports_and_laws_without_samples_are_refused(tmp_path: Path) -> None:
+    late = auv(velocity_delay=0.2)
+    with pytest.raises(UndertowError, match=r"u is reported 0\.2 s late"):
+        design(table(sensors={"u": {"noise": 0.01}}), late)
+    vehicle = load_vehicle("mini-auv")
+    loop = ClosedLoop(load_gains("paper-pd", vehicle), observer=design(table(), vehicle), compiled=False)
+    with pytest.raises(UndertowError, match="works on samples"):
+        loop.run(Scenario((1, 1, 1, 0), 1.0, 0.1, continuous=True))
+    (tmp_path / "bad.toml").write_text('schema = "undertow/observer/1"\nname = "x"\nsensor = 1\n')
+    with pytest.raises(UndertowError, match="observer"):
+        load_observer(tmp_path / "bad.toml", vehicle)
