@@ -286,8 +286,9 @@ class Controller:
     def _converter(self, error: ca.SX, states: ca.SX, gate: ca.SX) -> Converter:
         plant, signals = self.gains.plant, self._signals
         idle = self._by_turns and not gate.is_one()
+        unheld = self.reference.unheld if self.reference else ()
         seen = [
-            gate * y if idle and str(v) in _IDLE else y
+            ca.SX(0) if str(v) in unheld else gate * y if idle and str(v) in _IDLE else y
             for v, y in zip([*plant.eta, *plant.nu], ca.vertsplit(self._y), strict=True)
         ]
         gains = [sm.Symbol(name, real=True) for name in self.gain_names]

@@ -149,12 +149,13 @@ def _plain_row(problem: Problem, condition: Condition, about: str) -> MissionRow
 def _reversing_row(gains: GainSet) -> MissionRow:
     names = ", ".join(map(str, gains.plant.reversing))
     return MissionRow(
-        *(
-            "M",
-            "M does not change along the motion",
-            "V is continuous only while M keeps one set of parameters.",
-        ),
-        *(_SOURCE, 0.0, UNPROVED, f"M changes with the sign of {names}: V may jump where it does"),
+        "M",
+        "M does not change along the motion",
+        "V is continuous only while M keeps one set of parameters.",
+        _SOURCE,
+        0.0,
+        UNPROVED,
+        f"M changes with the sign of {names}: V may jump where it does",
     )
 
 
@@ -359,6 +360,7 @@ def _leg_row(
         mission.limits,
         mission.guidance,
         reference.pitches,
+        reference.unheld,
     )
     parts = Parts(vehicle, Controller(gains, endless))
     step, names = _sample(parts)
@@ -445,10 +447,10 @@ def _that_count(slope: Array, names: list[str], vehicle: Vehicle) -> list[int]:
     poses = vehicle.pose_names
     count = {i for i, n in enumerate(names) if n in (*poses, *vehicle.velocity_names) and n != "x"}
     # What nothing drives has no pole: integrals of errors that are zero by the guidance.
-    idle = set(np.flatnonzero((np.abs(slope - np.eye(len(slope))) < 1e-12).all(axis=1)))
+    idle = set(map(int, np.flatnonzero((np.abs(slope - np.eye(len(slope))) < 1e-12).all(axis=1))))
     fixed = idle | {names.index(n) for n in _DISCRETE}
     while True:
-        more = {j for i in count for j in np.flatnonzero(np.abs(slope[i]) > 1e-12)} - fixed - {0}
+        more = {int(j) for i in count for j in np.flatnonzero(np.abs(slope[i]) > 1e-12)} - fixed - {0}
         if more <= count:
             return sorted(count - fixed)
         count |= more

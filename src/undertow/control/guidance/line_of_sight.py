@@ -68,10 +68,16 @@ class LineOfSight(Reference):
     )
 
     def __init__(
-        self, names: tuple[str, ...], points: np.ndarray, limits: Limits, guidance: Guidance, pitches: bool
+        self,
+        names: tuple[str, ...],
+        points: np.ndarray,
+        limits: Limits,
+        guidance: Guidance,
+        pitches: bool,
+        unheld: tuple[str, ...] = (),
     ) -> None:
         self.names, self.points, self.limits, self.guidance = names, points, limits, guidance
-        self.pitches = pitches
+        self.pitches, self.unheld = pitches, unheld
         pose = {n: np.zeros(len(points)) for n in names} | {
             n: points[:, i] for i, n in enumerate("xyz") if n in names
         }

@@ -152,7 +152,9 @@ class Mission:
                 raise UndertowError(
                     f"'{vehicle.name}' pushes neither in heave nor in pitch: give all way-points the same z"
                 )
-            return LineOfSight(names, self.points, self.limits, self.guidance, pitches)
+            left = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in gains.unactuated]
+            unheld = tuple(vehicle.velocity_names[i] for i in left)
+            return LineOfSight(names, self.points, self.limits, self.guidance, pitches, unheld)
         idle = [n for n in ("x", "y", "z", "psi") if n in names and n not in pushed]
         if idle:
             raise UndertowError(

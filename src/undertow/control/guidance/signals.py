@@ -91,10 +91,13 @@ class Reference(abc.ABC):
         Whether its states have rates, so that a law may act without sampling.
     start, end : ndarray, shape (n,)
         Pose where it begins and where it ends, m and rad.
+    unheld : tuple of str
+        Velocities that the law takes as zero: nothing pushes there, and in a current they are the water's.
     """
 
     state_names: ClassVar[tuple[str, ...]]
     continuous: ClassVar[bool] = False
+    unheld: tuple[str, ...] = ()
     start: np.ndarray
     end: np.ndarray
 
