@@ -61,16 +61,14 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
     return picture
 
 
-def track(records: Sequence[Record], points: np.ndarray | None = None) -> Figure:
-    """The way of several runs in the plane, east to the right, with what they followed or its way-points."""
+def track(records: Sequence[Record]) -> Figure:
+    """The way of several runs in the plane, east to the right, with the mission that they followed."""
     with look():
         picture, axes = figure(4.6)
         axis = axes[0, 0]
-        wanted = records[0].followed.desired if records[0].followed else {}
-        if points is not None:
-            axis.plot(points[:, 1], points[:, 0], "o:", color=INK, markersize=4, label="way-points")
-        elif {"x", "y"} <= wanted.keys():
-            axis.plot(wanted["y"], wanted["x"], ":", color=INK, label="desired")
+        followed = records[0].followed
+        if followed is not None:
+            axis.plot(followed.way[:, 1], followed.way[:, 0], ":", color=INK, label="mission")
         for i, record in enumerate(records):
             label = plain(record.result.controller)
             axis.plot(record.state["y"], record.state["x"], label=label, **_line(i))

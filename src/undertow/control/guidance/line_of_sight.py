@@ -212,7 +212,7 @@ class LineOfSight(Reference):
         if "z" in self.names:
             errors["depth"] = -found.below
         kept = {n: v for n, v in desired.items() if n in state}
-        return Followed(kept, errors, named["arrived"] > 0)
+        return Followed(kept, errors, named["arrived"] > 0, self.points[:, :2])
 
 
 def _clipped(value: ca.SX, most: ca.SX) -> ca.SX:

@@ -274,7 +274,8 @@ class TimedReference(Reference):
         """Desired pose over rows, and whether its end is reached there."""
         desired = dict(zip(self.profile.names, self.profile.at(t).T, strict=True))
         errors = {n: _short(n, desired[n] - state[n]) for n in self.profile.names}
-        return Followed(desired, errors, t >= self.profile.duration)
+        way = np.column_stack([desired["x"], desired["y"]])
+        return Followed(desired, errors, t >= self.profile.duration, way)
 
 
 def _short(name: str, error: np.ndarray) -> np.ndarray:

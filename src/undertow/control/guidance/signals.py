@@ -73,11 +73,14 @@ class Followed:
         Desired less true, by coordinate; "cross track" and "depth" (m) for legs.
     arrived : ndarray of bool, shape (n,)
         Where the end of the mission has been reached.
+    way : ndarray, shape (k, 2)
+        Where it leads in the plane, north and east, m: way-points, or the curve over the rows.
     """
 
     desired: dict[str, np.ndarray]
     errors: dict[str, np.ndarray]
     arrived: np.ndarray
+    way: np.ndarray
 
 
 class Reference(abc.ABC):
