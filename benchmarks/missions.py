@@ -54,10 +54,15 @@ def tracks(records: dict[str, Record], title: str) -> Figure:
     return picture
 
 
-def errors(records: dict[str, Record], name: str, scale: float, unit: str) -> Figure:
-    """An error along the mission, and the commands of the first run."""
+def errors(
+    records: dict[str, Record], name: str, scale: float, unit: str, fins: tuple[str, ...] = ()
+) -> Figure:
+    """An error along the mission, and the commands of the first run, those of fins in degrees apart."""
+    first = next(iter(records.values()))
+    groups = {"thrust [N]": [n for n in first.commands if n not in fins], "fins [deg]": list(fins)}
+    groups = {label: names for label, names in groups.items() if names}
     with look():
-        picture, axes = figure(5.2, 2, 1, sharex=True)
+        picture, axes = figure(2.6 * (1 + len(groups)), 1 + len(groups), 1, sharex=True)
         for i, (label, record) in enumerate(records.items()):
             assert record.followed is not None
             own = _until(record)
@@ -65,17 +70,27 @@ def errors(records: dict[str, Record], name: str, scale: float, unit: str) -> Fi
                 record.t[own], scale * record.followed.errors[name][own], label=label, color=COLOURS[i]
             )
         axes[0, 0].set_ylabel(f"{name} [{unit}]")
-        first = next(iter(records.values()))
-        own = _until(first)
-        for i, (command, values) in enumerate(first.commands.items()):
-            axes[1, 0].plot(
-                first.t[own], values[own], label=command, color=COLOURS[i % len(COLOURS)], linewidth=1.0
-            )
-        axes[1, 0].set(xlabel="time [s]", ylabel="commands [N; fins: rad]")
+        for axis, (label, names) in zip(axes[1:, 0], groups.items(), strict=True):
+            _commands(axis, first, names, 180 / np.pi if "deg" in label else 1.0)
+            axis.set_ylabel(label)
+        axes[-1, 0].set_xlabel("time [s]")
         for axis in axes[:, 0]:
             axis.grid()
             axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return picture
+
+
+def _commands(axis: Any, record: Record, names: list[str], scale: float) -> None:
+    own = np.flatnonzero(_until(record))[:-1]  # the last one is after the end
+    for i, name in enumerate(names):
+        style = "-" if i < len(COLOURS) else "--"
+        axis.plot(
+            record.t[own],
+            scale * record.commands[name][own],
+            style,
+            label=name,
+            color=COLOURS[i % len(COLOURS)],
+        )
 
 
 def _until(record: Record) -> Any:
@@ -97,7 +112,10 @@ def main(folder: Path = ROOT / "docs" / "images") -> None:
         tracks(torpedo, "REMUS 100 on legs, current 0.3 m/s to the east"),
         folder / "missions-remus100-track.png",
     )
-    save_png(errors(torpedo, "cross track", 1.0, "m"), folder / "missions-remus100-errors.png")
+    save_png(
+        errors(torpedo, "cross track", 1.0, "m", ("rudder", "stern_plane")),
+        folder / "missions-remus100-errors.png",
+    )
 
 
 if __name__ == "__main__":
