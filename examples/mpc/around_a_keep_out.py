@@ -40,13 +40,13 @@ class Problem:
     final: float = 20.0  # price of the last error over that of the others
     # Price of a metre inside the circle. It is not squared: above the price that the constraint has by itself
     # (its multiplier) such a slack stays zero as long as anything else can be done.
-    slack: float = 300.0
+    slack: float = 50.0
     margin: float = 0.05  # kept besides at the samples, for the way in between, m
     first: int = 20  # steps of sequential quadratic programming before it starts
     steps: int = 3  # of sequential quadratic programming for each sample
     # On the diagonal of the Gauss-Newton matrix: shorter steps, which the turning of the thrust with the ship
     # needs while its limits are met; it does not change where they lead.
-    damping: float = 0.5
+    damping: float = 2.0
 
 
 @dataclass
@@ -156,7 +156,7 @@ class Mpc:
 
 
 _OPTIONS = {
-    "osqp": {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 4000, "polish": True},
+    "osqp": {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 2000, "polish": True},
     "warm_start_primal": True,
     "warm_start_dual": True,
     "error_on_fail": False,
