@@ -33,12 +33,14 @@ class Plant:
     ----------
     vehicle : Vehicle
         The model as given, but for control surfaces and logged inputs, which no law commands.
+    speed : float
+        Speed ahead at which forces of fins are taken, m/s.
     left_out : dict of str
         Reason, by id, why an effect is in none of the matrices.
     """
 
     def __init__(self, vehicle: Vehicle, speed: float = 0.0) -> None:
-        self._speed = speed
+        self.speed = speed
         self.left_out: dict[str, str] = {}
         self.vehicle = vehicle = _by_thrusters_alone(vehicle, self.left_out)
         self._composition = _in_still_water(vehicle, self.left_out).composition
@@ -187,9 +189,9 @@ class Plant:
         reason = self._misfit(effect, wrench)
         if reason:
             self.left_out[effect.id] = reason
-            if self._speed and reason == _WITH_MOTION:
+            if self.speed and reason == _WITH_MOTION:
                 self._inputs += self._at_speed(self._slope_in_inputs(wrench))
-                self.left_out[effect.id] = f"its force is taken as at {self._speed:g} m/s ahead"
+                self.left_out[effect.id] = f"its force is taken as at {self.speed:g} m/s ahead"
             return
         accelerations = self._composition.nu_dot
         pushed = self._slope_in_inputs(wrench)
@@ -215,7 +217,7 @@ class Plant:
     def _at_speed(self, slope: sm.Matrix) -> sm.Matrix:
         """An allocation at the speed ahead, on an even keel, inputs at zero."""
         still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
-        return slope.xreplace(still | {symbol("u"): sm.Float(self._speed)})
+        return slope.xreplace(still | {symbol("u"): sm.Float(self.speed)})
 
     def _misfit(self, effect: Wrench, wrench: sm.Matrix) -> str:
         """Why a wrench has no place in the matrices, or nothing."""

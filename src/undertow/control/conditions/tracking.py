@@ -200,10 +200,17 @@ def _pid_row(problem: Problem, mission: Mission) -> MissionRow:
     if span is None:
         return _row("V_dot", "Q(iota, nu) ≻ 0", _PID, -1.0, False, "V is positive for no iota")
     D, affine = damping_corners(problem, most)
-    nu = np.array(list(product(*((-m, 0.0, m) for m in most))))
+    nu = np.array(
+        list(product(*((-m, m) for m in most)))
+    )  # C is linear in nu, and Q affine: corners are enough
     low, high = max(span[0], 1e-6), min(span[1], 1e6)
     iotas = np.geomspace(low, high, TRACKING.iotas + 2)[1:-1]
-    found = [min(_pid_margin(problem, i, a, D, nu) for a in places) for i in iotas]
+    J_inverse = sm.lambdify(list(problem.plant.eta), problem.plant.J_inverse, "numpy")
+    cases = []
+    for angles, _ in places:
+        inverse = np.array(J_inverse(*_pose(problem, angles)), dtype=float)
+        cases.append((inverse, _coriolis(problem, angles, nu)))
+    found = [min(_pid_margin(problem, i, case, _lowest(D)) for case in cases) for i in iotas]
     best = int(np.argmax(found))
     single = len(problem.sampled) == 1
     where = f"{_covered(problem, most)}; iota = {iotas[best]:.4g} 1/s" + (
@@ -212,38 +219,43 @@ def _pid_row(problem: Problem, mission: Mission) -> MissionRow:
     return _row("V_dot", "Q(iota, nu) ≻ 0", f"{_PID} {_BOUNDED}", found[best], single and affine, where)
 
 
-def _pid_margin(
-    problem: Problem, iota: float, attitude: tuple[dict[str, float], Array], D: Array, nu: Array
-) -> float:
+def _pose(problem: Problem, angles: Mapping[str, float]) -> list[float]:
+    return [angles.get(str(q), 0.0) for q in problem.plant.eta]
+
+
+def _pid_margin(problem: Problem, iota: float, case: tuple[Array, Array], lowest: Array) -> float:
     """Least eigenvalue of Q over the corners of the velocities, for C and D apart: both are affine."""
-    angles, inverse = attitude
+    inverse, coriolis = case
     own, one = problem.driven, problem.sets[0]
     s = problem.quantities(one, inverse, iota)
     columns = inverse[:, own]
-    C = _coriolis(problem, angles, nu)[:, own][:, :, own]
-    lowest = np.inf
-    for d in _lowest(D):
-        K = np.asarray(s.K_V + columns.T @ d @ columns)
-        K = 0.5 * (K + K.T)
+    C = coriolis[:, own][:, :, own]
+    least_of = []
+    for d in lowest:
+        K = s.K_V + columns.T @ d @ columns
         cross = iota * (K - np.swapaxes(C, 1, 2)) / 2
         upper = np.broadcast_to(iota * s.K_P - s.K_I, C.shape)
         lower = np.broadcast_to(K - iota * s.M, C.shape)
         Q = np.block([[upper, cross], [np.swapaxes(cross, 1, 2), lower]])
-        lowest = min(lowest, float(np.linalg.eigvalsh(0.5 * (Q + np.swapaxes(Q, 1, 2)))[:, 0].min()))
-    return lowest
+        least_of.append(np.linalg.eigvalsh(0.5 * (Q + np.swapaxes(Q, 1, 2)))[:, 0].min())
+    return float(min(least_of))
 
 
 def _coriolis(problem: Problem, angles: Mapping[str, float], nu: Array) -> Array:
     """C_q at an attitude for velocities, shape (k, n, n); linear in them, so that its slopes are enough."""
     plant = problem.plant
-    at = {symbol: sm.Float(angles.get(str(symbol), 0.0)) for symbol in plant.eta}
-    J_inverse, J_dot, C, M = (
-        m.xreplace(dict(plant.numbers)).xreplace(at) for m in (plant.J_inverse, plant.J_dot, plant.C, plant.M)
+    pose, n = _pose(problem, angles), len(plant.nu)
+    known = [*plant.eta, *plant.nu]
+    J_inverse, J_dot, C = (
+        sm.lambdify(known, m.xreplace(dict(plant.numbers)), "numpy")
+        for m in (plant.J_inverse, plant.J_dot, plant.C)
     )
-    still = dict.fromkeys(plant.nu, sm.Integer(0))
-    C_q = J_inverse.T * (C - M.xreplace(still) * J_inverse * J_dot) * J_inverse
-    slopes = np.array([C_q.diff(v).xreplace(still).evalf().tolist() for v in plant.nu], dtype=float)
-    return np.einsum("kv,vij->kij", nu, slopes)
+    M = problem.sets[0].inertia
+    slopes = []
+    for unit in np.eye(n):
+        inverse, J_rate, own = (np.array(f(*pose, *unit), dtype=float) for f in (J_inverse, J_dot, C))
+        slopes.append(inverse.T @ (own - M @ inverse @ J_rate) @ inverse)
+    return np.einsum("kv,vij->kij", nu, np.array(slopes))
 
 
 def damping_corners(problem: Problem, most: Array) -> tuple[Array, bool]:
