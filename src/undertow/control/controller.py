@@ -24,6 +24,8 @@ from undertow.version import __version__
 
 from .allocation import Allocation, allocation_of
 from .gains import GainSet
+from .guidance.signals import Course, Kinematics, Reference
+from .laws import LawSignals
 
 
 @dataclass(frozen=True)
@@ -96,17 +98,20 @@ class Controller:
     """A gain set as CasADi functions of what the sensors report.
 
     y is the reported pose and velocity in the vehicle's degrees of freedom, r the desired pose, s the states
-    of the law and a last one for the gate (0 closed, 1 passed), k the gains, all in SI.
+    of the law and a last one for the gate (0 closed, 1 passed), k the gains, all in SI. With a reference r
+    are the numbers of its mission, and its states stand in s between those of the law and the gate.
     """
 
-    def __init__(self, gains: GainSet) -> None:
-        self.gains = gains
+    def __init__(self, gains: GainSet, reference: Reference | None = None) -> None:
+        self.gains, self.reference = gains, reference
         self.allocation: Allocation = allocation_of(gains)
         self._coordinates = gains.plant.vehicle.pose_names
         self._check_schedule()
         n, n_states = len(self._coordinates), len(self.state_names)
-        self._y, self._desired = ca.SX.sym("y", 2 * n), ca.SX.sym("r", n)
-        self._own, self._passed = ca.SX.sym("s", n_states - 1), ca.SX.sym(GATE)
+        self._y, self._r = ca.SX.sym("y", 2 * n), ca.SX.sym("r", len(reference.numbers) if reference else n)
+        followed = len(reference.state_names) if reference else 0
+        self._own, self._passed = ca.SX.sym("s", n_states - 1 - followed), ca.SX.sym(GATE)
+        self._at = ca.SX.sym("at", followed)
         self._k, self._dt = ca.SX.sym("k", len(self.gain_names)), ca.SX.sym("dt")
 
     def _check_schedule(self) -> None:
@@ -115,6 +120,11 @@ class Controller:
             raise UndertowError(
                 f"[schedule] order = 'yaw-first' needs {missing[0]}, which '{self.gains.plant.vehicle.name}' "
                 'does not have: write order = "together"'
+            )
+        if self._by_turns and self.reference is not None:
+            raise UndertowError(
+                "[schedule] order = 'yaw-first' waits for the heading of a set-point, and a mission moves: "
+                'write order = "together" (--order together)'
             )
         if not 0 < self.gate <= pi:
             fault = "beyond 180 deg, which no error of the heading is" if self.gate > pi else "not above zero"
@@ -127,7 +137,8 @@ class Controller:
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the entries of s."""
-        return (*self.gains.law.state_names(self._coordinates), GATE)
+        followed = self.reference.state_names if self.reference else ()
+        return (*self.gains.law.state_names(self._coordinates), *followed, GATE)
 
     @property
     def gain_names(self) -> tuple[str, ...]:
@@ -140,7 +151,14 @@ class Controller:
 
     def initial_states(self) -> list[float]:
         """Values of s at the start: integrals at zero, the gate closed where there is one."""
-        return [*[0.0] * (len(self.state_names) - 1), 0.0 if self._by_turns else 1.0]
+        followed = self.reference.initial_states() if self.reference else []
+        own = len(self.state_names) - 1 - len(followed)
+        return [*[0.0] * own, *followed, 0.0 if self._by_turns else 1.0]
+
+    @property
+    def mission_numbers(self) -> list[float]:
+        """Values of r where there is a reference."""
+        return [n.value for n in self.reference.numbers] if self.reference else []
 
     @property
     def command_names(self) -> tuple[str, ...]:
@@ -168,27 +186,48 @@ class Controller:
         """
         gate = self._gate()
         commands, rates, force = self._law(gate)
-        following = ca.vertcat(self._own + self._dt * rates, gate)
+        at = self._at
+        if self.reference is not None:
+            at = self.reference.advance(self._r, at, self._kinematics, self._dt)
+        following = ca.vertcat(self._own + self._dt * rates, at, gate)
         return self._function("control", [self._dt], [commands, following, force], ["u", "s_next", "tau"])
 
     @cached_property
     def continuous(self) -> ca.Function:
         """`(u, s_dot, tau) = law(y, r, s, k)`: commands and rates in continuous time, the gate as in s."""
         commands, rates, force = self._law(self._passed)
-        return self._function("law", [], [commands, ca.vertcat(rates, 0), force], ["u", "s_dot", "tau"])
+        at = ca.SX.ones(self._at.shape)  # the time goes on; a reference that has more is sampled
+        return self._function("law", [], [commands, ca.vertcat(rates, at, 0), force], ["u", "s_dot", "tau"])
 
     def _function(self, name: str, more: list[ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
-        states = ca.vertcat(self._own, self._passed)
-        inputs = [self._y, self._desired, states, self._k, *more]
+        states = ca.vertcat(self._own, self._at, self._passed)
+        inputs = [self._y, self._r, states, self._k, *more]
         input_names = ["y", "r", "s", "k", *["dt"] * len(more)]
         return ca.Function(name, inputs, [ca.densify(o) for o in ca.cse(outputs)], input_names, names)
+
+    # --- the reference ----------------------------------------------------------------------------
+    @cached_property
+    def _kinematics(self) -> Kinematics:
+        plant, n = self.gains.plant, len(self._coordinates)
+        seen = zip([*plant.eta, *plant.nu], ca.vertsplit(self._y), strict=True)
+        convert = Converter(dict(seen))
+        J = (convert.matrix(m) for m in (plant.J_inverse, plant.J_dot))
+        return Kinematics(self._coordinates, self._y[:n], self._y[n:], *J)
+
+    @cached_property
+    def _course(self) -> Course:
+        """What is followed: the pose of r, at rest, where there is no reference."""
+        if self.reference is None:
+            still = ca.SX(len(self._coordinates), 1)
+            return Course(self._r, still, still)
+        return self.reference.course(self._r, self._at, self._kinematics)
 
     # --- the law --------------------------------------------------------------------------------
     @cached_property
     def _error(self) -> ca.SX:
         """Desired less reported pose, angles within half a turn."""
         n = len(self._coordinates)
-        named = zip(self._coordinates, ca.vertsplit(self._desired - self._y[:n]), strict=True)
+        named = zip(self._coordinates, ca.vertsplit(self._course.eta_d - self._y[:n]), strict=True)
         return ca.vertcat(*[_wrapped(e) if _is_angle(c) else e for c, e in named])
 
     def _gate(self) -> ca.SX:
@@ -204,7 +243,7 @@ class Controller:
 
     def _law(self, gate: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Commands, rates of the law's states, and the force asked for."""
-        law, signals = self.gains.law, self.gains.signals
+        law, signals = self.gains.law, self._signals
         opened = self._open(gate, self._coordinates)
         open_states = ca.vertcat(*[opened] * len(law.states)) if law.states else ca.SX(0, 1)
         states = open_states * self._own
@@ -222,7 +261,7 @@ class Controller:
         self, rates: ca.SX, force: ca.SX, commands: ca.SX, states: ca.SX, convert: Converter
     ) -> ca.SX:
         """Rates of the law's states, zero for one that would ask for more of what the thrusters lack."""
-        allocation, signals = self.allocation, self.gains.signals
+        allocation, signals = self.allocation, self._signals
         if not (allocation.limited and rates.numel() and self.gains.allocation.anti_windup == "hold"):
             return rates
         rows = list(allocation.rows)
@@ -232,11 +271,24 @@ class Controller:
         pushes = (slope.T @ lacking) * rates > 0
         return rates * (1 - short * pushes)
 
+    @property
+    def _signals(self) -> LawSignals:
+        return self.gains.signals if self.reference is None else self.gains.tracking
+
+    @property
+    def _feed_forward(self) -> list[tuple[sm.Matrix, ca.SX]]:
+        """Symbols of a reference that moves with what they are."""
+        if self.reference is None:
+            return []
+        signals, course = self._signals, self._course
+        return [(signals.nu_r, course.nu_r), (signals.nu_r_dot, course.nu_r_dot)]
+
     def _converter(self, error: ca.SX, states: ca.SX, gate: ca.SX) -> Converter:
-        plant, signals = self.gains.plant, self.gains.signals
+        plant, signals = self.gains.plant, self._signals
         idle = self._by_turns and not gate.is_one()
+        unheld = self.reference.unheld if self.reference else ()
         seen = [
-            gate * y if idle and str(v) in _IDLE else y
+            ca.SX(0) if str(v) in unheld else gate * y if idle and str(v) in _IDLE else y
             for v, y in zip([*plant.eta, *plant.nu], ca.vertsplit(self._y), strict=True)
         ]
         gains = [sm.Symbol(name, real=True) for name in self.gain_names]
@@ -245,6 +297,7 @@ class Controller:
             (signals.error, error),
             (signals.states, states),
             (gains, self._k),
+            *self._feed_forward,
         )
         known = {
             s: e for symbols, vector in groups for s, e in zip(symbols, ca.vertsplit(vector), strict=False)
@@ -296,6 +349,7 @@ class ControllerExport:
                 "the pictures: give it another name"
             )
         self._name = identifier("-".join(self.folder.parts))
+        self._mission = controller.reference.numbers if controller.reference else []
 
     def write(self, out: Path) -> Report:
         """Write controller.c and controller.h to a folder of their own in that of the vehicle."""
@@ -332,7 +386,8 @@ class ControllerExport:
         forces = [f"tau_{FORCE[i]}" for i in self._vehicle.dof_indices]
         return {
             "report": [Entry(n, _UNITS[n]) for n in (*pose, *velocity)],
-            "desired": [Entry(n, _UNITS[n]) for n in pose],
+            "desired": [Entry(n.name, n.unit, n.value) for n in self._mission]
+            or [Entry(n, _UNITS[n]) for n in pose],
             "state": [Entry(n, "") for n in controller.state_names],
             "gain": [Entry(n, units[n], value) for n, value in gains],
             "command": [Entry(n, _UNITS.get(n, "command")) for n in controller.command_names],
@@ -349,11 +404,18 @@ class ControllerExport:
         named = {"LOWER": self._name, "UPPER": self._name.upper(), "VERSION": __version__}
         titles = {"TITLE": comment(gains.name), "VEHICLE": comment(self._vehicle.name), "LAW": gains.law.id}
         declared = f"\n{filled(_HEADING, named)};\n" if self._plane else ""
-        return {**named, **titles, **sizes, **lists, "HEADING_DECLARED": declared}
+        followed = {"WANTED": "desired pose", "R": "r", "MISSION_DECLARED": ""}
+        if self._mission:
+            own = f"{self._name}_mission"
+            followed = {"WANTED": f"numbers of the mission ({own} has those of its file)", "R": own}
+            followed["MISSION_DECLARED"] = (
+                f"\n/* The mission: values of r. */\nextern const double {own}[];\n"
+            )
+        return {**named, **titles, **sizes, **lists, **followed, "HEADING_DECLARED": declared}
 
     @property
     def _plane(self) -> bool:
-        return {"x", "y", "psi"} <= set(self._vehicle.pose_names)
+        return {"x", "y", "psi"} <= set(self._vehicle.pose_names) and not self._mission
 
     # --- the source -------------------------------------------------------------------------------
     def _source(self) -> str:
@@ -365,6 +427,9 @@ class ControllerExport:
         lines += [strings(f"{name}_{what}_names", entries[what]) for what in named]
         values = ", ".join(map(repr, self._controller.gain_values()))
         lines += [f"const double {name}_gains[] = {{{values}}};", ""]
+        if self._mission:
+            numbers = ", ".join(repr(n.value) for n in self._mission)
+            lines += [f"const double {name}_mission[] = {{{numbers}}};", ""]
         lines += [plain_c(self._controller.sampled, f"{name}_sample", prefix="static "), self._functions()]
         return "\n".join(lines)
 

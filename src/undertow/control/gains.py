@@ -46,6 +46,8 @@ class AllocationTable(FileTable):
     weights: dict[Identifier, float] = Field(default_factory=dict)  # price of the squared command, else 1
     limits: dict[Identifier, Quantity] = Field(default_factory=dict)  # of a command, else the vehicle file's
     anti_windup: Literal["hold", "none"] = "hold"  # stop an integral that pushes further into a limit
+    # Speed ahead at which forces of fins and rudders are taken, m/s; they are not commanded without one.
+    speed: Quantity | None = None
 
 
 class GainTable(FileTable):
@@ -69,6 +71,7 @@ class GainLimits:
 
     gains: tuple[float, float] = (1e-12, 1e12)  # SI
     weights: tuple[float, float] = (1e-9, 1e9)
+    speed: tuple[float, float] = (0.01, 50.0)  # m/s: what steers by fins makes way, and no vehicle is as fast
 
 
 LIMITS = GainLimits()
@@ -104,8 +107,13 @@ class GainSet:
 
     @cached_property
     def signals(self) -> LawSignals:
-        """The symbols that the law is stated in."""
+        """The symbols that the law is stated in, at a set-point."""
         return LawSignals(self.plant, self.law)
+
+    @cached_property
+    def tracking(self) -> LawSignals:
+        """The same on a reference that moves."""
+        return LawSignals(self.plant, self.law, moving=True)
 
     @property
     def numbers(self) -> dict[sm.Symbol, sm.Expr]:
@@ -159,13 +167,27 @@ def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
             f"law '{table.law}' is not known{nearest(table.law, LAWS)}: laws are {', '.join(LAWS)}"
         )
     law = LAWS[table.law]()
-    plant = Plant(vehicle)
+    plant = Plant(vehicle, _speed(table.allocation))
     _check_axes(table, plant)
     values: dict[str, float] = {}
     for gain in _declared(table, type(law)):
         values |= _values(gain, table.gains[gain.name], vehicle, table.unactuated)
     _check_thrusters(table.allocation, vehicle)
     return GainSet(table.name, law, plant, values, tuple(table.unactuated), table.schedule, table.allocation)
+
+
+def _speed(allocation: AllocationTable) -> float:
+    """Speed at which forces of fins are taken, m/s; zero where none is stated."""
+    if allocation.speed is None:
+        return 0.0
+    try:
+        speed = to_si(allocation.speed, "m/s")
+    except UndertowError as error:
+        raise UndertowError(f"[allocation] speed: {error}") from error
+    if not LIMITS.speed[0] <= speed <= LIMITS.speed[1]:
+        low, high = LIMITS.speed
+        raise UndertowError(f"[allocation] speed = {allocation.speed}: give one from {low:g} to {high:g} m/s")
+    return speed
 
 
 def _resolve(source: str | Path) -> Path:

@@ -40,10 +40,17 @@ class LawSignals:
         Desired less present pose, m and rad; angles within half a turn.
     states : Matrix, shape (n_states * n, 1)
         The law's own states, one block of n for each of its `states`.
+    nu_r, nu_r_dot : Matrix, shape (n, 1)
+        Reference velocity and its rate, body frame: J nu_r is the rate of the desired pose. Zero for a
+        set-point, symbols (nu_r_u ..., nu_r_dot_u ...) where `moving`.
     """
 
-    def __init__(self, plant: Plant, law: Law) -> None:
+    def __init__(self, plant: Plant, law: Law, moving: bool = False) -> None:
         self.plant, self._law = plant, law
+        self.nu_r, self.nu_r_dot = (
+            sm.Matrix([symbol(f"{name}_{v}") for v in plant.nu]) if moving else sm.zeros(len(plant.nu), 1)
+            for name in ("nu_r", "nu_r_dot")
+        )
         self.coordinates = tuple(str(q) for q in plant.eta)
         self.error = sm.Matrix([symbol(f"error_{c}") for c in self.coordinates])
         self.states = sm.Matrix([symbol(n) for n in law.state_names(self.coordinates)])
@@ -57,7 +64,10 @@ class LawSignals:
 
 
 class Law(abc.ABC):
-    """A law that drives the pose to a constant set-point.
+    """A law that drives the pose to a set-point, or along a reference that moves.
+
+    The reference enters by its velocity nu_r and that one's rate, with the feed-forward
+    M nu_r_dot + C nu_r + D nu_r + g of the model; a set-point is the reference with nu_r = 0.
 
     Attributes
     ----------
@@ -109,7 +119,7 @@ class PD(Law):
     """PD control with gravity compensation: a spring to the set-point, a damper, and the weight in water.
 
     The force in pose coordinates is K_P error - K_V q_dot + g_q; with J' it becomes one in body axes, because
-    power is the same in both.
+    power is the same in both. On a reference K_V works on J (nu_r - nu), and the feed-forward is added.
     """
 
     id = "pd"
@@ -118,7 +128,14 @@ class PD(Law):
 
     def force(self, s: LawSignals) -> sm.Matrix:
         plant = s.plant
-        return plant.J.T * (s.K_P * s.error - s.K_V * plant.J * plant.nu) + plant.g
+        at_rest = plant.J.T * (s.K_P * s.error - s.K_V * plant.J * plant.nu) + plant.g
+        return at_rest + plant.J.T * s.K_V * plant.J * s.nu_r + feed_forward(s)
+
+
+def feed_forward(s: LawSignals) -> sm.Matrix:
+    """What keeps the model on its reference beside the weight: M nu_r_dot + (C + D) nu_r, shape (n, 1)."""
+    plant = s.plant
+    return plant.M * s.nu_r_dot + (plant.C + plant.D) * s.nu_r
 
 
 K_I = GainMatrix("K_I", "N/(m s)", "N m/s", "integral of the position error")
@@ -144,15 +161,15 @@ K_Z = GainMatrix("K_Z", "m/s^2", "rad/s^2", "sign of the sliding surface")
 
 
 def sliding_surface(s: LawSignals) -> sm.Matrix:
-    """The surface S = -q_dot + Lambda error, shape (n, 1), m/s and rad/s."""
-    return -s.plant.J * s.plant.nu + s.Lambda * s.error
+    """The surface S = J (nu_r - nu) + Lambda error, shape (n, 1), m/s and rad/s."""
+    return -s.plant.J * s.plant.nu + s.Lambda * s.error + s.plant.J * s.nu_r
 
 
 class _Sliding(Law):
-    """A law that makes S = -q_dot + Lambda error obey S_dot = -reach(S) on the plant it knows.
+    """A law that makes S = J (nu_r - nu) + Lambda error obey S_dot = -reach(S) on the plant it knows.
 
-    With q_dot = J nu and a constant set-point, S_dot = -J_dot nu - J nu_dot - Lambda J nu; solved for nu_dot
-    and put into the equations of motion this is the force below.
+    With q_dot = J nu, S_dot = J_dot (nu_r - nu) + J (nu_r_dot - nu_dot) + Lambda J (nu_r - nu); solved for
+    nu_dot and put into the equations of motion this is the force below.
     """
 
     @abc.abstractmethod
@@ -162,7 +179,8 @@ class _Sliding(Law):
     def force(self, s: LawSignals) -> sm.Matrix:
         plant = s.plant
         wanted = self.reach(s) - plant.J_dot * plant.nu - s.Lambda * plant.J * plant.nu
-        acceleration = plant.J_inverse * wanted
+        wanted += (plant.J_dot + s.Lambda * plant.J) * s.nu_r
+        acceleration = plant.J_inverse * wanted + s.nu_r_dot
         return plant.M * acceleration + (plant.C + plant.D) * plant.nu + plant.g
 
 

@@ -16,10 +16,14 @@ from undertow.model.symbols import POSE, column, symbol
 from undertow.model.vehicle import Value, Vehicle
 
 _ZERO = sm.Integer(0)
+_WITH_MOTION = "its force depends on inputs and on the motion together"
 
 
 class Plant:
     """The matrices of a vehicle in still water, as SymPy expressions derived from its effects.
+
+    With a `speed` ahead, m/s, inputs whose force depends on the motion (fins, rudders) have the allocation of
+    that speed; without one they have none.
 
     Every wrench is sorted by what it depends on: its derivative in the acceleration goes to M, what stays at
     rest to g, what is proportional to inputs to B, and what moves to C (workless effects) or D (all others).
@@ -29,11 +33,14 @@ class Plant:
     ----------
     vehicle : Vehicle
         The model as given, but for control surfaces and logged inputs, which no law commands.
+    speed : float
+        Speed ahead at which forces of fins are taken, m/s.
     left_out : dict of str
         Reason, by id, why an effect is in none of the matrices.
     """
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, speed: float = 0.0) -> None:
+        self.speed = speed
         self.left_out: dict[str, str] = {}
         self.vehicle = vehicle = _by_thrusters_alone(vehicle, self.left_out)
         self._composition = _in_still_water(vehicle, self.left_out).composition
@@ -182,6 +189,9 @@ class Plant:
         reason = self._misfit(effect, wrench)
         if reason:
             self.left_out[effect.id] = reason
+            if self.speed and reason == _WITH_MOTION:
+                self._inputs += self._at_speed(self._slope_in_inputs(wrench))
+                self.left_out[effect.id] = f"its force is taken as at {self.speed:g} m/s ahead"
             return
         accelerations = self._composition.nu_dot
         pushed = self._slope_in_inputs(wrench)
@@ -204,6 +214,11 @@ class Plant:
         """Derivative in the inputs, of which there may be none."""
         return wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
 
+    def _at_speed(self, slope: sm.Matrix) -> sm.Matrix:
+        """An allocation at the speed ahead, on an even keel, inputs at zero."""
+        still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
+        return slope.xreplace(still | {symbol("u"): sm.Float(self.speed)})
+
     def _misfit(self, effect: Wrench, wrench: sm.Matrix) -> str:
         """Why a wrench has no place in the matrices, or nothing."""
         if wrench.free_symbols & set(effect.state_symbols):
@@ -211,7 +226,7 @@ class Plant:
         if wrench.has(self._composition.signals.t):
             return "it depends on time"
         if self._slope_in_inputs(wrench).free_symbols & {*self.nu, *self.eta, *self.inputs}:
-            return "its force depends on inputs and on the motion together"
+            return _WITH_MOTION
         return ""
 
 

@@ -17,6 +17,11 @@ Then comes what the answer depends on: the region from which every motion comes 
 the limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
 sensors or such axes are outside the conditions, the whole loop, linearised at all headings and simulated.
 
+With --path the conditions for the error on a mission are checked instead: the law on a reference that moves
+and the commands that this asks for, or the poles of vehicle, autopilot and line of sight on every leg.
+
+    undertow gains remus100 remus100-gains.toml --path remus100-survey.toml
+
 The exit code is 0 where all conditions hold, a region is certified (or the axes left alone come to rest) and
 the whole loop is stable; 1 where something fails, is not proved or could not be judged; 2 for a mistake in
 the input.
@@ -28,6 +33,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -40,10 +46,14 @@ from .._terminal import console, print_json, progress, say, section, table, text
 if TYPE_CHECKING:
     from undertow.control.conditions.repair import Repair, SingleRepair
     from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
+    from undertow.control.conditions.tracking import MissionReport
 
 
 _GAINS = typer.Argument(
     metavar="GAINS", help="Gain file (TOML), or a bundled set: paper-pd, paper-pid, paper-smc."
+)
+_PATH = typer.Option(
+    "--path", metavar="MISSION.toml", help="Check the conditions for the error on this mission instead."
 )
 _FORM = typer.Option("--form", help="Check conditions of this form only.", show_default="all")
 _IOTA = typer.Option(
@@ -61,6 +71,7 @@ _REPAIR = typer.Option("--repair", help="Propose the smallest change of the gain
 def gains(
     vehicle: VehicleArgument,
     gains: Annotated[str, _GAINS],
+    path: Annotated[Path | None, _PATH] = None,
     form: Annotated[Literal["printed", "units", "derived"] | None, _FORM] = None,
     iota: Annotated[float | None, _IOTA] = None,
     confidence: Annotated[float, _CONFIDENCE] = 0.95,
@@ -81,6 +92,8 @@ def gains(
         raise UndertowError(
             f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
         )
+    if path is not None:
+        return _on_mission(vehicle, gains, path, tilt, json, effects)
     with progress("checking the gains") as report:
         model = load_vehicle(vehicle, effect_files=effects or [])
         covariance = last_covariance(read_vehicle_table(resolve_vehicle(vehicle)).history, model)
@@ -101,6 +114,42 @@ def gains(
     return 0 if found.ok else 1
 
 
+def _on_mission(
+    vehicle: str, gains: str, path: Path, tilt: float, json: bool, effects: list[Path] | None
+) -> int:
+    """Check and print the conditions on a mission."""
+    from undertow.control.conditions.tracking import check_mission
+    from undertow.control.gains import load_gains
+    from undertow.control.guidance.mission import load_mission
+    from undertow.model.loading import load_vehicle
+
+    with progress("checking the mission", None):
+        model = load_vehicle(vehicle, effect_files=effects or [])
+        found = check_mission(load_gains(gains, model), load_mission(path), math.radians(tilt))
+    if json:
+        print_json(_plain({"schema": MISSION_SCHEMA, "ok": found.ok, **asdict(found)}))
+    else:
+        show_mission(found)
+    return 0 if found.ok else 1
+
+
+def show_mission(report: MissionReport) -> None:
+    """Print the conditions on a mission, and what each is for."""
+    fate = "all conditions hold" if report.ok else "some conditions fail or are not proved"
+    say(f"{report.gains} ({report.law}) on {report.vehicle}, mission '{report.mission}': {fate}")
+    section("Conditions for the error on the mission")
+    for number, row in enumerate(report.rows, 1):
+        line = f"  {row.statement}: {row.verdict}, margin {row.margin:.4g} ({number})"
+        console().print(text(line, _GREEN if row.verdict == "holds" else _RED))
+    for number, row in enumerate(report.rows, 1):
+        say(f"  {number}: {row.where}")
+        say(f"     {row.about}", "dim")
+    for name, why in report.left_out.items():
+        say(f"  {name} is not in them: {why}")
+
+
+MISSION_SCHEMA = "undertow/mission-report/1"
+"""Of what --json prints with --path; docs/missions.md documents it."""
 SCHEMA = "undertow/gain-report/1"
 """Of what --json prints; docs/gains.md documents it."""
 _GREEN, _RED = "green", "red"

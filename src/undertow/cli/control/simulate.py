@@ -11,6 +11,11 @@ effort, and oscillations that last (amplitude and period). Several gain files ar
 
     undertow simulate rov.toml gains.toml --plant rov-as-identified.toml --to 5,0,2,0
 
+    undertow simulate remus100 remus100-gains.toml --path remus100-survey.toml
+
+With --path a mission is followed instead: set-points, a spline or a trajectory with feed-forward from the
+model, or straight legs by line of sight (docs/missions.md). It says how far the vehicle was off.
+
 The vehicle moves as VEHICLE says, unless --plant names another file: then the controller knows VEHICLE and
 moves the other one. A set-point has x, y, z as far as the vehicle has them, and the heading if you wish;
 without one it is taken from the direction of the set-point (--heading). Numbers are in SI unless they have a
@@ -44,11 +49,16 @@ from .._terminal import progress, section, table
 if TYPE_CHECKING:
     from undertow.control.closed_loop import Choices, LoopResult, Push, Record, Scenario
     from undertow.control.closed_loop.measures import CoordinateResult, Cycle
+    from undertow.control.closed_loop.record import FollowedError, FollowedResult
+    from undertow.control.guidance.mission import Mission
 
 
 _GAINS = typer.Argument(metavar="GAINS", help="Gain files (TOML), or names of bundled ones (paper-pd ...).")
 _TO = typer.Option("--to", metavar="X,Y,Z[,PSI]", help="Set-point.")
-_FOR = typer.Option("--for", metavar="SECONDS", help="Length of the run.")
+_PATH = typer.Option("--path", metavar="MISSION.toml", help="Follow this mission.")
+_FOR = typer.Option(
+    "--for", metavar="SECONDS", help="Length of the run.", show_default="240, or the mission's"
+)
 _DT = typer.Option("--dt", metavar="SECONDS", help="Sampling interval of the controller.")
 _START = typer.Option("--from", metavar="X,Y,Z[,PSI]", help="Where the vehicle begins.", show_default="0")
 _MOVING = typer.Option("--moving", metavar="NAME=VALUE", help="A velocity that it begins with, as u=0.2.")
@@ -117,8 +127,9 @@ class ScheduleOptions:
 class ScenarioOptions:
     """What is simulated."""
 
-    to: Annotated[str, _TO]
-    duration: Annotated[float, _FOR] = 240.0
+    to: Annotated[str | None, _TO] = None
+    path: Annotated[Path | None, _PATH] = None
+    duration: Annotated[float | None, _FOR] = None
     dt: Annotated[float, _DT] = 0.001
     start: Annotated[str | None, _START] = None
     moving: Annotated[list[str] | None, _MOVING] = None
@@ -128,14 +139,24 @@ class ScenarioOptions:
     continuous: Annotated[bool, _CONTINUOUS] = False
     log: Annotated[float | None, _LOG] = None
 
-    def scenario(self) -> Scenario:
+    def mission(self) -> Mission | None:
+        """What is followed, if it is a mission."""
+        from undertow.control.guidance.mission import load_mission
+
+        if (self.to is None) == (self.path is None):
+            raise UndertowError(
+                "a run has either a set-point or a mission: give --to X,Y,Z or --path MISSION.toml"
+            )
+        return load_mission(self.path) if self.path else None
+
+    def scenario(self, lasts: float) -> Scenario:
         """The same for a closed loop; what cannot be read, or cannot be, is refused."""
         from undertow.control.closed_loop import Scenario
         from undertow.model.symbols import MOTION_UNITS
 
         return Scenario(
-            _values(self.to, "--to"),
-            self.duration,
+            _values(self.to, "--to") if self.to else (),
+            lasts if self.duration is None else self.duration,
             self.dt,
             _values(self.start, "--from") if self.start else (),
             _named(self.moving, "--moving", MOTION_UNITS.get),
@@ -171,17 +192,29 @@ def simulate(
         raise UndertowError(
             f"--out {out} holds one run, and there are {len(gains)} gain files: give one of them"
         )
-    inputs: list[str | Path] = [vehicle, *gains, *(one for one in (plant, observer) if one), *(effects or [])]
-    check_writable(out, json, inputs=inputs)
+    more = [str(p) for p in (plant, scenario_options.path, observer) if p]
+    check_writable(out, json, inputs=[vehicle, *gains, *more, *(effects or [])])
     if figures is not None:
         check_folder(figures)
-    scenario, choices = scenario_options.scenario(), schedule.choices()
+    mission, choices = scenario_options.mission(), schedule.choices()
+    if mission is None:
+        scenario = scenario_options.scenario(240.0)
     known = left_out(load_vehicle(vehicle, effect_files=effects or []), without or [])
-    _remark_turns("--to", scenario.pose(scenario.to, known.pose_names, "set-point"), scenario.to)
+    if mission is None:
+        _remark_turns("--to", scenario.pose(scenario.to, known.pose_names, "set-point"), scenario.to)
+    else:
+        scenario = scenario_options.scenario(mission.lasts(known.pose_names))
     moving = load_vehicle(plant, effect_files=effects or []) if plant else None
     with progress("simulating", total=len(gains) * scenario.duration) as report:
         records = simulate_all(
-            known, gains, scenario, choices, plant=moving, observer=observer, progress=report
+            known,
+            gains,
+            scenario,
+            choices,
+            plant=moving,
+            mission=mission,
+            observer=observer,
+            progress=report,
         )
     show([record.result for record in records])
     _write(records, out, figures, json)
@@ -271,7 +304,11 @@ def show(results: Sequence[LoopResult]) -> None:
             "mean, last tenth",
             "oscillation",
         )
-        section("  Coordinates", table(head, [_coordinate(c) for c in result.coordinates], 4))
+        if result.followed is None:
+            section("  Coordinates", table(head, [_coordinate(c) for c in result.coordinates], 4))
+        else:
+            rows = [_followed(e) for e in result.followed.errors]
+            section("  Mission", table(("error", "rms", "largest", "at the end"), rows, 4))
         section("  Commands", table(_OF_COMMANDS, [_command(c) for c in result.commands], 4))
 
 
@@ -280,18 +317,29 @@ def _facts(result: LoopResult) -> Iterator[str]:
     yield f"{result.duration:g} s, {how} {result.dt:g} s"
     if result.gate_passed is not None:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
+    if result.followed is not None:
+        yield _mission(result.followed)
     if result.divergence is not None:
         yield f"DIVERGED: {result.divergence.text}; the numbers are of the run up to there"
     if result.turned_thrusters:
         names = ", ".join(result.turned_thrusters)
         yield f"REMARK: more than 45 deg from where the controller takes them to push: {names}"
-    for c in result.coordinates:
+    for c in () if result.followed else result.coordinates:
         if c.turns:
             yield f"{c.name}: errors are from the set-point {_turns(c.turns)}, the nearest one at the end"
     left = {c.name: c for c in result.coordinates if c.sampling_offset}
     if left:
         sizes = ", ".join(f"{c.sampling_offset:.3g} {c.unit} in {name}" for name, c in left.items())
         yield f"the sign of the law, sampled, may leave up to {sizes} (an estimate)"
+
+
+def _mission(followed: FollowedResult) -> str:
+    end = "not reached" if followed.arrived is None else f"reached after {followed.arrived:.4g} s"
+    return f"mission '{followed.mission}' ({followed.kind}): its end is {end}"
+
+
+def _followed(e: FollowedError) -> tuple[str, ...]:
+    return (e.name, *(f"{v:.3g} {e.unit}" for v in (e.rms, e.largest, e.final)))
 
 
 def _turns(count: int) -> str:

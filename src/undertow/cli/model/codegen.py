@@ -9,6 +9,8 @@ of its own: one step function with schedule, thrust allocation and anti-windup, 
 
     undertow codegen mini-auv --controller paper-pid
 
+With --path the controller follows a mission: reference or line of sight, and law, in that one step function.
+
 With --observer a Kalman filter is written as observer.c and observer.h: predict, and one update for each
 sensor of the observer file (undertow observe --save writes one from a log).
 
@@ -22,6 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from undertow.errors import UndertowError
 
 from .._options import EffectsOption, VehicleArgument
 from .._terminal import progress
@@ -39,11 +43,13 @@ _CONTROLLER = typer.Option(
 )
 
 _OBSERVER = typer.Option("--observer", metavar="FILE", help="Observer file (TOML): write that filter, too.")
+_PATH = typer.Option("--path", metavar="MISSION.toml", help="The controller follows this mission.")
 
 
 def codegen(
     vehicle: VehicleArgument,
     controller: Annotated[str | None, _CONTROLLER] = None,
+    path: Annotated[Path | None, _PATH] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
     out: Annotated[Path, _OUT] = Path("build"),
     check: Annotated[bool, _CHECK] = False,
@@ -53,25 +59,30 @@ def codegen(
     from undertow.files import together
     from undertow.model.loading import load_vehicle
 
+    if path is not None and controller is None:
+        raise UndertowError(f"--path {path} is followed by a controller: give --controller GAINS, too")
     with progress("writing C", None):
         model = load_vehicle(vehicle, effect_files=effects or [])
         exports: list[Export | ControllerExport | ObserverExport] = [Export(model)]
         if controller is not None:
-            exports.append(_controller_export(controller, model))
+            exports.append(_controller_export(controller, model, path))
         if observer is not None:
             exports.append(_observer_export(observer, model))
         with together():
             found = [export.check(out) if check else export.write(out) for export in exports]
-    given = {"--controller": controller, "--observer": observer}
+    given = {"--controller": controller, "--path": path, "--observer": observer}
     again = " ".join([vehicle, *(f"{name} {value}" for name, value in given.items() if value is not None)])
     return max([_checked(report, again) if check else _written(report) for report in found])
 
 
-def _controller_export(gains: str, vehicle: Vehicle) -> ControllerExport:
+def _controller_export(gains: str, vehicle: Vehicle, path: Path | None) -> ControllerExport:
     from undertow.control.controller import Controller, ControllerExport
     from undertow.control.gains import load_gains
+    from undertow.control.guidance.mission import load_mission
 
-    export = ControllerExport(Controller(load_gains(gains, vehicle)))
+    chosen = load_gains(gains, vehicle)
+    reference = load_mission(path).reference(chosen) if path else None
+    export = ControllerExport(Controller(chosen, reference))
     assert export.texts  # what cannot be stated in C is refused before anything is written
     return export
 

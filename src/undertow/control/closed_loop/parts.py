@@ -69,7 +69,8 @@ class Parts:
         rows, moving = list(known.dof_indices), _pushes(self.vehicle)
         wrenches = _pushes(known)
         scale = np.ones(6)
-        scale[3:] = 1 / max((abs(w[i]) for w in wrenches.values() for i in rows if i > 2), default=1.0)
+        arms = (abs(w[i]) for w in wrenches.values() for i in rows if i > 2)
+        scale[3:] = 1 / (max(arms, default=1.0) or 1.0)  # fins alone have no thrust, and so no arms
         return tuple(
             n for n, w in wrenches.items() if not _alike((scale * w)[rows], (scale * moving[n])[rows])
         )

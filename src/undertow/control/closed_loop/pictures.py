@@ -27,7 +27,11 @@ _TITLES = {
 def pictures(records: Sequence[Record]) -> dict[str, Figure]:
     """Pictures of some runs by name: each coordinate, the commands, and the strategy if it has a gate."""
     names = [n for n in _TITLES if all(n in r.result.to for r in records)]
-    drawn = {name: coordinate(records, name) for name in names}
+    if all(r.followed is not None for r in records):
+        drawn = {"track": track(records), "errors": errors(records)}
+        names = []
+    else:
+        drawn = {name: coordinate(records, name) for name in names}
     drawn["commands"] = commands(records)
     if all(r.result.gate_passed is not None for r in records):
         drawn["strategy"] = strategy()
@@ -55,6 +59,55 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
         axis.grid()
         axis.legend(loc="best")
     return picture
+
+
+def track(records: Sequence[Record]) -> Figure:
+    """The way of several runs in the plane, east to the right, with the mission that they followed."""
+    with look():
+        picture, axes = figure(4.6)
+        axis = axes[0, 0]
+        followed = records[0].followed
+        if followed is not None:
+            axis.plot(followed.way[:, 1], followed.way[:, 0], ":", color=INK, label="mission")
+        for i, record in enumerate(records):
+            label = plain(record.result.controller)
+            axis.plot(record.state["y"], record.state["x"], label=label, **_line(i))
+        axis.set_title(f"Track of {plain(records[0].result.vehicle)}")
+        axis.set_xlabel("east y [m]")
+        axis.set_ylabel("north x [m]")
+        axis.set_aspect("equal", adjustable="datalim")
+        axis.grid()
+        axis.legend(loc="best")
+    return picture
+
+
+def errors(records: Sequence[Record]) -> Figure:
+    """Errors along a mission over time, one panel for metres and one for angles."""
+    units = {"m": 1.0, "deg": 180 / np.pi}
+    with look():
+        found = [(r, _errors_by_unit(r)) for r in records]
+        shown = [u for u in units if any(by[u] for _, by in found)]
+        picture, axes = figure(1.1 + 2.0 * len(shown), len(shown), 1, sharex=True)
+        for axis, unit in zip(axes[:, 0], shown, strict=True):
+            for record, by in found:
+                for i, (name, values) in enumerate(by[unit].items()):
+                    label = name if len(records) == 1 else f"{name}, {plain(record.result.controller)}"
+                    axis.plot(record.t, units[unit] * values, label=label, **_line(i))
+            axis.set_ylabel(f"desired less true [{unit}]")
+            axis.grid()
+            axis.legend(loc="best", ncols=3)
+        axes[-1, 0].set_xlabel("time [s]")
+    return picture
+
+
+def _errors_by_unit(record: Record) -> dict[str, dict[str, np.ndarray]]:
+    assert record.followed is not None
+    until = (record.result.followed.arrived if record.result.followed else None) or record.t[-1]
+    kept = record.t <= until
+    by: dict[str, dict[str, np.ndarray]] = {"m": {}, "deg": {}}
+    for name, values in record.followed.errors.items():
+        by["deg" if name in ("phi", "theta", "psi") else "m"][name] = np.where(kept, values, np.nan)
+    return by
 
 
 def _line(i: int) -> dict[str, Any]:

@@ -6,10 +6,14 @@ import io
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from undertow.control.guidance.mission import Mission
+from undertow.control.guidance.signals import Followed
+from undertow.model.symbols import MOTION_UNITS
 
 from .measures import CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
 
@@ -20,6 +24,37 @@ if TYPE_CHECKING:
 
 # Smallest amplitude of an oscillation that is mentioned, as a part of the largest error, and in m or rad.
 _LEAST, _TINY = 2e-3, 1e-5
+
+
+@dataclass(frozen=True)
+class FollowedResult:
+    """How well a mission was followed, up to its end; errors are desired less true.
+
+    Attributes
+    ----------
+    mission, kind : str
+        Its name and kind.
+    arrived : float, optional
+        When its end was reached, s; None if the run ended before.
+    errors : tuple of FollowedError
+        By coordinate, or cross track and depth for legs.
+    """
+
+    mission: str
+    kind: str
+    arrived: float | None
+    errors: tuple[FollowedError, ...]
+
+
+@dataclass(frozen=True)
+class FollowedError:
+    """One error along a mission, over the recorded rows: root of the mean square, largest, and the last."""
+
+    name: str
+    unit: str
+    rms: float
+    largest: float
+    final: float
 
 
 @dataclass(frozen=True)
@@ -49,6 +84,8 @@ class LoopResult:
         One for each command.
     turned_thrusters : tuple of str
         Those that push elsewhere, by more than 45 degrees, than the controller takes them to.
+    followed : FollowedResult, optional
+        How well a mission was followed; the coordinates are then measured from its end.
     """
 
     controller: str
@@ -65,6 +102,7 @@ class LoopResult:
     coordinates: tuple[CoordinateResult, ...]
     commands: tuple[CommandResult, ...]
     turned_thrusters: tuple[str, ...]
+    followed: FollowedResult | None = None
 
     def of(self, name: str) -> CoordinateResult:
         """The measures of one coordinate."""
@@ -93,6 +131,8 @@ class Record:
         The measures.
     estimated : mapping
         What an observer predicts for the next sample, by state; empty without one.
+    followed : Followed, optional
+        The mission beside the run: what was desired, and the errors.
     """
 
     t: np.ndarray
@@ -103,6 +143,7 @@ class Record:
     errors: Mapping[str, np.ndarray]
     result: LoopResult
     estimated: Mapping[str, np.ndarray] = field(default_factory=dict)
+    followed: Followed | None = None
 
     def to_csv(self) -> str:
         """A log as undertow reads it: t, what the sensors report, and the commands."""
@@ -126,8 +167,9 @@ class Record:
 class Recorder:
     """Keeps every so many-th row of a run, with the mean of the commands up to the next."""
 
-    def __init__(self, parts: Parts, scenario: Scenario) -> None:
+    def __init__(self, parts: Parts, scenario: Scenario, mission: Mission | None = None) -> None:
         self._parts, self._scenario, self._stride = parts, scenario, scenario.stride
+        self._mission = mission
         rows = -(-scenario.samples // self._stride)
         self._sums = np.zeros((rows, parts.functions.u.numel()))
         self._counts = np.zeros(rows)
@@ -154,16 +196,28 @@ class Recorder:
         if len(means) > 1 and self._counts[samples[-1] // self._stride] < self._stride:
             means[-1] = means[-2]  # of its interval there is a part only, one sample as a rule
         errors = measures.errors(x)
+        state = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=False))
+        followed = self._followed(t, state, s)
+        result = self._result(start, to, measures, {n: _cycle(t, e) for n, e in errors.items()})
         return Record(
             t,
-            dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=False)),
+            state,
             dict(zip(parts.reported_names, y.T, strict=True)),
             {n: means[:, i] for n, i in zip(parts.controller.command_names, parts.commanded, strict=True)},
             dict(zip(known.degrees_of_freedom, tau.T, strict=True)),
             errors,
-            self._result(start, to, measures, {n: _cycle(t, e) for n, e in errors.items()}),
+            replace(result, followed=_judged(self._mission, t, followed)) if followed else result,
             parts.estimates(s),
+            followed,
         )
+
+    def _followed(self, t: np.ndarray, state: dict[str, np.ndarray], s: np.ndarray) -> Followed | None:
+        reference = self._parts.controller.reference
+        if reference is None:
+            return None
+        before = self._parts.observer.size if self._parts.observer else 0  # its states stand first
+        own = [before + self._parts.controller.state_names.index(n) for n in reference.state_names]
+        return reference.followed(t, state, s[:, own])
 
     def _result(
         self,
@@ -189,6 +243,20 @@ class Recorder:
             measures.commands(),
             self._parts.turned,
         )
+
+
+def _judged(mission: Mission | None, t: np.ndarray, followed: Followed) -> FollowedResult:
+    """The measures of a mission, up to its end."""
+    assert mission is not None
+    done = np.flatnonzero(followed.arrived)
+    until = int(done[0]) + 1 if done.size else len(t)
+    errors = []
+    for name, values in followed.errors.items():
+        own = values[:until]
+        numbers = float(np.sqrt(np.mean(own**2))), float(np.abs(own).max()), float(own[-1])
+        errors.append(FollowedError(name, MOTION_UNITS.get(name, "m"), *numbers))
+    arrived = float(t[done[0]]) if done.size else None
+    return FollowedResult(mission.name, mission.kind, arrived, tuple(errors))
 
 
 def _in_json(content: Any) -> Any:

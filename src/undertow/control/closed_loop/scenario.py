@@ -44,7 +44,7 @@ class Scenario:
     ----------
     to : tuple
         Desired position and, if wanted, heading, or the whole desired pose; in the order of the vehicle's
-        pose coordinates, numbers in SI or quantities such as "135 deg".
+        pose coordinates, numbers in SI or quantities such as "135 deg". Missions have their own.
     duration : float
         Length of the run, s.
     dt : float
@@ -66,7 +66,7 @@ class Scenario:
         Interval of the recorded rows, s; by default about 5000 rows.
     """
 
-    to: Sequence[Quantity]
+    to: Sequence[Quantity] = ()
     duration: float = 240.0
     dt: float = 0.001
     start: Sequence[Quantity] = ()

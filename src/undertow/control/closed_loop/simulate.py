@@ -14,6 +14,7 @@ from undertow.codegen.compiler import Compiler, compiled_or_virtual
 from undertow.codegen.trajectories import in_threads, shares
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet, GainTable, load_gains
+from undertow.control.guidance.mission import Mission
 from undertow.errors import UndertowError, nearest
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
@@ -221,6 +222,8 @@ class ClosedLoop:
         The law with its gains, on the vehicle that the controller knows.
     vehicle : Vehicle, optional
         The vehicle that moves; by default the one that the controller knows.
+    mission : Mission, optional
+        What is followed instead of the set-point of a scenario.
     compiled : bool, optional
         True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
         compiled code is used where a compiler is found.
@@ -231,7 +234,7 @@ class ClosedLoop:
     Raises
     ------
     UndertowError
-        If the vehicle lacks what the controller needs, or compiling fails.
+        If the vehicle lacks what the controller or the mission needs, or compiling fails.
     """
 
     def __init__(
@@ -239,12 +242,15 @@ class ClosedLoop:
         gains: GainSet,
         vehicle: Vehicle | None = None,
         *,
-        compiled: bool | None = None,
+        mission: Mission | None = None,
         observer: Design | None = None,
+        compiled: bool | None = None,
     ) -> None:
         known = gains.plant.vehicle
         self.vehicle = _with_forces(vehicle or known)
-        self.parts = Parts(self.vehicle, Controller(gains), observer)
+        self.mission = mission
+        controller = Controller(gains, mission.reference(gains) if mission else None)
+        self.parts = Parts(self.vehicle, controller, observer)
         self.stepper = self._best_stepper(compiled)
         self._known_substeps: dict[tuple[float, ...], int] = {}
 
@@ -267,6 +273,13 @@ class ClosedLoop:
         """Start and set-point of a run in the vehicle's coordinates, the heading worked out if not given."""
         names = self.vehicle.pose_names
         zero = dict.fromkeys(names, 0.0)
+        reference = self.parts.controller.reference
+        if reference is not None:
+            known = self.gains.plant.vehicle.pose_names
+            begin, end = (
+                zero | dict(zip(known, map(float, p), strict=True)) for p in (reference.start, reference.end)
+            )
+            return begin | (scenario.pose(scenario.start, names, "start") if scenario.start else {}), end
         start = zero | (scenario.pose(scenario.start, names, "start") if scenario.start else {})
         given = scenario.pose(scenario.to, names, "set-point")
         to = zero | given
@@ -300,7 +313,10 @@ class ClosedLoop:
         start, to = self.desired(scenario)
         problem = self.problem(scenario, start, to, self.first(scenario, start)[None])
         left = {} if scenario.continuous else offsets(self.parts, scenario.dt)
-        measures, recorder = Measures(self.parts, scenario, start, to, left), Recorder(self.parts, scenario)
+        measures, recorder = (
+            Measures(self.parts, scenario, start, to, left),
+            Recorder(self.parts, scenario, self.mission),
+        )
         for block in blocks(self.parts, scenario, range(1)):
             rows = self.stepper.run(problem, block).of(0)
             credible = measures.add(block.first, rows)
@@ -372,6 +388,11 @@ class ClosedLoop:
             raise UndertowError("an observer works on samples, but the law is not sampled: leave one out")
         desired = np.array([to[n] for n in self.gains.plant.vehicle.pose_names])
         substeps = self._substeps(scenario, start, to, desired)
+        reference = self.parts.controller.reference
+        if reference is not None:
+            if scenario.continuous and not reference.continuous:
+                raise UndertowError("legs are guided sample by sample: leave --continuous out")
+            desired = np.array(self.parts.controller.mission_numbers)
         return problem_of(self.parts, first, desired, scenario.dt, substeps, scenario.continuous, p, k)
 
     def _substeps(
@@ -380,7 +401,8 @@ class ClosedLoop:
         """Runge-Kutta steps in an interval that is not too long; kept for the last one asked for."""
         key = (scenario.dt, scenario.continuous, scenario.samples, *start.values(), *to.values())
         if key not in self._known_substeps:
-            linear = SampledLoop(self.parts, np.array(list(to.values())), desired)
+            still = Parts(self.vehicle, Controller(self.gains)) if self.mission else self.parts
+            linear = SampledLoop(still, np.array(list(to.values())), desired)
             if scenario.continuous:
                 check_steps(linear, self.parts, scenario.dt, scenario.samples)
             else:
@@ -428,6 +450,7 @@ class Choices:
         vehicle: Vehicle,
         plant: Vehicle | None = None,
         *,
+        mission: Mission | None = None,
         compiled: bool | None = None,
         observer: str | Path | None = None,
     ) -> ClosedLoop:
@@ -441,6 +464,8 @@ class Choices:
             The vehicle that the controller knows.
         plant : Vehicle, optional
             The vehicle that moves; by default the same.
+        mission : Mission, optional
+            What is followed; its current holds where none is chosen.
         compiled : bool, optional
             As for `ClosedLoop`.
         observer : str or Path, optional
@@ -452,9 +477,11 @@ class Choices:
             If a file is none, or vehicle, gains and choices do not fit.
         """
         known = self.with_sway(vehicle)
-        moving = self.in_current(self.with_sway(plant) if plant else known)
+        wet = replace(self, current=mission.current) if mission and self.current is None else self
+        moving = wet.in_current(self.with_sway(plant) if plant else known)
         chosen = None if observer is None else load_observer(observer, known)
-        return ClosedLoop(load_gains(gains, known, self.changed), moving, compiled=compiled, observer=chosen)
+        law = load_gains(gains, known, self.changed)
+        return ClosedLoop(law, moving, mission=mission, observer=chosen, compiled=compiled)
 
     def changed(self, table: GainTable) -> GainTable:
         """A gain file with these choices."""
@@ -508,13 +535,14 @@ def simulate_all(
     *,
     plant: Vehicle | None = None,
     observer: str | Path | None = None,
+    mission: Mission | None = None,
     progress: Progress = lambda done, words: None,
 ) -> list[Record]:
     """A run with every gain file; `progress` gets the seconds that are done, all runs together."""
 
     def run(place: int, name: str) -> Record:
         before = place * scenario.duration
-        loop = choices.loop(name, vehicle, plant, observer=observer)
+        loop = choices.loop(name, vehicle, plant, mission=mission, observer=observer)
         return loop.run(scenario, lambda done, words: progress(before + done, words))
 
     return [run(i, name) for i, name in enumerate(gains)]

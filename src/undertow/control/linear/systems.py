@@ -341,7 +341,7 @@ def close_loop(
 
 def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> LawSystem:
     """A law that knows a vehicle, with the set of parameters of a direction of motion."""
-    return LawSystem(replace(gains, plant=Plant(in_direction(vehicle, direction))))
+    return LawSystem(replace(gains, plant=Plant(in_direction(vehicle, direction), gains.plant.speed)))
 
 
 class LinearLoop:

@@ -6,7 +6,7 @@
 
    y, what the sensors report:
 @REPORTS@
-   r, desired pose:
+   r, @WANTED@:
 @DESIRED@
    s, states of the controller:
 @STATES@
@@ -19,7 +19,7 @@
 
      double s[@UPPER@_STATES], u[@UPPER@_COMMANDS], tau[@UPPER@_FORCES];
      @LOWER@_start(s);
-     for (;;) { ... @LOWER@_step(y, r, @LOWER@_gains, dt, s, u, tau); ... }
+     for (;;) { ... @LOWER@_step(y, @R@, @LOWER@_gains, dt, s, u, tau); ... }
 */
 #ifndef @UPPER@_CONTROLLER_H
 #define @UPPER@_CONTROLLER_H
@@ -43,7 +43,7 @@ extern const char *const @LOWER@_state_names[];
 extern const char *const @LOWER@_gain_names[];
 extern const char *const @LOWER@_command_names[];
 extern const double @LOWER@_gains[];
-
+@MISSION_DECLARED@
 /* States at the start: integrals at zero, the gate of the schedule closed where there is one. */
 void @LOWER@_start(double *s);
 

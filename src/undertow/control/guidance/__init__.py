@@ -1,0 +1,1 @@
+"""Missions: references over time, and guidance along straight legs."""

@@ -1,0 +1,233 @@
+"""Line-of-sight guidance along straight legs, with integral action against a current."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from .reference import Limits
+from .signals import Course, Followed, Kinematics, Number, Reference
+
+
+@dataclass(frozen=True)
+class Guidance:
+    """The numbers of line-of-sight guidance.
+
+    Attributes
+    ----------
+    lookahead : float
+        Distance ahead on the leg that the vehicle is steered for, m.
+    acceptance : float
+        Distance from the end of a leg at which the next one begins, m.
+    integral : float
+        Integral action sigma, m/s: 0 is LOS without it. The side-slip that a current asks for is learned in
+        some lookahead / integral seconds.
+    steepest : float
+        Largest angle of pitch that is asked for, rad.
+    """
+
+    lookahead: float
+    acceptance: float
+    integral: float = 0.0
+    steepest: float = math.radians(30)
+
+
+class Leg(NamedTuple):
+    """Where a vehicle is beside its leg, SX or arrays."""
+
+    course: ca.SX  # direction of the leg, rad
+    incline: ca.SX  # angle of the leg above the horizontal, rad
+    along: ca.SX  # gone of it in the plane, m
+    length: ca.SX  # in the plane, m
+    cross: ca.SX  # to starboard of it, m
+    below: ca.SX  # deeper than it, at right angles to it, m
+    left: ca.SX  # distance to its end, m
+    depth: ca.SX  # of the leg here, m
+
+
+class LineOfSight(Reference):
+    """Straight legs between way-points for a vehicle that steers where it drives.
+
+    With the cross-track error e and lookahead D, the heading is chi - atan((e + sigma e_int) / D) and
+    e_int_dot = D e / ((e + sigma e_int)^2 + D^2), which grows little where the vehicle is far off. A vehicle
+    that dives by pitching has the same in the vertical plane; another one follows the depth of the leg.
+    Heading and pitch pass a model of second order with limited rate and acceleration, the speed one of first.
+    The position itself is not held: errors of x and y are zero, and surge has the speed as its reference.
+
+    Source: Borhaug, Pavlov and Pettersen (2008), Integral LOS control for path following of underactuated
+    marine surface vessels in the presence of constant ocean currents, CDC; Fossen (2021), chapter 12.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = (
+        *("leg", "arrived", "started", "cross_integral", "depth_integral"),
+        *("heading", "heading_rate", "pitch", "pitch_rate", "speed"),
+    )
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        points: np.ndarray,
+        limits: Limits,
+        guidance: Guidance,
+        pitches: bool,
+        unheld: tuple[str, ...] = (),
+    ) -> None:
+        self.names, self.points, self.limits, self.guidance = names, points, limits, guidance
+        self.pitches, self.unheld = pitches, unheld
+        pose = {n: np.zeros(len(points)) for n in names} | {
+            n: points[:, i] for i, n in enumerate("xyz") if n in names
+        }
+        steps = np.diff(points, axis=0)
+        courses = np.arctan2(steps[:, 1], steps[:, 0])
+        self.start, self.end = (
+            np.array([pose[n][i] if n != "psi" else courses[i] for n in names]) for i in (0, -1)
+        )
+
+    @property
+    def numbers(self) -> list[Number]:
+        """The way-points, then speed, limits and the numbers of the guidance."""
+        points = [
+            Number(f"{c}_{i}", "m", float(v))
+            for i, p in enumerate(self.points)
+            for c, v in zip("xyz", p, strict=True)
+        ]
+        own = {**vars(self.limits), **vars(self.guidance)}
+        units = {
+            "speed": "m/s",
+            "acceleration": "m/s^2",
+            "turn_rate": "rad/s",
+            "turn_acceleration": "rad/s^2",
+        }
+        units |= {"lookahead": "m", "acceptance": "m", "integral": "m/s", "steepest": "rad"}
+        return points + [Number(n, units[n], float(own[n])) for n in units]
+
+    def initial_states(self) -> list[float]:
+        """Before the first sample, which takes heading, pitch and speed as they are."""
+        return [0.0] * len(self.state_names)
+
+    # --- the functions ------------------------------------------------------------------------
+    def course(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> Course:
+        """The attitude and speed that the models have come to; the position as it is."""
+        state, growth = self._now(s, kin), self._growth(r, s, kin)
+        leg = self._leg(r, s, kin)
+        n = len(kin.names)
+        eta_d, rate, rising = ca.SX(kin.eta), ca.SX.zeros(n, 1), ca.SX.zeros(n, 1)
+        steered = {"psi": "heading"} | ({"theta": "pitch"} if self.pitches else {})
+        for angle in (a for a in ("phi", "theta", "psi") if a in kin.names):
+            i, what = kin.place(angle), steered.get(angle)
+            eta_d[i] = state[what] if what else 0
+            rate[i] = state[f"{what}_rate"] if what else 0
+            rising[i] = growth[what] if what else 0
+        nu_r = kin.J_inverse @ rate
+        nu_r_dot = kin.J_inverse @ (rising - kin.J_dot @ nu_r)
+        if "z" in kin.names and not self.pitches:
+            eta_d[kin.place("z")] = leg.depth
+            nu_r[kin.place("z")] = -state["speed"] * ca.tan(leg.incline)
+        nu_r[kin.place("x")], nu_r_dot[kin.place("x")] = state["speed"], growth["speed"]
+        return Course(eta_d, nu_r, nu_r_dot)
+
+    def advance(self, r: ca.SX, s: ca.SX, kin: Kinematics, dt: ca.SX) -> ca.SX:
+        """Legs, integrals and models one sample on."""
+        state, growth, leg = self._now(s, kin), self._growth(r, s, kin), self._leg(r, s, kin)
+        value = self._values(r)
+        reached = ca.logic_or(leg.left <= value["acceptance"], leg.along >= leg.length)
+        last = state["leg"] >= len(self.points) - 2
+        stays = 1 - ca.logic_and(reached, ca.logic_not(last))
+        sums = {}
+        for name, error in (("cross_integral", leg.cross), ("depth_integral", leg.below)):
+            aim = error + value["integral"] * state[name]
+            gain = value["lookahead"] * error / (aim**2 + value["lookahead"] ** 2)
+            sums[name] = stays * (state[name] + dt * gain)
+        following = {
+            "leg": state["leg"] + (1 - stays),
+            "arrived": ca.fmax(state["arrived"], ca.logic_and(reached, last)),
+            "started": ca.SX(1),
+            **sums,
+            "speed": state["speed"] + dt * growth["speed"],
+        }
+        for name in ("heading", "pitch"):
+            following[f"{name}_rate"] = state[f"{name}_rate"] + dt * growth[name]
+            following[name] = state[name] + dt * following[f"{name}_rate"]
+        return ca.vertcat(*[following[n] for n in self.state_names])
+
+    def _now(self, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
+        """States by name; at the first sample heading, pitch and speed are those reported."""
+        state = dict(zip(self.state_names, ca.vertsplit(s), strict=True))
+        seen = {"heading": kin.eta[kin.place("psi")], "speed": kin.nu[kin.place("x")]}
+        if "theta" in kin.names:
+            seen["pitch"] = kin.eta[kin.place("theta")]
+        return state | {n: ca.if_else(state["started"] > 0, state[n], v) for n, v in seen.items()}
+
+    def _values(self, r: ca.SX) -> dict[str, ca.SX]:
+        count = 3 * len(self.points)
+        names = (*vars(self.limits), *vars(self.guidance))
+        return dict(zip(names, ca.vertsplit(r[count:]), strict=True))
+
+    def _leg(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> Leg:
+        count = len(self.points)
+        points = ca.reshape(r[: 3 * count], 3, count)
+        on = ca.vertcat(*[s[0] == i for i in range(count - 1)])
+        begin, end = points[:, :-1] @ on, points[:, 1:] @ on
+        places = [kin.eta[kin.place(c)] if c in kin.names else ca.SX(0) for c in "xyz"]
+        return beside(ca, begin, end, places)
+
+    def _growth(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
+        """Accelerations of the models of heading, pitch and speed."""
+        state, leg, value = self._now(s, kin), self._leg(r, s, kin), self._values(r)
+        aims = (leg.cross + value["integral"] * state["cross_integral"]) / value["lookahead"]
+        dives = (leg.below + value["integral"] * state["depth_integral"]) / value["lookahead"]
+        wanted = {
+            "heading": leg.course - ca.atan(aims),
+            "pitch": _clipped(leg.incline + ca.atan(dives), value["steepest"]),
+        }
+        # Critically damped, and slow enough that a turn from its largest rate needs no more than the limit.
+        quick = value["turn_acceleration"] / (2 * value["turn_rate"])
+        found = {}
+        for name, target in wanted.items():
+            rate, most = state[f"{name}_rate"], value["turn_rate"]
+            error = target - state[name]
+            error = error - 2 * ca.pi * ca.floor((error + ca.pi) / (2 * ca.pi))
+            # With the error cut off here the rate tends to its limit and never passes it.
+            error = _clipped(error, 2 * most / quick)
+            found[name] = _clipped(quick**2 * error - 2 * quick * rate, value["turn_acceleration"])
+        speed = (1 - state["arrived"]) * value["speed"] - state["speed"]
+        found["speed"] = _clipped(quick * speed, value["acceleration"])
+        return found
+
+    # --- beside a run -------------------------------------------------------------------------
+    def followed(self, t: np.ndarray, state: dict[str, np.ndarray], s: np.ndarray) -> Followed:
+        """Heading, pitch and depth that were asked for, and how far off the legs the vehicle was."""
+        named = dict(zip(self.state_names, s.T, strict=True))
+        leg = named["leg"].astype(int)
+        places = [state.get(c, np.zeros(len(t))) for c in "xyz"]
+        found = beside(np, self.points[leg].T, self.points[leg + 1].T, places)
+        desired = {"psi": named["heading"], "z": found.depth, "u": named["speed"]}
+        if self.pitches:
+            desired["theta"] = named["pitch"]
+        errors = {"cross track": -found.cross}
+        if "z" in self.names:
+            errors["depth"] = -found.below
+        kept = {n: v for n, v in desired.items() if n in state}
+        return Followed(kept, errors, named["arrived"] > 0, self.points[:, :2])
+
+
+def _clipped(value: ca.SX, most: ca.SX) -> ca.SX:
+    return ca.fmax(-most, ca.fmin(most, value))
+
+
+def beside(m, begin, end, place) -> Leg:  # type: ignore[no-untyped-def]
+    """Where a place is beside the leg from begin to end, in CasADi or NumPy (`m`)."""
+    north, east, down = (end[i] - begin[i] for i in range(3))
+    length = m.sqrt(north**2 + east**2)
+    course, incline = m.arctan2(east, north), -m.arctan2(down, length)
+    x, y, z = (place[i] - begin[i] for i in range(3))
+    along = (north * x + east * y) / length
+    cross = (north * y - east * x) / length
+    share = m.fmax(0, m.fmin(1, along / length))
+    off = z - share * down
+    left = m.sqrt((north - x) ** 2 + (east - y) ** 2 + (down - z) ** 2)
+    return Leg(course, incline, along, length, cross, off * m.cos(incline), left, begin[2] + share * down)

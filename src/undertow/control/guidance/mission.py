@@ -1,0 +1,370 @@
+"""Mission files: way-points, limits, and how they are followed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, StrictStr
+
+from undertow.control.gains import GainSet
+from undertow.errors import UndertowError
+from undertow.model.loading import is_file, read_table
+from undertow.model.symbols import MOTION_UNITS
+from undertow.model.tables import FileTable, Quantity
+from undertow.model.units import to_si
+
+from .line_of_sight import Guidance, LineOfSight
+from .reference import Limits, Profile, TimedReference, spline, stretches, times_of, within
+from .signals import Reference
+
+
+class WaypointTable(FileTable):
+    """One way-point."""
+
+    x: Quantity = 0.0
+    y: Quantity = 0.0
+    z: Quantity = 0.0
+    psi: Quantity | None = None  # else along the way, or the heading of the mission
+    t: Quantity | None = None  # when to be there; trajectories only
+
+
+class LimitTable(FileTable):
+    """What the reference keeps to."""
+
+    acceleration: Quantity = "0.1 m/s^2"
+    turn_rate: Quantity = "20 deg/s"
+    turn_acceleration: Quantity = "10 deg/s^2"
+
+
+class GuidanceTable(FileTable):
+    """Line of sight; legs only."""
+
+    lookahead: Quantity = "5 m"
+    acceptance: Quantity = "3 m"
+    integral: Quantity = "0 m/s"  # sigma of ILOS, against a current; 0 is LOS
+    steepest: Quantity = "30 deg"  # pitch
+
+
+class CurrentTable(FileTable):
+    """Water that the simulation moves and the controller does not know of."""
+
+    north: Quantity = 0.0
+    east: Quantity = 0.0
+
+
+class MissionTable(FileTable):
+    """The whole file."""
+
+    schema_: Annotated[Literal["undertow/mission/1"], Field(alias="schema")]
+    name: Annotated[StrictStr, Field(min_length=1, max_length=80)]
+    description: StrictStr = ""
+    kind: Literal["setpoints", "spline", "trajectory", "legs"]
+    speed: Quantity
+    heading: Quantity | Literal["along"] = "along"
+    hold: Quantity = "0 s"  # at every set-point
+    limits: LimitTable = Field(default_factory=LimitTable)
+    guidance: GuidanceTable | None = None
+    current: CurrentTable | None = None
+    waypoints: Annotated[list[WaypointTable], Field(min_length=2, max_length=200)]
+
+
+@dataclass(frozen=True)
+class MissionLimits:
+    """Beyond these numbers are slips of a unit: no vehicle in water has such a mission."""
+
+    size: float = 1e6  # m and rad, of a way-point
+    low: float = 1e-6  # of speeds, accelerations and distances, SI
+    high: float = 1e4
+    longest: float = 1e7  # s
+    closest: float = 1e-3  # way-points of splines and legs, m
+
+
+LIMITS = MissionLimits()
+
+
+@dataclass(frozen=True)
+class Mission:
+    """A mission file in SI.
+
+    Attributes
+    ----------
+    name, kind : str
+        Name, and "setpoints", "spline", "trajectory" or "legs".
+    points : ndarray, shape (k, 3)
+        Way-points x, y, z, m, NED.
+    headings : tuple of float or None
+        Heading at each, rad; None goes along the way.
+    times : tuple of float or None
+        When to be there, s.
+    limits : Limits
+        Speeds and accelerations of the reference.
+    hold : float
+        Rest at every set-point, s.
+    guidance : Guidance
+        Line of sight; legs use it.
+    current : tuple of float or None
+        Velocity of the water to the north and to the east in simulations, m/s.
+    """
+
+    name: str
+    kind: str
+    points: np.ndarray
+    headings: tuple[float | None, ...]
+    times: tuple[float | None, ...]
+    limits: Limits
+    hold: float
+    guidance: Guidance
+    current: tuple[float, float] | None
+
+    @property
+    def length(self) -> float:
+        """Sum of the distances between way-points, m."""
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+
+    def lasts(self, names: tuple[str, ...]) -> float:
+        """Time to simulate, with some to spare, s."""
+        if self.kind == "legs":
+            return 1.5 * self.length / self.limits.speed + 30.0
+        return 1.1 * self.profile(names).duration + 5.0
+
+    def reference(self, gains: GainSet) -> Reference:
+        """What a controller with these gains follows.
+
+        Raises
+        ------
+        UndertowError
+            If the vehicle cannot follow a mission of this kind, or way-points do not fit.
+        """
+        vehicle = gains.plant.vehicle
+        names = vehicle.pose_names
+        _require(self, names, vehicle.name)
+        pushed = {
+            n for n, d in zip(names, vehicle.degrees_of_freedom, strict=True) if d not in gains.unactuated
+        }
+        if self.kind == "legs":
+            _require_steering(self, pushed, vehicle.name)
+            pitches = "z" not in pushed and "theta" in pushed
+            if "z" in names and not pitches and "z" not in pushed and np.ptp(self.points[:, 2]):
+                raise UndertowError(
+                    f"'{vehicle.name}' pushes neither in heave nor in pitch: give all way-points the same z"
+                )
+            left = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in gains.unactuated]
+            unheld = tuple(vehicle.velocity_names[i] for i in left)
+            return LineOfSight(names, self.points, self.limits, self.guidance, pitches, unheld)
+        idle = [n for n in ("x", "y", "z", "psi") if n in names and n not in pushed]
+        if idle:
+            raise UndertowError(
+                f"a mission of kind '{self.kind}' holds {idle[0]}, in which nothing pushes '{vehicle.name}': "
+                'write kind = "legs", which steers where it drives'
+            )
+        return TimedReference(self.profile(names))
+
+    def profile(self, names: tuple[str, ...]) -> Profile:
+        """The pose over time of set-points, splines and trajectories in these coordinates."""
+        make = {"setpoints": self._setpoints, "spline": self._spline, "trajectory": self._trajectory}
+        return make[self.kind](names)
+
+    def _poses(self, names: tuple[str, ...], points: np.ndarray, headings: np.ndarray) -> np.ndarray:
+        columns = dict(zip("xyz", points.T, strict=True)) | {"psi": np.unwrap(headings)}
+        return np.column_stack([columns.get(n, np.zeros(len(points))) for n in names])
+
+    def _setpoints(self, names: tuple[str, ...]) -> Profile:
+        """A turn at the way-point, then the way."""
+        points, headings = [self.points[0]], [self.headings[0]]
+        for begin, end, given in zip(self.points[:-1], self.points[1:], self.headings[1:], strict=True):
+            north, east = (end - begin)[:2]
+            way = given if given is not None else math.atan2(east, north) if north or east else headings[-1]
+            headings[0] = way if headings[0] is None else headings[0]
+            points += [begin, end]
+            headings += [headings[-1] if given is not None else way, way]
+        every = self._poses(names, np.array(points), np.array(headings, dtype=float))
+        return stretches(names, list(every), self.limits, self.hold)
+
+    def _spline(self, names: tuple[str, ...]) -> Profile:
+        first = times_of(self.points, np.zeros(len(self.points)), self.limits)
+        headings = self._along(first)
+        times = times_of(self.points, np.unwrap(headings), self.limits)
+        return within(spline(names, self._poses(names, self.points, headings), times), self.limits)
+
+    def _along(self, times: np.ndarray) -> np.ndarray:
+        """Heading at every way-point: as given, else that of the curve; the ends have that of their chord."""
+        curve = spline(("x", "y", "z"), self.points, times)
+        rates = curve.at(times - times[0], 1)
+        rates[0], rates[-1] = self.points[1] - self.points[0], self.points[-1] - self.points[-2]
+        own = np.arctan2(rates[:, 1], rates[:, 0])
+        return np.array([o if h is None else h for o, h in zip(own, self.headings, strict=True)])
+
+    def _trajectory(self, names: tuple[str, ...]) -> Profile:
+        missing = [i for i, t in enumerate(self.times) if t is None]
+        if missing:
+            raise UndertowError(f"way-point {missing[0] + 1} of the trajectory has no time: add t")
+        times = np.array(self.times, dtype=float)
+        late = np.flatnonzero(np.diff(times) <= 0)
+        if late.size:
+            raise UndertowError(
+                f"way-point {late[0] + 2} has t = {times[late[0] + 1]:g} s, not after the one before it: let "
+                "times grow"
+            )
+        headings = self._along(times)
+        found = spline(names, self._poses(names, self.points, headings), times)
+        _keeps(found, self.limits)
+        return found
+
+
+def _keeps(profile: Profile, limits: Limits) -> None:
+    """Refuse a trajectory that is faster than its limits, and say where and when it would not be."""
+    words = {False: ("speed", "m/s"), True: ("turn rate", "rad/s")}
+    for angles, (name, unit) in words.items():
+        for order, limit in enumerate(limits.of(angles), 1):
+            sizes = profile.sizes(order, angles)
+            worst = int(np.argmax(sizes))
+            if sizes[worst] > limit * (1 + 1e-9):
+                what, by = (name, unit) if order == 1 else (f"{name.split()[0]} acceleration", f"{unit}^2")
+                factor = (sizes[worst] / limit) ** (1 / order)
+                raise UndertowError(
+                    f"{what} of the trajectory is {sizes[worst]:.4g} {by} near t = "
+                    f"{profile.knots[worst]:.4g} s, above {limit:.4g}: give it "
+                    f"{factor:.3g} times the time, or raise the limit"
+                )
+
+
+def _require(mission: Mission, names: tuple[str, ...], vehicle: str) -> None:
+    for i, name in enumerate("xyz"):
+        if name not in names and np.any(mission.points[:, i]):
+            raise UndertowError(
+                f"way-points have {name}, which '{vehicle}' does not move in: leave {name} out"
+            )
+    if not {"x", "y", "psi"} <= set(names):
+        raise UndertowError(f"a mission needs x, y and psi, and '{vehicle}' has {', '.join(names)}")
+
+
+def _require_steering(mission: Mission, pushed: set[str], vehicle: str) -> None:
+    missing = [n for n in ("x", "psi") if n not in pushed]
+    if missing:
+        what = {"x": "surge", "psi": "yaw"}[missing[0]]
+        raise UndertowError(
+            f"legs need a force in {what}, which nothing on '{vehicle}' gives; fins and rudders have one "
+            "where the gain file has [allocation] speed"
+        )
+    flat = np.linalg.norm(np.diff(mission.points[:, :2], axis=0), axis=1)
+    if (flat < LIMITS.closest).any():
+        raise UndertowError(
+            f"way-points {int(np.argmin(flat)) + 1} and {int(np.argmin(flat)) + 2} stand above each other, "
+            'and legs lead somewhere in the plane: move one, or write kind = "setpoints"'
+        )
+
+
+def load_mission(source: str | Path) -> Mission:
+    """Read a mission file.
+
+    Raises
+    ------
+    UndertowError
+        If it is none, or a number of it is none that a mission can have.
+    """
+    path = Path(source)
+    if not is_file(path):
+        raise UndertowError(f"mission '{source}' is no file: give the path of a mission file (TOML)")
+    table = read_table(path, MissionTable, "mission file")
+    try:
+        return mission_from_table(table)
+    except UndertowError as error:
+        raise UndertowError(f"{path}: {error}") from error
+
+
+def mission_from_table(table: MissionTable) -> Mission:
+    """The mission that a validated file describes."""
+    _check_keys(table)
+    limits = {"speed": _size("speed", table.speed, "m/s")}
+    units = {"acceleration": "m/s^2", "turn_rate": "rad/s", "turn_acceleration": "rad/s^2"}
+    limits |= {n: _size(f"[limits] {n}", getattr(table.limits, n), u) for n, u in units.items()}
+    points = np.array([_place(i, w) for i, w in enumerate(table.waypoints, 1)])
+    _check_apart(table.kind, points)
+    common = None if table.heading == "along" else _number("heading", table.heading, "rad")
+    headings = [
+        common if w.psi is None else _number(f"way-point {i} psi", w.psi, "rad")
+        for i, w in enumerate(table.waypoints, 1)
+    ]
+    times = [
+        None if w.t is None else _number(f"way-point {i} t", w.t, "s")
+        for i, w in enumerate(table.waypoints, 1)
+    ]
+    hold = _number("hold", table.hold, "s")
+    if not 0 <= hold <= LIMITS.longest:
+        raise UndertowError(f"hold = {table.hold}: give a time from 0 to {LIMITS.longest:g} s")
+    water = table.current
+    current = (
+        (_number("[current] north", water.north, "m/s"), _number("[current] east", water.east, "m/s"))
+        if water
+        else None
+    )
+    guidance = _guidance(table.guidance or GuidanceTable())
+    return Mission(
+        table.name, table.kind, points, tuple(headings), tuple(times), Limits(**limits),
+        hold, guidance, current,
+    )  # fmt: skip
+
+
+def _check_keys(table: MissionTable) -> None:
+    """Refuse what a mission of this kind would not look at."""
+    if table.guidance is not None and table.kind != "legs":
+        raise UndertowError(f"[guidance] is for kind = 'legs', and this is '{table.kind}': remove it")
+    timed = [i for i, w in enumerate(table.waypoints, 1) if w.t is not None]
+    if timed and table.kind != "trajectory":
+        raise UndertowError(
+            f"way-point {timed[0]} has a time, which kind = '{table.kind}' does not keep: remove t, or write "
+            'kind = "trajectory"'
+        )
+    turned = [i for i, w in enumerate(table.waypoints, 1) if w.psi is not None]
+    if table.kind == "legs" and (turned or table.heading != "along"):
+        raise UndertowError(
+            "legs are driven with the heading that the line of sight asks for: remove psi and heading"
+        )
+
+
+def _guidance(table: GuidanceTable) -> Guidance:
+    sizes = {n: _size(f"[guidance] {n}", getattr(table, n), "m") for n in ("lookahead", "acceptance")}
+    integral = _number("[guidance] integral", table.integral, "m/s")
+    steepest = _number("[guidance] steepest", table.steepest, "rad")
+    if not 0 <= integral <= LIMITS.high:
+        raise UndertowError(
+            f"[guidance] integral = {table.integral}: give 0 m/s (LOS) or a value above it (ILOS)"
+        )
+    if not 0 < steepest < math.radians(85):
+        raise UndertowError(f"[guidance] steepest = {table.steepest}: give an angle above 0 and below 85 deg")
+    return Guidance(**sizes, integral=integral, steepest=steepest)
+
+
+def _check_apart(kind: str, points: np.ndarray) -> None:
+    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if kind in ("spline", "legs") and (gaps < LIMITS.closest).any():
+        i = int(np.argmin(gaps)) + 1
+        raise UndertowError(
+            f"way-points {i} and {i + 1} are {gaps[i - 1]:g} m apart: a {kind.rstrip('s')} needs "
+            f"{LIMITS.closest:g} m at least; remove one"
+        )
+
+
+def _place(i: int, point: WaypointTable) -> list[float]:
+    found = [_number(f"way-point {i} {n}", getattr(point, n), MOTION_UNITS[n]) for n in "xyz"]
+    if max(map(abs, found)) > LIMITS.size:
+        raise UndertowError(f"way-point {i} is beyond {LIMITS.size:g} m: check the unit")
+    return found
+
+
+def _number(what: str, stated: Quantity, unit: str) -> float:
+    try:
+        return to_si(stated, unit)
+    except UndertowError as error:
+        raise UndertowError(f"{what}: {error}") from error
+
+
+def _size(what: str, stated: Quantity, unit: str) -> float:
+    value = _number(what, stated, unit)
+    if not LIMITS.low <= value <= LIMITS.high:
+        raise UndertowError(f"{what} = {stated}: give one from {LIMITS.low:g} to {LIMITS.high:g} {unit}")
+    return value

@@ -1,0 +1,449 @@
+"""Missions: references within their limits, laws that stay on them, line of sight against closed forms."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+import sympy as sm
+
+from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.tracking import _coriolis, check_mission, damping_corners
+from undertow.control.controller import Controller, ControllerExport
+from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
+from undertow.control.guidance.line_of_sight import Guidance, LineOfSight
+from undertow.control.guidance.mission import Mission, MissionTable, load_mission, mission_from_table
+from undertow.control.guidance.reference import Limits
+from undertow.control.guidance.signals import Kinematics
+from undertow.control.laws import LAWS
+from undertow.errors import UndertowError
+from undertow.model.loading import load_vehicle
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "missions"
+GAINS = {
+    "K_P": 20.0,
+    "K_V": 30.0,
+    "K_I": 1.0,
+    "Lambda": 0.5,
+    "K_Z": 0.2,
+    "width": 0.05,
+    "K_1": 0.3,
+    "K_2": 0.05,
+}
+NAMES = ("x", "y", "z", "psi")
+LIMITS = {"acceleration": 0.05, "turn_rate": 0.2, "turn_acceleration": 0.1}
+
+
+def mission(kind: str, points: list[dict[str, object]], **more: object) -> Mission:
+    content = {"schema": "undertow/mission/1", "name": kind, "kind": kind, "speed": 0.4, "limits": LIMITS}
+    return mission_from_table(MissionTable.model_validate(content | {"waypoints": points} | more))
+
+
+def scattered(seed: int, count: int = 5, **more: object) -> list[dict[str, object]]:
+    random = np.random.default_rng(seed)
+    return [dict(zip("xyz", map(float, 8 * random.normal(size=3)), strict=True)) | more for _ in range(count)]
+
+
+def ship(law: str, **more: object) -> GainSet:
+    """CyberShip II, which its thrusters push in surge, sway and yaw."""
+    gains = {g.name: GAINS[g.name] for g in LAWS[law].gains}
+    content = {"schema": "undertow/gains/1", "name": law, "law": law, "gains": gains, **more}
+    return gains_from_table(GainTable.model_validate(content), load_vehicle("cybership2"))
+
+
+SQUARE = [{"x": 0.0, "y": 0.0}, {"x": 3.0, "y": 1.0}, {"x": 4.0, "y": 4.0}, {"x": 1.0, "y": 5.0}]
+
+
+# --- references -----------------------------------------------------------------------------------
+@pytest.mark.parametrize("kind", ["setpoints", "spline"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_reference_keeps_to_its_limits_and_arrives_exactly(kind: str, seed: int) -> None:
+    one = mission(kind, scattered(seed))
+    profile = one.profile(NAMES)
+    t = np.linspace(0, profile.duration, 20_001)
+    for order, limits in ((1, (0.4, 0.2)), (2, (0.05, 0.1))):
+        values = profile.at(t, order)
+        sizes = np.linalg.norm(values[:, :3], axis=1).max(), np.abs(values[:, 3]).max()
+        for angles, (size, limit) in enumerate(zip(sizes, limits, strict=True)):
+            assert size <= limit + 1e-9
+            # What is worked out from the roots is what the samples come to.
+            assert profile.largest(order, bool(angles)) == pytest.approx(size, rel=1e-4, abs=1e-9)
+    assert max(
+        profile.largest(1) / 0.4, profile.largest(2) / 0.05, profile.largest(1, True) / 0.2
+    ) > 0.99 or (profile.largest(2, True) > 0.099)
+    end = profile.at(np.array([profile.duration, profile.duration + 100.0]))
+    assert (end[:, :3] == one.points[-1]).all()
+    assert (profile.at(np.array([profile.duration]), 1) == 0).all()
+    assert np.abs(profile.at(np.array([0.0, profile.duration - 1e-9]), 1)).max() < 1e-6
+    for point in one.points:
+        assert np.linalg.norm(profile.at(t)[:, :3] - point, axis=1).min() < 0.02
+
+
+@pytest.mark.parametrize("kind", ["setpoints", "spline"])
+def test_derivatives_are_those_of_the_pose_and_continuous(kind: str) -> None:
+    profile = mission(kind, scattered(7)).profile(NAMES)
+    t, h = np.linspace(0.1, profile.duration - 0.1, 997), 1e-4
+    for order in (0, 1):
+        slope = (profile.at(t + h, order) - profile.at(t - h, order)) / (2 * h)
+        assert slope == pytest.approx(profile.at(t, order + 1), abs=2e-5)
+    inner = profile.knots[1:-1]
+    for order in (0, 1, 2):
+        assert profile.at(inner - 1e-9, order) == pytest.approx(profile.at(inner, order), abs=1e-7)
+
+
+def test_a_straight_way_takes_the_time_of_its_profile() -> None:
+    """Cubic ramps: way / speed + 1.5 speed / acceleration, here 10 / 0.4 + 1.5 * 0.4 / 0.05."""
+    profile = mission("setpoints", [{"x": 0.0}, {"x": 10.0}]).profile(NAMES)
+    assert profile.duration == pytest.approx(37.0, rel=1e-12)
+    short = mission("setpoints", [{"x": 0.0}, {"x": 1.0}]).profile(NAMES)
+    assert short.duration == pytest.approx(2 * math.sqrt(1.5 / 0.05), rel=1e-12)
+
+
+def test_a_trajectory_that_is_too_fast_is_refused_with_the_time_that_it_needs() -> None:
+    def at(factor: float) -> Mission:
+        points = [dict(p, t=factor * t) for p, t in zip(SQUARE, (0.0, 5.0, 10.0, 15.0), strict=True)]
+        return mission("trajectory", points, heading=0.0)
+
+    with pytest.raises(UndertowError, match=r"speed of the trajectory is .* times the time") as refused:
+        at(1.0).profile(NAMES)
+    factor = float(str(refused.value).split("give it ")[1].split(" times")[0])
+    slow = at(4 * factor).profile(NAMES)
+    for i, p in enumerate(SQUARE):
+        assert slow.at(np.array([4 * factor * 5.0 * i]))[0, :2] == pytest.approx([p["x"], p["y"]], abs=1e-9)
+
+
+# --- laws -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("law", LAWS)
+def test_on_the_reference_every_law_gives_exactly_its_acceleration(law: str) -> None:
+    gains = ship(law)
+    plant, signals = gains.plant, gains.tracking
+    random = np.random.default_rng(3)
+    zero = dict.fromkeys([*signals.error, *signals.states], sm.Integer(0))
+    for _ in range(3):
+        nu = dict(zip(plant.nu, map(sm.Float, random.normal(size=3)), strict=True))
+        follows = dict(zip(signals.nu_r, plant.nu, strict=True))
+        rising = dict(zip(signals.nu_r_dot, map(sm.Float, random.normal(size=3)), strict=True))
+        pose = dict(zip(plant.eta, map(sm.Float, random.normal(size=3)), strict=True))
+        known = {**zero, **nu, **rising, **pose, **plant.numbers, **gains.numbers}
+        rest = (
+            gains.law.force(signals) - (plant.C + plant.D) * plant.nu - plant.g - plant.M * signals.nu_r_dot
+        )
+        assert (
+            np.abs(np.array(rest.xreplace(follows).xreplace(known).evalf().tolist(), dtype=float)).max()
+            < 1e-11
+        )
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_set_point_is_the_reference_that_stands_still(law: str) -> None:
+    gains = ship(law)
+    still = dict.fromkeys([*gains.tracking.nu_r, *gains.tracking.nu_r_dot], sm.Integer(0))
+    moving = gains.law.force(gains.tracking).xreplace(still)
+    assert (moving - gains.law.force(gains.signals)).applyfunc(sm.expand).is_zero_matrix
+
+
+@pytest.mark.parametrize("law", ["pd", "pid", "sliding-mode-boundary-layer"])
+def test_a_vehicle_that_begins_on_its_spline_stays_there(law: str) -> None:
+    loop = ClosedLoop(ship(law), mission=mission("spline", SQUARE))
+    record = loop.run(Scenario(duration=60.0, dt=0.01, continuous=True))
+    assert record.result.followed is not None
+    assert record.result.followed.arrived is not None
+    for error in record.result.followed.errors:
+        assert error.largest < 1e-8
+    sampled = loop.run(Scenario(duration=60.0, dt=0.05)).result.followed
+    assert sampled is not None
+    assert 1e-8 < max(e.largest for e in sampled.errors) < 0.01  # commands that are held are late
+
+
+def _rates(gains: GainSet, seed: int, iota: float) -> tuple[float, float]:
+    """V_dot of the law along its loop with a reference that moves: by differentiating V, and as claimed."""
+    plant, signals, law = gains.plant, gains.tracking, gains.law
+    random = np.random.default_rng(seed)
+    n = len(plant.nu)
+    eta, nu, rate, rising, error, total = random.normal(size=(6, n))
+
+    def at(matrix: sm.Matrix, pose: np.ndarray, moving: np.ndarray) -> np.ndarray:
+        known = dict(zip([*plant.eta, *plant.nu], map(sm.Float, [*pose, *moving]), strict=True))
+        return np.array(matrix.xreplace(plant.numbers).xreplace(known).evalf().tolist(), dtype=float)
+
+    J, J_dot, C, D, M = (at(m, eta, nu) for m in (plant.J, plant.J_dot, plant.C, plant.D, plant.M))
+    nu_r = np.linalg.solve(J, rate)
+    nu_r_dot = np.linalg.solve(J, rising - J_dot @ nu_r)
+    known = {**plant.numbers, **gains.numbers}
+    for symbols, values in (
+        (plant.eta, eta), (plant.nu, nu), (signals.nu_r, nu_r), (signals.nu_r_dot, nu_r_dot),
+        (signals.error, error), (signals.states, total),
+    ):  # fmt: skip
+        known |= dict(zip(symbols, map(sm.Float, values), strict=False))
+    force = np.array(law.force(signals).xreplace(known).evalf().tolist(), dtype=float).ravel()
+    nu_dot = np.linalg.solve(M, force - (C + D) @ nu)
+    K = {g.name: np.array(gains.matrix(g.name).tolist(), dtype=float) for g in type(law).gains}
+    nu_e, e_dot = nu_r - nu, rate - J @ nu
+    if law.id == "pd":
+        found = nu_e @ M @ (nu_r_dot - nu_dot) + error @ K["K_P"] @ e_dot
+        return float(found), float(-nu_e @ (D + J.T @ K["K_V"] @ J) @ nu_e)
+
+    def V(h: float) -> float:
+        """V a moment later."""
+        inverse = np.linalg.inv(at(plant.J, eta + h * J @ nu, nu))
+        e, z = error + h * e_dot, total + h * error
+        e_ddot = rising - J_dot @ nu - J @ nu_dot
+        s = e_dot + h * e_ddot + iota * e
+        M_q = inverse.T @ M @ inverse
+        spring = K["K_P"] - K["K_I"] / iota - iota**2 * M_q
+        both = z * iota + e
+        return float((s @ M_q @ s + e @ spring @ e + both @ K["K_I"] @ both / iota) / 2)
+
+    problem = Problem(gains)
+    inverse = np.linalg.inv(J)
+    C_q = _coriolis(problem, dict(zip(map(str, plant.eta), eta, strict=True)), nu[None])[0]
+    damper = K["K_V"] + inverse.T @ D @ inverse
+    M_q = inverse.T @ M @ inverse
+    # With K not symmetric the cross term has K itself, e' K e_dot.
+    Q = np.block(
+        [[iota * K["K_P"] - K["K_I"], iota * (damper - C_q.T) / 2],
+         [iota * (damper.T - C_q) / 2, damper - iota * M_q]]
+    )  # fmt: skip
+    state = np.concatenate([error, e_dot])
+    h = 1e-5
+    return (V(h) - V(-h)) / (2 * h), float(-state @ Q @ state)
+
+
+@pytest.mark.parametrize("law", ["pd", "pid"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_lyapunov_function_of_the_tracking_error_falls_as_claimed(law: str, seed: int) -> None:
+    found, claimed = _rates(ship(law), seed, iota=0.3)
+    assert found == pytest.approx(claimed, rel=1e-7)
+
+
+def test_damping_is_least_at_a_corner_of_the_speeds() -> None:
+    problem = Problem(load_gains(EXAMPLES / "bluerov2-gains.toml", load_vehicle("bluerov2")))
+    most = np.array([1.0, 1.0, 1.0, 0.7, 0.7, 0.7])
+    corners, affine = damping_corners(problem, most)
+    assert affine
+    least = np.linalg.eigvalsh(0.5 * (corners + corners.transpose(0, 2, 1)))[:, 0].min()
+    D = sm.lambdify(list(problem.plant.nu), problem.plant.D.xreplace(problem.plant.numbers), "numpy")
+    for nu in np.random.default_rng(0).uniform(-most, most, (200, 6)):
+        own = np.array(D(*nu), dtype=float)
+        assert np.linalg.eigvalsh(0.5 * (own + own.T))[0] >= least - 1e-12
+    assert least == pytest.approx(0.07)  # K_p, M_q and N_r at rest
+
+
+def test_conditions_on_a_reference_hold_until_a_limit_is_asked_for() -> None:
+    gains = load_gains(EXAMPLES / "bluerov2-gains.toml", load_vehicle("bluerov2"))
+    good = check_mission(gains, load_mission(EXAMPLES / "bluerov2-spline.toml"))
+    assert good.ok
+    assert [r.condition for r in good.rows] == ["K_P", "K_V + D", "commands"]
+    fast = check_mission(gains, mission("spline", SQUARE, speed=3.0, limits={**LIMITS, "acceleration": 5.0}))
+    assert [r.verdict for r in fast.rows] == ["holds", "holds", "fails"]
+    assert fast.rows[-1].margin < 0
+
+
+# --- line of sight ----------------------------------------------------------------------------------
+class Particle:
+    """A vehicle that has the heading and speed asked for, in a current across its leg to the north."""
+
+    def __init__(self, guidance: Guidance, speed: float = 1.5) -> None:
+        quick = Limits(speed, 1e3, 40.0, 4000.0)  # the model of the heading is done in 0.1 s
+        names = ("x", "y", "psi")
+        self.guide = LineOfSight(names, np.array([[0.0, 0, 0], [1e5, 0, 0]]), quick, guidance, False)
+        eta, nu, s = ca.SX.sym("eta", 3), ca.SX.sym("nu", 3), ca.SX.sym("s", len(self.guide.state_names))
+        r = ca.DM([n.value for n in self.guide.numbers])
+        kin = Kinematics(names, eta, nu, ca.SX.eye(3), ca.SX.zeros(3, 3))
+        course = self.guide.course(r, s, kin)
+        following = self.guide.advance(r, s, kin, ca.SX(0.01))
+        self._step = ca.Function("step", [eta, nu, s], [course.eta_d[2], course.nu_r[0], following])
+
+    def run(self, y: float, seconds: float, drift: float = 0.0) -> np.ndarray:
+        """Place and heading over time, shape (n, 3)."""
+        eta, s, rows = np.array([0.0, y, 0.0]), np.array(self.guide.initial_states()), []
+        start = -math.atan(y / self.guide.guidance.lookahead)
+        eta[2] = start
+        for _ in range(round(seconds / 0.01)):
+            psi, speed, s = (np.asarray(v).ravel() for v in self._step(eta, [1.5, 0, 0], s))
+            eta[2] = psi[0]
+            rows.append(eta.copy())
+            eta[0] += 0.01 * speed[0] * math.cos(psi[0])
+            eta[1] += 0.01 * (speed[0] * math.sin(psi[0]) + drift)
+        return np.array(rows)
+
+
+def test_the_cross_track_error_of_line_of_sight_is_that_of_its_equation() -> None:
+    """y_dot = -U y / w with w = sqrt(y^2 + D^2), so U t = F(y_0) - F(y) with F = w + D ln(y / (D + w))."""
+    D = 5.0
+
+    def F(y: np.ndarray) -> np.ndarray:
+        w = np.sqrt(y**2 + D**2)
+        return w + D * np.log(y / (D + w))
+
+    rows = Particle(Guidance(D, 1.0)).run(12.0, 12.0)
+    t = 0.01 * np.arange(len(rows))
+    assert 1.5 * t == pytest.approx(F(np.array(12.0)) - F(rows[:, 1]), abs=0.15)
+    assert rows[-1, 1] < 2.0
+
+
+def test_integral_line_of_sight_finds_the_side_slip_of_the_current() -> None:
+    with_it = Particle(Guidance(5.0, 1.0, 0.4)).run(4.0, 100.0, drift=0.5)
+    assert abs(with_it[-1, 1]) < 1e-4
+    assert with_it[-1, 2] == pytest.approx(-math.asin(0.5 / 1.5), abs=1e-4)
+    without = Particle(Guidance(5.0, 1.0)).run(4.0, 60.0, drift=0.5)
+    # U y / sqrt(y^2 + D^2) = drift: the error that LOS without the integral keeps.
+    assert without[-1, 1] == pytest.approx(5.0 * math.tan(math.asin(0.5 / 1.5)), rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def remus() -> GainSet:
+    return load_gains(EXAMPLES / "remus100-gains.toml", load_vehicle("remus100"))
+
+
+ONE_LEG = [{"x": 0.0, "y": 0.0, "z": 5.0}, {"x": 400.0, "y": 0.0, "z": 5.0}]
+FINS = {
+    "speed": 1.5,
+    "limits": {"acceleration": 0.2, "turn_rate": "8 deg/s", "turn_acceleration": "8 deg/s^2"},
+    "current": {"east": 0.3},
+}
+
+
+def on_leg(**guidance: object) -> Mission:
+    return mission(
+        "legs", ONE_LEG, guidance={"lookahead": 15, "integral": 0.3, "acceptance": 5} | guidance, **FINS
+    )
+
+
+def test_a_torpedo_with_fins_comes_to_its_leg_across_a_current(remus: GainSet) -> None:
+    loop = ClosedLoop(remus, _in_current(remus), mission=on_leg())
+    record = loop.run(Scenario(duration=270.0, dt=0.05, start=(0, 10.0, 5.0), moving={"u": 1.5}))
+    assert record.followed is not None
+    late = (record.t > 225) & ~record.followed.arrived
+    assert np.abs(record.followed.errors["cross track"][late]).max() < 0.2
+    assert np.abs(record.followed.errors["depth"][late]).max() < 0.1
+    slip = np.arctan2(record.state["v"], record.state["u"])[late] + record.state["psi"][late]
+    assert slip == pytest.approx(0.0, abs=5e-3)  # over ground it goes north
+    assert record.state["psi"][late] == pytest.approx(-math.asin(0.3 / 1.5), abs=0.03)
+
+
+def _in_current(gains: GainSet):  # type: ignore[no-untyped-def]
+    from undertow.control.closed_loop import Choices
+
+    return Choices(current=(0.0, 0.3)).in_current(gains.plant.vehicle)
+
+
+def test_a_leg_is_certified_and_too_short_a_lookahead_is_not(remus: GainSet) -> None:
+    good = check_mission(remus, on_leg(integral=0.1))
+    assert good.ok
+    # Kinematics alone, with U cos(psi) and k = D / (D^2 + q^2) at the heading psi that the current asks for:
+    # s^2 + U cos(psi) k s + U cos(psi) k^2 sigma = 0.
+    psi = math.asin(0.3 / 1.5)
+    k = math.cos(psi) ** 2 / 15
+    slow = np.roots([1, 1.5 * math.cos(psi) * k, 1.5 * math.cos(psi) * k**2 * 0.1]).max()
+    assert good.rows[1].margin == pytest.approx(-slow, rel=0.05)
+    assert [r.verdict for r in check_mission(remus, on_leg(lookahead=1.5)).rows] == ["holds", "fails"]
+
+
+# --- C ----------------------------------------------------------------------------------------------
+@pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("kind", ["spline", "legs"])
+def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainSet, tmp_path: Path) -> None:
+    if not shutil.which(compiler):
+        pytest.skip(f"no {compiler} on this machine")
+    gains = ship("pid", allocation={"limits": {"T1": 1.0}}) if kind == "spline" else remus
+    survey = load_mission(EXAMPLES / "remus100-survey.toml")
+    controller = Controller(
+        gains, (mission("spline", SQUARE) if kind == "spline" else survey).reference(gains)
+    )
+    made = ControllerExport(controller).write(tmp_path).folder
+    flags = (
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        "-Werror",
+        "-O1",
+        "-ffp-contract=off",
+        "-fPIC",
+        "-shared",
+    )
+    done = subprocess.run(
+        [compiler, *flags, "controller.c", "-lm", "-o", "c.so"], cwd=made, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    library, name = ctypes.CDLL(str(made / "c.so")), "_".join(made.parts[-2:]).replace("-", "_")
+    r = np.array(controller.mission_numbers)
+    assert (np.array((ctypes.c_double * len(r)).in_dll(library, f"{name}_mission")) == r).all()
+    function, random = controller.sampled, np.random.default_rng(2)
+    s, k = np.zeros(function.size1_in("s")), np.array(controller.gain_values())
+    getattr(library, f"{name}_start")(_pointer(s))
+    n, expected = function.size1_in("y") // 2, np.array(controller.initial_states())
+    u, tau = np.zeros(function.size1_out("u")), np.zeros(n)
+    y, seen = np.zeros(2 * n), set()
+    for i in range(600):
+        y[:2] = survey.points[min(i // 100, 5), :2] * (0.02 if kind == "spline" else 1) + random.normal(
+            size=2
+        )
+        y[2:] = 0.2 * random.normal(size=2 * n - 2)
+        arguments = map(_pointer, (y, r, k))
+        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(_pointer, (s, u, tau)))
+        found = [np.asarray(v).ravel() for v in function(y, r, expected, k, 0.1)]
+        expected = found[1]
+        for mine, python in zip((u, s, tau), found, strict=True):
+            assert mine == pytest.approx(python, abs=1e-12, rel=1e-12)
+        seen.add(float(s[controller.state_names.index("leg" if kind == "legs" else "mission_time")]))
+    assert len(seen) > 3
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+# --- files ------------------------------------------------------------------------------------------
+P = [{"x": 0.0}, {"x": 5.0}]
+BAD = {
+    "a unit": (lambda: mission("spline", P, speed="0.4 kg"), "speed"),
+    "no speed": (lambda: mission("spline", P, speed=0.0), "speed = 0.0: give one from 1e-06"),
+    "no times": (lambda: mission("trajectory", P).profile(NAMES), "way-point 1 of the trajectory has no"),
+    "times back": (
+        lambda: mission("trajectory", [{"t": 0}, {"x": 1.0, "t": 0}]).profile(NAMES),
+        "way-point 2 has t = 0 s, not after the one before it",
+    ),
+    "a time that is not kept": (lambda: mission("spline", [{"t": 0}, {"x": 1.0}]), "way-point 1 has a time"),
+    "twice the same": (lambda: mission("spline", [*P, {"x": 5.0}]), "way-points 2 and 3 are 0 m apart"),
+    "all the same": (lambda: mission("setpoints", [P[0], P[0]]).profile(NAMES), "all the same pose"),
+    "guidance of a spline": (lambda: mission("spline", P, guidance={}), r"\[guidance\] is for kind = 'legs'"),
+    "heading of legs": (lambda: mission("legs", P, heading=0.0), "remove psi and heading"),
+    "far away": (lambda: mission("spline", [{"x": 0.0}, {"x": 1e9}]), "beyond 1e\\+06 m: check the unit"),
+    "a ship at depth": (
+        lambda: mission("spline", [{"z": 0.0}, {"z": 5.0, "x": 2.0}]).reference(ship("pd")),
+        "way-points have z, which 'cybership2' does not move in",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_a_mission_that_cannot_be_is_refused_in_one_line(fault: str) -> None:
+    make, words = BAD[fault]
+    with pytest.raises(UndertowError, match=words) as refused:
+        make()
+    assert "\n" not in str(refused.value)
+
+
+def test_a_torpedo_holds_no_place_and_needs_a_speed_for_its_fins(remus: GainSet) -> None:
+    with pytest.raises(UndertowError, match="holds y, in which nothing pushes 'remus100'"):
+        mission("setpoints", P).reference(remus)
+    without = remus.allocation.model_copy(update={"speed": None})
+    content = {
+        "schema": "undertow/gains/1", "name": "a", "law": "pd", "gains": {"K_P": 1.0, "K_V": 1.0},
+        "allocation": without, "unactuated": ["sway", "heave", "pitch", "yaw", "roll"],
+    }  # fmt: skip
+    drifting = gains_from_table(GainTable.model_validate(content), load_vehicle("remus100"))
+    with pytest.raises(UndertowError, match=r"legs need a force in yaw.*\[allocation\] speed"):
+        mission("legs", P).reference(drifting)
