@@ -496,8 +496,8 @@ class _Selector:
 def _beyond_chance(current: Round) -> list[FoundEffect]:
     """Candidates whose evidence chance does not give, however little of the residual they explain.
 
-    A small steady force in one equation hardly shows sample by sample, and adds up over a long simulation: how
-    much an effect matters is for that to say.
+    A small steady force in one equation hardly shows sample by sample, and adds up over a long simulation:
+    how much an effect matters is for that to say.
     """
     error, limit = current.bench.base_score.error, current.bench.settings.false_alarm_rate
     return [f for f in current.findings if f.p_value < limit and f.trial.score.error < error]
