@@ -1,0 +1,71 @@
+"""Write a vehicle for other programs: as a functional mock-up unit.
+
+    undertow export fmu bluerov2 --out bluerov2.fmu
+
+What the other program cannot say is listed; docs/export.md has the whole of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from .._options import EffectsOption, NewForceOption, VehicleArgument, new_file
+from .._terminal import progress, say
+
+app = typer.Typer(add_completion=False)
+
+_FMI = typer.Option("--fmi", help="Version of FMI.")
+
+
+@app.callback()
+def export() -> None:
+    pass
+
+
+def _out(ending: str) -> object:
+    return typer.Option(
+        "--out", metavar=f"NEW.{ending}", help=f"Where to write it; NAME.{ending} by default."
+    )
+
+
+@app.command()
+def fmu(
+    vehicle: VehicleArgument,
+    out: Annotated[Path | None, _out("fmu")] = None,
+    fmi: Annotated[Literal["2.0", "3.0"], _FMI] = "3.0",
+    force: NewForceOption = False,
+    effects: EffectsOption = None,
+) -> None:
+    """Write a functional mock-up unit with its C sources, for co-simulation and model exchange.
+
+    \b
+    undertow export fmu bluerov2 --out bluerov2.fmu
+    fmpy compile bluerov2.fmu        # for this machine
+    fmpy simulate bluerov2.fmu --show-plot
+
+    Inputs are the commands, outputs are pose, velocity and the forces of the actuators; every parameter of
+    the model is one of the unit. SI units, NED and forward-starboard-down.
+    """
+    from undertow.export.fmu import Fmu
+    from undertow.files import write_whole
+    from undertow.model.loading import load_vehicle
+
+    with progress("writing C", None):
+        unit = Fmu(load_vehicle(vehicle, effect_files=effects or []), fmi)
+        target = new_file(out or Path(f"{unit.name}.fmu"), force, [vehicle])
+        data = unit.archive()
+    write_whole(target, data)
+    counts = [sum(v.causality == c for v in unit.variables) for c in ("input", "output", "parameter")]
+    say(
+        f"wrote {target}: FMI {fmi}, C source, {counts[0]} inputs, {counts[1]} outputs, {counts[2]} parameters"
+    )
+    _lost(unit.losses)
+
+
+def _lost(lines: Sequence[str]) -> None:
+    for line in lines:
+        say(f"warning: {line}")
