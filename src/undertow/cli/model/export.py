@@ -1,6 +1,7 @@
-"""Write a vehicle for other programs: as a functional mock-up unit.
+"""Write a vehicle for other programs: a functional mock-up unit, a world for Gazebo.
 
     undertow export fmu bluerov2 --out bluerov2.fmu
+    undertow export sdf bluerov2 --out bluerov2.sdf
 
 What the other program cannot say is listed; docs/export.md has the whole of it.
 """
@@ -60,10 +61,37 @@ def fmu(
         data = unit.archive()
     write_whole(target, data)
     counts = [sum(v.causality == c for v in unit.variables) for c in ("input", "output", "parameter")]
-    say(
-        f"wrote {target}: FMI {fmi}, C source, {counts[0]} inputs, {counts[1]} outputs, {counts[2]} parameters"
-    )
+    say(f"wrote {target}: FMI {fmi}, {counts[0]} inputs, {counts[1]} outputs, {counts[2]} parameters")
     _lost(unit.losses)
+
+
+@app.command()
+def sdf(
+    vehicle: VehicleArgument,
+    out: Annotated[Path | None, _out("sdf")] = None,
+    force: NewForceOption = False,
+    effects: EffectsOption = None,
+) -> None:
+    """Write a world for Gazebo with the vehicle in it.
+
+    \b
+    undertow export sdf bluerov2 --out bluerov2.sdf
+    gz sim bluerov2.sdf
+    gz topic -t /model/bluerov2/joint/f5_joint/cmd_thrust -m gz.msgs.Double -p "data: 5"
+
+    Inertia with added mass, damping and lift (system Hydrodynamics), buoyancy (Buoyancy) and thrusters
+    (Thruster), turned into forward-left-up. What these cannot say is listed as a warning.
+    """
+    from undertow.export.sdf import Sdf
+    from undertow.files import write_whole
+    from undertow.model.loading import load_vehicle
+
+    with progress("writing SDF", None):
+        world = Sdf(load_vehicle(vehicle, effect_files=effects or []))
+        target = new_file(out or Path(f"{world.name}.sdf"), force, [vehicle])
+    write_whole(target, world.text)
+    say(f"wrote {target}: {len(world.drag.elements())} terms of damping and lift")
+    _lost(world.losses)
 
 
 def _lost(lines: Sequence[str]) -> None:
