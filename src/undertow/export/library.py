@@ -188,9 +188,7 @@ class Library:
             "k": (f"{self.name}_gains", _members(e.name for e in gain_entries)),
             "m": (f"{self.name}_plant", _members(numbers)),
         }
-        declared, defaults = zip(
-            self._struct("gains", gain_entries), self._struct("plant", plant), strict=True
-        )
+        tables = [self._struct("gains", gain_entries), self._struct("plant", plant)]
         upper, real = self.name.upper(), self._real
         sizes = f"enum {{ {upper}_MEMORY = {len(controller.state_names)} }};\n"
         name = f"{self.name}_control"
@@ -204,14 +202,14 @@ class Library:
             "s, memory": [Entry(n, "") for n in controller.state_names],
             "u, commands": [Entry(n, "") for n in controller.command_names],
         }
-        lines = [sizes, *(line for group in declared for line in group), *words, *heads]
+        lines = [sizes, *(line for declared, _ in tables for line in declared), *words, *heads]
         states = "\n".join(
             f"  s[{i}] = {_constant(v, real)};" for i, v in enumerate(controller.initial_states())
         )
         begin = f"{start} {{\n{states}\n}}\n"
         what = f"controller {comment(gains.name)}, law {gains.law.id}"
         return self._header("controller", what, lists, lines), self._source(
-            "controller", [*defaults, self._c(function, name, structs), begin]
+            "controller", [*(text for _, text in tables), self._c(function, name, structs), begin]
         )
 
     # --- allocation -----------------------------------------------------------------------------

@@ -252,6 +252,12 @@ def response(name: str, system: ct.StateSpace, omega: Array) -> Line:
     return Line(name, omega, np.asarray(system(1j * omega)).ravel())
 
 
+def singular_values(system: ct.StateSpace, omega: Array) -> Array:
+    """Singular values of the frequency response, largest first, shape (min(outputs, inputs), n)."""
+    matrices = np.moveaxis(np.asarray(system(1j * omega, squeeze=False)), -1, 0)
+    return np.asarray(np.linalg.svd(matrices, compute_uv=False).T)
+
+
 def duration(systems: list[ct.StateSpace]) -> float:
     """How long a step is worth looking at: some of the slowest time constants, s."""
     reals = [abs(m.pole.real) for s in systems for m in modes(s) if abs(m.pole.real) > 1e-6]
