@@ -67,7 +67,7 @@ def _drawn(experiment: Experiment, plan: _Plan, edges: Edges) -> Figure:
         for axis, (kind, group) in zip(axes[:, 0], panels, strict=True):
             _panel(axis, experiment, plan, kind, group, edges)
         axes[-1, 0].set_xlabel("time [s]")
-        title = f"Figure {plan.number} of the paper, {experiment.axis}: {plan.title}"
+        title = f"As Figure {plan.number} of the paper, {experiment.axis}: {plan.title}"
         picture.suptitle(plain(title, 110), x=0.01, ha="left", fontsize=10)
     return picture
 

@@ -84,7 +84,7 @@ def identify(
     show(done)
     with together():
         if figures is not None:
-            _draw(done, figures)
+            _draw(done, figures, edges)
         if json is not None:
             write_whole(json, done.to_json())
         if target is not None:
@@ -109,14 +109,14 @@ def _check_figures(folder: Path, logs: Sequence[Path], stream: bool) -> None:
         )
 
 
-def _draw(done: Identified, folder: Path) -> None:
+def _draw(done: Identified, folder: Path, edges: Edges) -> None:
     from undertow.figures import save_png
     from undertow.files import make_folder
     from undertow.paper.figures import figures
 
     make_folder(folder)
     with progress("drawing", None):
-        drawn = figures([experiment for experiment, _ in done.found], done.edges)
+        drawn = figures([experiment for experiment, _ in done.found], edges)
         for name, picture in drawn.items():
             save_png(picture, folder / f"{name}.png")
     say(f"{len(drawn)} pictures in {folder}")

@@ -68,7 +68,7 @@ def pictures(records: Sequence[Record]) -> dict[str, Figure]:
 def _number(records: Sequence[Record], name: str) -> str:
     """What a title begins with: the number in the paper, of the vehicle that is the paper's."""
     known = name in _IN_PAPER and records[0].result.vehicle == _PAPERS_VEHICLE
-    return f"Figure {_IN_PAPER[name]} of the paper: " if known else ""
+    return f"As Figure {_IN_PAPER[name]} of the paper: " if known else ""
 
 
 def coordinate(records: Sequence[Record], name: str) -> Figure:
