@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from undertow.control.gains import load_gains
-from undertow.control.linear.analysis import singular_values
+from undertow.control.linear.analysis import margins, singular_values
 from undertow.control.linear.pictures import picture
 from undertow.control.linear.report import Analysis
 from undertow.control.linear.trim import find_trim
@@ -26,6 +26,20 @@ def test_singular_values_are_those_of_the_resolvent() -> None:
         # The largest is the norm, and the product of the squares the determinant of G G*.
         assert column[0] == pytest.approx(np.linalg.norm(matrix, 2))
         assert np.prod(column) ** 2 == pytest.approx(np.linalg.det(matrix @ matrix.conj().T).real)
+
+
+def test_disk_margins_are_the_closed_forms() -> None:
+    # L = k/s: |1 + L| = |1 - L| on the axis, so the disk is the largest there is.
+    assert margins(ct.ss([[0.0]], [[1.0]], [[3.0]], 0.0)).disk == pytest.approx(2.0)
+    loop = ct.ss(ct.tf([4.0], [1.0, 2.0, 1.0, 0.0]) * 0.25)
+    omega = np.geomspace(1e-3, 1e3, 200_001)
+    gain = loop(1j * omega)
+    found = margins(loop)
+    assert found.disk == pytest.approx((2 * np.abs(1 + gain) / np.abs(1 - gain)).min(), rel=1e-6)
+    # What the disk allows is no more than the margins of gain and phase by themselves.
+    assert (2 + found.disk) / (2 - found.disk) <= found.gain
+    assert np.degrees(2 * np.arctan(found.disk / 2)) <= found.phase
+    assert margins(ct.ss(ct.tf([9.0], [1.0, 2.0, 1.0, 0.0]))).disk == 0.0
 
 
 def test_nyquist_and_nichols_draw_the_loop_that_the_margins_are_of() -> None:

@@ -247,11 +247,12 @@ def _margins(margins: dict[str, Margins]) -> object:
             _number(m.phase, "{:.2f}"),
             _number(m.delay, "{:.4g}"),
             f"{m.distance:.4g}",
+            f"{m.disk:.4g}",
             _number(m.crossover, "{:.4g}", "none"),
         )
         for name, m in margins.items()
     ]
-    head = ("loop", "stable", "gain", "phase, deg", "delay, s", "distance", "crossover, rad/s")
+    head = ("loop", "stable", "gain", "phase, deg", "delay, s", "distance", "disk", "crossover, rad/s")
     return table(head, rows)
 
 
