@@ -15,6 +15,8 @@ from tests.identification.test_least_squares import profile_p
 from undertow.cli.main import main
 from undertow.identification.logs.chunks import LongLog
 from undertow.model.loading import load_vehicle
+from undertow.paper.figures import figures
+from undertow.paper.least_squares import experiments
 
 Capture = pytest.CaptureFixture[str]
 
@@ -50,6 +52,25 @@ def test_all_cases_of_both_directions_in_tables(logs: Path, capsys: Capture) -> 
     assert out.count("X_u is not determined by this experiment: |t| = 0.") == 2
     assert "no vehicle file was written" in out
     assert sorted(p.name for p in logs.iterdir()) == ["ahead.csv", "astern.csv"]
+
+
+def test_the_figures_of_the_paper_show_the_filtered_signals(logs: Path, capsys: Capture) -> None:
+    words = ["identify", "mini-auv", "ahead.csv", "--cases", "2", "--figures"]
+    assert main([*words, "pictures"]) == 0
+    assert {p.name for p in (logs / "pictures").iterdir()} == {f"figure-{n}.png" for n in range(6, 13)}
+    assert main([*words, "more", "--stream"]) == 2
+    assert "--figures needs logs that are read whole" in capsys.readouterr().err
+    vehicle = load_vehicle("mini-auv")
+    drawn = figures(experiments(vehicle, [profile_p(0.2, 1.0), profile_p(0.25, 1.0)]), "interp")
+    # Case 1 is as logged, the double filter leaves less from sample to sample, two runs two panels.
+    assert len(drawn["figure-6"].axes) == 2
+    logged = drawn["figure-6"].axes[0].lines[0].get_ydata()
+    np.testing.assert_array_equal(logged, profile_p(0.2, 1.0).channels["u"])
+    once, twice = (drawn[f"figure-{n}"].axes[0].lines[i].get_ydata() for n, i in ((7, 1), (9, 0)))
+    assert np.abs(np.diff(twice, 2)).sum() < np.abs(np.diff(once, 2)).sum()
+    assert [line.get_label() for line in drawn["figure-10"].axes[0].lines] == [
+        f"{run.name}, {run.t.size} samples" for run in (profile_p(0.2, 1.0), profile_p(0.25, 1.0))
+    ]
 
 
 def test_the_chosen_set_goes_into_a_vehicle_file_with_its_covariance(logs: Path, capsys: Capture) -> None:

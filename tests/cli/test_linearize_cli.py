@@ -69,7 +69,10 @@ def test_units_are_understood(folder: Path, capsys: Capture) -> None:
     first_quick(
         [
             ["bode", "--gains", "paper-pid", "--family", "3"],
+            ["nyquist", "--gains", "paper-pd", "--family", "3"],
             ["root-locus", "--gains", "paper-pid"],
+            ["nichols", "--gains", "paper-pd"],
+            ["singular-values"],
             ["bode"],
             ["step", "--family", "3"],
             ["poles", "--gains", "paper-pid", "--family", "3"],

@@ -123,12 +123,12 @@ def test_pictures_of_three_controllers(here: Path, capsys: Capture) -> None:
     words = ["simulate", "mini-auv", "paper-pd", "paper-pid", "paper-smc", "--to", "-1,1,1", "--dt", "0.01"]
     assert main([*words, "--gate", "170deg", "--for", "30", "--figures", "pictures"]) == 0
     names = {p.name for p in (here / "pictures").iterdir()}
-    assert names == {f"{n}.png" for n in ("x", "y", "z", "psi", "commands", "strategy")}
+    assert names == {f"{n}.png" for n in ("x", "y", "z", "psi", "track", "commands", "strategy")}
     for name in names:
         image = mpimg.imread(here / "pictures" / name)[..., :3]
         assert image.shape[1] > 1000
         assert 0.005 < (image.min(axis=2) < 0.6).mean() < 0.7  # something is drawn, on white
-    assert "6 pictures in pictures" in capsys.readouterr().out
+    assert "7 pictures in pictures" in capsys.readouterr().out
 
 
 def test_choices_are_those_of_the_line(here: Path) -> None:

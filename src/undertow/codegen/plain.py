@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -62,9 +62,21 @@ LANES = Words(
 """The words of lanes.h: the same text for any number of lanes."""
 
 
-def signature(function: ca.Function, name: str, *, words: Words = PLAIN, shared: Collection[str] = ()) -> str:
+Structs = Mapping[str, tuple[str, Sequence[str]]]
+"""Inputs that are structs in C: type and names of the members in order, by name of the input."""
+
+
+def signature(
+    function: ca.Function,
+    name: str,
+    *,
+    words: Words = PLAIN,
+    shared: Collection[str] = (),
+    structs: Structs | None = None,
+) -> str:
     """`void name(const double *x, ..., double t, double *out)`; matrices are stored row by row."""
     types = {n: "double" if n in shared else words.real for n in function.name_in()}
+    types |= {n: of for n, (of, _) in (structs or {}).items()}
     inputs = [f"{of} {n}" if n == "t" else f"const {of} *{n}" for n, of in types.items()]
     return f"void {name}({', '.join([*inputs, *(f'{words.real} *{n}' for n in function.name_out())])})"
 
@@ -77,6 +89,7 @@ def plain_c(
     prefix: str = "",
     words: Words = PLAIN,
     shared: Collection[str] = (),
+    structs: Structs | None = None,
 ) -> str:
     """C99 source of a CasADi function with dense inputs.
 
@@ -94,6 +107,8 @@ def plain_c(
         Plain C, or that of lanes.h.
     shared : collection of str
         Inputs that are doubles, the same in all lanes.
+    structs : mapping, optional
+        Inputs that are structs: type and members by name of the input.
 
     Raises
     ------
@@ -101,10 +116,10 @@ def plain_c(
         If the function has an operation without a counterpart in C.
     """
     flat = function if function.is_a("SXFunction") else function.expand()
-    body = _Body(flat, packed, words, shared)
+    body = _Body(flat, packed, words, shared, structs or {})
     # All is computed before anything is written: an output may lie where an input was.
     lines = [*body.unused(), *body.statements, *body.cleared(), *body.results]
-    head = signature(flat, name, words=words, shared=shared)
+    head = signature(flat, name, words=words, shared=shared, structs=structs)
     return f"{prefix}{head} {{\n" + "".join(f"  {line}\n" for line in lines) + "}\n"
 
 
@@ -112,8 +127,14 @@ class _Body:
     """The instructions of a function, one after the other, as C statements."""
 
     def __init__(
-        self, function: ca.Function, packed: Collection[str], words: Words, shared: Collection[str]
+        self,
+        function: ca.Function,
+        packed: Collection[str],
+        words: Words,
+        shared: Collection[str],
+        structs: Structs,
     ) -> None:
+        self._structs = structs
         self._function, self._words, self._shared = function, words, shared
         self._inputs, self._outputs = function.name_in(), function.name_out()
         self._place = [_places(function.sparsity_out(n), n in packed) for n in self._outputs]
@@ -229,6 +250,8 @@ class _Body:
     def _element(self, operands: list[int]) -> str:
         name = self._inputs[operands[0]]
         element = name if name == "t" else f"{name}[{operands[1]}]"
+        if name in self._structs:
+            element = f"{name}->{self._structs[name][1][operands[1]]}"
         return self._spread(element) if name in self._shared else element
 
     def _output(self, k: int, into: list[int], operands: list[int]) -> None:

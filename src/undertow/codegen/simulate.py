@@ -254,14 +254,28 @@ class Simulator:
         batch = max(map(len, at_first))
         columns = [np.broadcast_to(a.T, (a.shape[1], batch)) for a in at_first]
         slopes = np.asarray(self._functions.quickest.map(batch)(*columns))
-        known = np.nan_to_num(slopes.reshape(len(slopes), batch, -1).transpose(1, 0, 2), posinf=0, neginf=0)
-        rates = np.full(batch, _REACH / max_step)
-        # No eigenvalue exceeds the norm: most runs need none worked out.
-        stiff = np.abs(known).sum(axis=2).max(axis=1, initial=0.0) > rates
-        rates[stiff] = np.maximum(rates[stiff], _quickest_decay(known[stiff]))
-        longest = np.maximum(_REACH / rates, max_step / _MOST_PARTS)
-        slurred = np.maximum(_STABLE / rates, max_step / _MOST_STEPS)
-        return np.asarray(np.where(rates * longest <= _STABLE, longest, slurred))[:, None]
+        return _longest(slopes.reshape(len(slopes), batch, -1).transpose(1, 0, 2), max_step)[:, None]
+
+
+def longest_step(functions: Functions, max_step: float) -> float:
+    """The longest Runge-Kutta step with the vehicle's own values, at rest without commands, s.
+
+    It is `max_step` or what follows dry friction and the states that effects own, as in `Simulator.run`.
+    """
+    at_rest = functions.quickest(0, 0, functions.values(), 0)
+    return float(_longest(np.asarray(at_rest)[None], max_step)[0])
+
+
+def _longest(slopes: Array, max_step: float) -> Array:
+    """The longest step, s, for each of the matrices of d(rates)/d(states)."""
+    known = np.nan_to_num(slopes, posinf=0, neginf=0)
+    rates = np.full(len(known), _REACH / max_step)
+    # No eigenvalue exceeds the norm: most runs need none worked out.
+    stiff = np.abs(known).sum(axis=2).max(axis=1, initial=0.0) > rates
+    rates[stiff] = np.maximum(rates[stiff], _quickest_decay(known[stiff]))
+    longest = np.maximum(_REACH / rates, max_step / _MOST_PARTS)
+    slurred = np.maximum(_STABLE / rates, max_step / _MOST_STEPS)
+    return np.asarray(np.where(rates * longest <= _STABLE, longest, slurred))
 
 
 def _quickest_decay(slopes: Array) -> Array:

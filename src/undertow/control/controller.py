@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from importlib.resources import files
@@ -107,6 +108,7 @@ class Controller:
         self.allocation: Allocation = allocation_of(gains)
         self._coordinates = gains.plant.vehicle.pose_names
         self._check_schedule()
+        self._numbers = {s: ca.SX(float(v)) for s, v in gains.plant.numbers.items()}
         n, n_states = len(self._coordinates), len(self.state_names)
         self._y, self._r = ca.SX.sym("y", 2 * n), ca.SX.sym("r", len(reference.numbers) if reference else n)
         followed = len(reference.state_names) if reference else 0
@@ -184,13 +186,16 @@ class Controller:
 
         tau is the force that the law asks for, in body axes; an integral advances by dt times its rate.
         """
+        return self._function("control", [self._dt], self._sample(), ["u", "s_next", "tau"])
+
+    def _sample(self) -> list[ca.SX]:
+        """Commands, states of the next sample, and the force asked for."""
         gate = self._gate()
         commands, rates, force = self._law(gate)
         at = self._at
         if self.reference is not None:
             at = self.reference.advance(self._r, at, self._kinematics, self._dt)
-        following = ca.vertcat(self._own + self._dt * rates, at, gate)
-        return self._function("control", [self._dt], [commands, following, force], ["u", "s_next", "tau"])
+        return [commands, ca.vertcat(self._own + self._dt * rates, at, gate), force]
 
     @cached_property
     def continuous(self) -> ca.Function:
@@ -199,10 +204,26 @@ class Controller:
         at = ca.SX.ones(self._at.shape)  # the time goes on; a reference that has more is sampled
         return self._function("law", [], [commands, ca.vertcat(rates, at, 0), force], ["u", "s_dot", "tau"])
 
+    def with_numbers(self) -> tuple[ca.Function, dict[str, float]]:
+        """`(u, s_next, tau) = control(y, r, s, k, dt, m)`: as `sampled`, with the plant's numbers as m.
+
+        Also the values of m, by name: masses, weight and the like that the law is stated in.
+        """
+        other, numbers = copy(self), self.gains.plant.numbers
+        m = ca.SX.sym("m", len(numbers))
+        other._numbers = dict(zip(numbers, ca.vertsplit(m), strict=True))
+        results = other._sample()
+        used = [i for i in range(m.numel()) if any(ca.depends_on(e, m[i]) for e in results)]
+        names = [str(n) for n in numbers]
+        kept = ca.SX.sym("m", len(used))
+        results = ca.substitute(results, [m[i] for i in used], ca.vertsplit(kept))
+        function = self._function("control", [self._dt, kept], results, ["u", "s_next", "tau"])
+        return function, {names[i]: float(numbers[list(numbers)[i]]) for i in used}
+
     def _function(self, name: str, more: list[ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
         states = ca.vertcat(self._own, self._at, self._passed)
         inputs = [self._y, self._r, states, self._k, *more]
-        input_names = ["y", "r", "s", "k", *["dt"] * len(more)]
+        input_names = ["y", "r", "s", "k", *["dt", "m"][: len(more)]]
         return ca.Function(name, inputs, [ca.densify(o) for o in ca.cse(outputs)], input_names, names)
 
     # --- the reference ----------------------------------------------------------------------------
@@ -302,7 +323,7 @@ class Controller:
         known = {
             s: e for symbols, vector in groups for s, e in zip(symbols, ca.vertsplit(vector), strict=False)
         }
-        return Converter(known | {s: ca.SX(float(v)) for s, v in plant.numbers.items()})
+        return Converter(known | self._numbers)
 
 
 def _only(force: ca.SX, rows: tuple[int, ...]) -> ca.SX:

@@ -101,6 +101,21 @@ def si_unit(unit: str) -> str:
     return f"{base:~C}".replace("**", "^") or "1"
 
 
+def base_exponents(unit: str) -> tuple[float, dict[str, int]]:
+    """Scale to the SI base units, and their exponents: ``"kN/rad"`` gives 1000 and kg, m, s, rad.
+
+    Raises
+    ------
+    UndertowError
+        If the unit is not understood.
+    """
+    units = registry()
+    found = units.Quantity(1.0, _unit(re.sub(r"\brev\b", "turn", unit))).to_base_units()
+    # A turn is 2 pi radians: pint gives the number, and keeps rad as a base unit of its own.
+    exponents = {f"{units.Unit(name):~C}": round(float(str(e))) for name, e in found.units._units.items()}
+    return float(found.m), exponents
+
+
 @cache
 def _affine(unit_from: str, unit_to: str) -> tuple[float, float]:
     try:

@@ -269,6 +269,23 @@ class Regression:
         """The same of a part of a log, which may have no stretch that is long enough: after < t <= until."""
         self._take(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
 
+    def signals(self, run: Run, case: Case, edges: Edges) -> tuple[Array, Array, Array]:
+        """Time, velocity and acceleration as a case smooths them, shape (n,) each; NaN between stretches.
+
+        Raises
+        ------
+        UndertowError
+            If no stretch of the run is long enough for the filters.
+        """
+        pieces = self._pieces(run, case, edges)
+        if not pieces:
+            raise UndertowError(self._short(run, case, edges))
+        names = ("t", self.axis.velocity, self.axis.rate)
+        found = [self._samples(run, piece, case, edges) for piece in pieces]
+        columns = ([np.append(part[name], np.nan) for part in found] for name in names)
+        t, velocity, rate = (np.concatenate(column)[:-1] for column in columns)
+        return t, velocity, rate
+
     def _take(
         self,
         triangle: Triangle,

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from undertow.control.linear.report import Analysis, Channel
     from undertow.model.vehicle import Vehicle
 
-Plot = Literal["bode", "step", "poles", "root-locus"]
+Plot = Literal["bode", "nyquist", "nichols", "singular-values", "step", "poles", "root-locus"]
 _AT = typer.Option("--at", metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
 _FREE = typer.Option("--free", metavar="NAME", help="r: may turn; w: may rise or sink; z: depth is found.")
 _CURRENT = typer.Option("--current", metavar="NORTH,EAST", help="Velocity of the water over ground, m/s.")
@@ -162,7 +162,7 @@ def _check_picture(plot: str | None, out: Path | None, *inputs: str | None) -> N
     if plot and out is None:
         raise UndertowError(f"--plot {plot} has nowhere to go: add --out FILE.png")
     if out and not plot:
-        raise UndertowError("--out has no picture to write: add --plot bode, step, poles or root-locus")
+        raise UndertowError("--out has no picture to write: add --plot bode, nyquist, step, poles ...")
     check_writable(out, inputs=[i for i in inputs if i])
     if out and out.suffix.lower() != ".png":
         raise UndertowError(f"--out {out}: pictures are written as PNG; name it {out.with_suffix('.png')}")
@@ -250,11 +250,12 @@ def _margins(margins: dict[str, Margins]) -> object:
             _number(m.phase, "{:.2f}"),
             _number(m.delay, "{:.4g}"),
             f"{m.distance:.4g}",
+            f"{m.disk:.4g}",
             _number(m.crossover, "{:.4g}", "none"),
         )
         for name, m in margins.items()
     ]
-    head = ("loop", "stable", "gain", "phase, deg", "delay, s", "distance", "crossover, rad/s")
+    head = ("loop", "stable", "gain", "phase, deg", "delay, s", "distance", "disk", "crossover, rad/s")
     return table(head, rows)
 
 

@@ -11,6 +11,10 @@ logs that go that way.
 
 Of the cases whose estimates are all physical, the one with the least residual variance is taken.
 
+    undertow identify mini-auv surge.csv --figures figures
+
+draws what the filters make of velocity and acceleration, as Figures 6 to 12 of the paper do.
+
 Logs of any length are read in parts, in constant memory and with the same answer: those of more than 200 MB
 (unpacked) by themselves where that can be done, shorter ones with --stream.
 
@@ -49,6 +53,9 @@ _METHOD = typer.Option("--method", help="Savitzky-Golay filters, then least squa
 _CASES = typer.Option("--cases", metavar="all|N,N", help="Ways to filter, by their number in the paper.")
 _EDGES = typer.Option("--edges", help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
 _STREAM = typer.Option("--stream", help="Read the logs in parts, however short they are.")
+_FIGURES = typer.Option(
+    "--figures", metavar="FOLDER", help="Draw the filtered signals: Figures 6 to 12 of the paper."
+)
 _LONG = 200_000_000  # bytes, unpacked; a week of one motion at 100 Hz
 
 
@@ -61,6 +68,7 @@ def identify(
     cases: Annotated[str, _CASES] = "all",
     edges: Annotated[Literal["interp", "drop", "nearest", "mirror", "constant", "wrap"], _EDGES] = "interp",
     stream: Annotated[bool, _STREAM] = False,
+    figures: Annotated[Path | None, _FIGURES] = None,
     json: JsonFileOption = None,
     out: OutOption = None,
     in_place: InPlaceOption = False,
@@ -70,9 +78,13 @@ def identify(
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *options.files]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
+    if figures is not None:
+        _check_figures(figures, logs, stream)
     done = _identified(vehicle, logs, cases, edges, stream, options)
     show(done)
     with together():
+        if figures is not None:
+            _draw(done, figures, edges)
         if json is not None:
             write_whole(json, done.to_json())
         if target is not None:
@@ -82,6 +94,32 @@ def identify(
         if target is None
         else f"wrote {target}"
     )
+
+
+def _check_figures(folder: Path, logs: Sequence[Path], stream: bool) -> None:
+    """Refuse pictures of logs that are read in parts, or a folder that cannot be one."""
+    from undertow.errors import UndertowError
+    from undertow.files import check_folder
+    from undertow.identification.logs.table import size_of
+
+    check_folder(folder)
+    if stream or sum(map(size_of, logs)) > _LONG:
+        raise UndertowError(
+            "--figures needs logs that are read whole: leave --stream away, or give a part (--from)"
+        )
+
+
+def _draw(done: Identified, folder: Path, edges: Edges) -> None:
+    from undertow.figures import save_png
+    from undertow.files import make_folder
+    from undertow.paper.figures import figures
+
+    make_folder(folder)
+    with progress("drawing", None):
+        drawn = figures([experiment for experiment, _ in done.found], edges)
+        for name, picture in drawn.items():
+            save_png(picture, folder / f"{name}.png")
+    say(f"{len(drawn)} pictures in {folder}")
 
 
 def _identified(

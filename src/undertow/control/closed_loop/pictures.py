@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
+from scipy.ndimage import binary_closing, maximum_filter1d, minimum_filter1d
 
 from undertow.figures import COLOURS, FAINT, INK, figure, look, plain
+from undertow.typing import Array
 
 from .record import Record
 
@@ -23,19 +26,52 @@ _TITLES = {
     "psi": "Heading",
 }
 
+# Numbers of the same pictures in the mini-AUV paper.
+_IN_PAPER = {"strategy": 13, "x": 14, "y": 15, "psi": 16, "z": 17}
+_PAPERS_VEHICLE = "mini-auv"
+
+
+@dataclass(frozen=True)
+class BandSettings:
+    """When a command is drawn as the band that it fills: lines closer than the paper resolves are a blot.
+
+    Attributes
+    ----------
+    stretches : int
+        Parts of the picture's width, each a few pixels wide.
+    turns : int
+        Turning points in a stretch from which it is a band; a smooth motion has one at most.
+    height : float
+        Least height of a band, as a part of the range of the command.
+    gap : int
+        Stretches over which a band is closed and its edges are taken: six are 2 % of the width.
+    """
+
+    stretches: int = 300
+    turns: int = 3
+    height: float = 0.02
+    gap: int = 7
+
 
 def pictures(records: Sequence[Record]) -> dict[str, Figure]:
-    """Pictures of some runs by name: each coordinate, the commands, and the strategy if it has a gate."""
+    """Pictures of some runs by name: coordinates, track, commands, the strategy if it has a gate."""
     names = [n for n in _TITLES if all(n in r.result.to for r in records)]
     if all(r.followed is not None for r in records):
         drawn = {"track": track(records), "errors": errors(records)}
-        names = []
     else:
         drawn = {name: coordinate(records, name) for name in names}
+        if {"x", "y"} <= set(names):
+            drawn["track"] = track(records)
     drawn["commands"] = commands(records)
     if all(r.result.gate_passed is not None for r in records):
-        drawn["strategy"] = strategy()
+        drawn["strategy"] = strategy(_number(records, "strategy"))
     return drawn
+
+
+def _number(records: Sequence[Record], name: str) -> str:
+    """What a title begins with: the number in the paper, of the vehicle that is the paper's."""
+    known = name in _IN_PAPER and records[0].result.vehicle == _PAPERS_VEHICLE
+    return f"As Figure {_IN_PAPER[name]} of the paper: " if known else ""
 
 
 def coordinate(records: Sequence[Record], name: str) -> Figure:
@@ -53,7 +89,8 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
             axis.plot(record.t, scale * record.state[name], label=plain(record.result.controller), **_line(i))
             if record.result.gate_passed is not None and name in "xy":
                 _mark_gate(axis, record, scale * record.result.start[name], i)
-        axis.set_title(f"{_TITLES[name]} of {plain(records[0].result.vehicle)}")
+        number = _number(records, name)
+        axis.set_title(f"{number}{_TITLES[name]} of {plain(records[0].result.vehicle)}")
         axis.set_xlabel("time [s]")
         axis.set_ylabel(f"{_TITLES[name].lower()} {name} [{unit}]")
         axis.grid()
@@ -62,19 +99,21 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
 
 
 def track(records: Sequence[Record]) -> Figure:
-    """The way of several runs in the plane, east to the right, with the mission that they followed."""
+    """The way of several runs in the plane, north up, with the mission that they followed or the set-point."""
+    first = records[0]
     with look():
-        picture, axes = figure(4.6)
+        picture, axes = figure(5.0)
         axis = axes[0, 0]
-        followed = records[0].followed
-        if followed is not None:
-            axis.plot(followed.way[:, 1], followed.way[:, 0], ":", color=INK, label="mission")
+        if first.followed is not None:
+            axis.plot(first.followed.way[:, 1], first.followed.way[:, 0], ":", color=INK, label="mission")
         for i, record in enumerate(records):
-            label = plain(record.result.controller)
-            axis.plot(record.state["y"], record.state["x"], label=label, **_line(i))
-        axis.set_title(f"Track of {plain(records[0].result.vehicle)}")
-        axis.set_xlabel("east y [m]")
-        axis.set_ylabel("north x [m]")
+            axis.plot(record.state["y"], record.state["x"], label=plain(record.result.controller), **_line(i))
+        axis.plot(first.state["y"][0], first.state["x"][0], "o", color=INK, fillstyle="none", label="start")
+        if {"x", "y"} <= set(first.result.to):
+            goal = first.result.to
+            axis.plot(goal["y"], goal["x"], "*", color=INK, markersize=9, label="set-point")
+        axis.set_title(f"Track of {plain(first.result.vehicle)} in the plane")
+        axis.set(xlabel="position to the east y [m]", ylabel="position to the north x [m]")
         axis.set_aspect("equal", adjustable="datalim")
         axis.grid()
         axis.legend(loc="best")
@@ -118,6 +157,41 @@ def _mark_gate(axis: Any, record: Record, height: float, i: int) -> None:
     axis.plot(record.result.gate_passed, height, "o", color=_line(i)["color"], markersize=4)
 
 
+def band(t: Array, values: Array, settings: BandSettings | None = None) -> tuple[Array, ...] | None:
+    """Times, mean, lower and upper edge of a line that chatters, or None for one that can be drawn.
+
+    Where it does not chatter the edges are the mean.
+    """
+    chosen = settings or BandSettings()
+    if len(t) < chosen.stretches * (chosen.turns + 2):
+        return None
+    parts = np.array_split(np.arange(len(t)), chosen.stretches)
+    turns = [np.count_nonzero(np.diff(np.sign(np.diff(values[p])))) for p in parts]
+    times, mean, low, high = (
+        np.array([f(a[p]) for p in parts])
+        for f, a in ((np.mean, t), (np.mean, values), (np.min, values), (np.max, values))
+    )
+    chatters = (np.array(turns) >= chosen.turns) & (high - low > chosen.height * np.ptp(values))
+    if not chatters.any():
+        return None
+    # Rows that fall in step with the switching show none of it for a moment: the band goes on there.
+    closed = binary_closing(chatters, np.ones(chosen.gap)) | chatters
+    low, high = minimum_filter1d(low, chosen.gap), maximum_filter1d(high, chosen.gap)
+    return times, mean, np.where(closed, low, mean), np.where(closed, high, mean)
+
+
+def _draw(axis: Any, record: Record, name: str, i: int) -> None:
+    """A command as a line, or as its mean with the band that it fills."""
+    t, values, words = record.t, record.commands[name], plain(record.result.controller)
+    edges = band(t, values)
+    if edges is None:
+        axis.plot(t, values, label=words, **_line(i))
+        return
+    times, mean, low, high = edges
+    axis.fill_between(times, low, high, color=_line(i)["color"], alpha=0.35, linewidth=0)
+    axis.plot(times, mean, label=f"{words} (band: chatters)", **_line(i))
+
+
 def commands(records: Sequence[Record]) -> Figure:
     """The commands of several runs over time, one panel for each."""
     names = list(records[0].commands)
@@ -126,9 +200,7 @@ def commands(records: Sequence[Record]) -> Figure:
         for axis, name in zip(axes[:, 0], names, strict=True):
             for i, record in enumerate(records):
                 if name in record.commands:
-                    axis.plot(
-                        record.t, record.commands[name], label=plain(record.result.controller), **_line(i)
-                    )
+                    _draw(axis, record, name, i)
             axis.set_ylabel(plain(name))
             axis.grid()
         axes[0, 0].set_title("Commands, in their units, mean from row to row")
@@ -164,7 +236,7 @@ _ARROWS = (
 _LAW = (6.1, 1.1, 2.5, 4.3)
 
 
-def strategy() -> Figure:
+def strategy(number: str = "") -> Figure:
     """Block diagram of the schedule: first the heading, then x and y; depth all the time."""
     with look():
         picture, axes = figure(3.6)
@@ -172,7 +244,7 @@ def strategy() -> Figure:
         axis.set_xlim(0, 13.6)
         axis.set_ylim(0, 5.6)
         axis.axis("off")
-        axis.set_title("Control strategy: heading first, then x and y; depth in parallel")
+        axis.set_title(f"{number}Control strategy: heading first, then x and y; depth in parallel")
         _box(axis, *_LAW, "", edgecolor=FAINT, linestyle="--")
         for box in _BOXES.values():
             _box(axis, *box, edgecolor=INK)

@@ -9,6 +9,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from scipy.optimize import minimize_scalar
 
 from undertow.typing import Array
 
@@ -207,6 +208,9 @@ class Margins:
     delay: float  # dead time that may be added, s; zero where the loop is unstable
     distance: float  # least one of the Nyquist curve from -1
     crossover: float  # highest frequency at which the loop gain is one, rad/s; nan where it never is
+    # Disk margin without skew: gain and phase may vary together within the disk of this size; zero where the
+    # loop is unstable. Its gain margin is (2 + disk)/(2 - disk) both ways, its phase margin 2 atan(disk/2).
+    disk: float = 2.0
 
 
 _NO_LOOP = Margins(True, inf, inf, inf, 1.0, float("nan"))
@@ -228,7 +232,26 @@ def margins(loop: ct.StateSpace) -> Margins:
         float(min(delays, default=inf)) if stable else 0.0,
         float(min(1.0, *distances)) if len(distances) else 1.0,
         float(max(crossings, default=float("nan"))),
+        _disk_margin(loop) if stable else 0.0,
     )
+
+
+def _disk_margin(loop: ct.StateSpace) -> float:
+    """Least 2 |1 + L| / |1 - L| over all frequencies.
+
+    Seiler, Packard, Gahinet (2020), An introduction to disk margins: 1/max |S - T|/2 for zero skew.
+    """
+    omega = frequencies([loop])
+
+    def at(logarithm: float) -> float:
+        gain = complex(np.squeeze(loop(1j * np.exp(logarithm))))
+        return float(2 * abs(1 + gain) / max(abs(1 - gain), 1e-300))
+
+    values = [at(w) for w in np.log(omega)]
+    k = int(np.clip(np.argmin(values), 1, len(omega) - 2))
+    ends = float(np.log(omega[k - 1])), float(np.log(omega[k + 1]))
+    found = minimize_scalar(at, bounds=ends, method="bounded", options={"xatol": 1e-9})
+    return min(float(found.fun), *values, 2.0)
 
 
 @dataclass(frozen=True)
@@ -250,6 +273,12 @@ def frequencies(systems: list[ct.StateSpace]) -> Array:
 def response(name: str, system: ct.StateSpace, omega: Array) -> Line:
     """The frequency response of a system with one input and one output."""
     return Line(name, omega, np.asarray(system(1j * omega)).ravel())
+
+
+def singular_values(system: ct.StateSpace, omega: Array) -> Array:
+    """Singular values of the frequency response, largest first, shape (min(outputs, inputs), n)."""
+    matrices = np.moveaxis(np.asarray(system(1j * omega, squeeze=False)), -1, 0)
+    return np.asarray(np.linalg.svd(matrices, compute_uv=False).T)
 
 
 def duration(systems: list[ct.StateSpace]) -> float:

@@ -1,4 +1,4 @@
-"""Pictures of a linear analysis: Bode diagrams, step responses, poles and root loci."""
+"""Pictures of a linear analysis: frequency responses, step responses, poles and root loci."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from undertow.errors import UndertowError
 from undertow.figures import BEFORE, COLOURS, FAINT, INK, figure, look, plain, unit_text
 
-from .analysis import Line, duration, frequencies, locus, response, step
+from .analysis import Line, duration, frequencies, locus, response, singular_values, step
 from .report import Analysis, Channel
 
 # Ratio of the largest to the smallest pole from which axes are logarithmic.
@@ -20,14 +20,17 @@ _SPREAD = 100.0
 
 
 def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
-    """A picture of one kind: "bode", "step", "poles" or "root-locus".
+    """A picture of one kind: "bode", "nyquist", "nichols", "singular-values", "step", "poles", "root-locus".
 
     Raises
     ------
     UndertowError
         If there is nothing to draw, as for a channel that connects nothing.
     """
-    draw = {"bode": _bode, "step": _steps, "poles": _poles, "root-locus": _loci}[kind]
+    draw = {
+        **{"bode": _bode, "nyquist": _nyquist, "nichols": _nichols, "singular-values": _singular_values},
+        **{"step": _steps, "poles": _poles, "root-locus": _loci},
+    }[kind]
     alive = [c for c in channels if c.system.nstates]
     if not channels and kind != "poles":
         raise UndertowError(f"'{found.vehicle.name}' has no thruster, so only --plot poles: state a thruster")
@@ -86,11 +89,88 @@ def _per(found: Analysis, c: Channel) -> str:
 
 
 def _bode_line(size: Any, angle: Any, line: Line, **style: Any) -> None:
-    magnitude = np.abs(line.y)
-    size.semilogx(line.x, 20 * np.log10(np.maximum(magnitude, 1e-300)), **style)
+    size.semilogx(line.x, decibels(line.y), **style)
+    angle.semilogx(line.x, _phase(line), **style)
+
+
+def decibels(values: Any) -> Any:
+    """Magnitudes in dB."""
+    return 20 * np.log10(np.maximum(np.abs(values), 1e-300))
+
+
+def _phase(line: Line) -> Any:
     phase = np.degrees(np.unwrap(np.angle(line.y)))
     # Whole turns are open: the last value is put where a proper system of low order has it.
-    angle.semilogx(line.x, phase - 360.0 * np.ceil((phase[-1] - 45.0) / 360.0), **style)
+    return phase - 360.0 * np.ceil((phase[-1] - 45.0) / 360.0)
+
+
+# --- Nyquist, Nichols, singular values --------------------------------------------------------------
+def _nyquist(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    drawn, what, unit = _opened(found, channels)
+    omega = frequencies([system for _, system in drawn])
+    shown, axes = figure(5.6)
+    axis = axes[0, 0]
+    for colour, (name, system) in zip(_cycle(len(drawn)), drawn, strict=True):
+        for member in _members(found, name, channels):
+            line = response("", member, omega)
+            axis.plot(line.y.real, line.y.imag, color=colour, alpha=0.12, linewidth=0.7)
+        line = response(name, system, omega)
+        axis.plot(line.y.real, line.y.imag, color=colour, label=plain(name))
+        axis.plot(line.y.real, -line.y.imag, color=colour, linestyle=":", linewidth=0.9)
+    turn = np.linspace(0.0, 2 * np.pi, 200)
+    axis.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.8, linestyle=":")
+    axis.plot(-1.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.8, label="-1")
+    # A loop with an integral comes from infinity: what decides is near -1.
+    axis.set(xlim=(-3.0, 1.5), ylim=(-2.0, 2.0))
+    axis.set_aspect("equal", adjustable="datalim")
+    words = f" [{unit}]" if unit else ""
+    axis.set(xlabel=f"real part{words}", ylabel=f"imaginary part{words}")
+    axis.set_title(_title(found, f"Nyquist, {what}"))
+    axis.legend()
+    _grids(axes)
+    return shown
+
+
+def _nichols(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    drawn, what, unit = _opened(found, channels)
+    omega = frequencies([system for _, system in drawn])
+    shown, axes = figure(5.6)
+    axis = axes[0, 0]
+    for colour, (name, system) in zip(_cycle(len(drawn)), drawn, strict=True):
+        for member in _members(found, name, channels):
+            line = response("", member, omega)
+            axis.plot(_phase(line), decibels(line.y), color=colour, alpha=0.12, linewidth=0.7)
+        line = response(name, system, omega)
+        axis.plot(_phase(line), decibels(line.y), color=colour, label=plain(name))
+    axis.plot(-180.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.8, label="-180 deg, 0 dB")
+    axis.set(xlabel="phase [deg]", ylabel=f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
+    axis.set_title(_title(found, f"Nichols, {what}"))
+    axis.xaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 1.5, 3, 4.5, 9, 10], min_n_ticks=3))
+    axis.legend()
+    _grids(axes)
+    return shown
+
+
+def _singular_values(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    """Of all commands to all velocities together, or of all set-points to all coordinates."""
+    system = found.together(channels)
+    words = f"{_listed(system.input_labels)} to {_listed(system.output_labels)}"
+    omega = frequencies([system])
+    values = singular_values(system, omega)
+    shown, axes = figure(4.6)
+    axis = axes[0, 0]
+    for i, (colour, row) in enumerate(zip(_cycle(len(values)), values, strict=True), start=1):
+        axis.semilogx(omega, decibels(row), color=colour, label=f"singular value {i}")
+    axis.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
+    axis.set(xlabel="frequency [rad/s]", ylabel="singular value [dB re SI]", xlim=(omega[0], omega[-1]))
+    axis.set_title(_title(found, f"singular values, {words}"))
+    axis.legend()
+    _grids(axes)
+    return shown
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) < 4 else f"{names[0]} ... {names[-1]}"
 
 
 # --- steps ----------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from .analysis import (
     channel,
     controllability,
     margins,
+    minimal,
     modes,
     observability,
     zeros_of,
@@ -157,6 +158,17 @@ class Analysis:
             )
         _require_output("", output, self._wide.output_labels)
         return Channel(known[0], output, channel(self._wide, output, known[0]))
+
+    def together(self, channels: Sequence[Channel]) -> ct.StateSpace:
+        """One minimal system from all the inputs of some channels to all their outputs."""
+        sources = list(dict.fromkeys(c.source for c in channels))
+        outputs = list(dict.fromkeys(c.output for c in channels))
+        columns = [self._wide.input_labels.index(n) for n in sources]
+        rows = [self._wide.output_labels.index(n) for n in outputs]
+        w = self._wide
+        found = minimal(ct.ss(w.A, w.B[:, columns], w.C[rows], w.D[rows][:, columns]))
+        states = [f"state_{k}" for k in range(found.nstates)]
+        return named(found, states, sources, outputs, "together")
 
     @cached_property
     def main_channels(self) -> list[Channel]:

@@ -1,0 +1,1 @@
+"""A vehicle in the forms that other programs read: FMU, SDF."""

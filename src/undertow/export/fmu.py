@@ -1,0 +1,381 @@
+"""Functional mock-up units (FMI 2.0 and 3.0): C sources and description of a vehicle in one archive."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from html import escape
+from importlib.resources import files
+from io import BytesIO
+from math import isinf
+from typing import Literal, NamedTuple
+from xml.etree import ElementTree as ET
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
+
+import casadi as ca
+
+from undertow.codegen.export import Entry, comment, describe, filled, identifier, slug
+from undertow.codegen.functions import Functions
+from undertow.codegen.plain import plain_c
+from undertow.codegen.simulate import longest_step
+from undertow.model.effect import Measurement, Wrench
+from undertow.model.symbols import FORCE, FORCE_UNITS
+from undertow.model.units import base_exponents
+from undertow.model.vehicle import Vehicle
+from undertow.version import __version__
+
+Version = Literal["2.0", "3.0"]
+# An archive says when its files were made; the same vehicle is to give the same bytes.
+_NO_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+@dataclass(frozen=True)
+class FmuSettings:
+    """What a unit does unless its user says otherwise.
+
+    Attributes
+    ----------
+    max_step : float
+        Longest Runge-Kutta step of co-simulation, s; that of `undertow simulate`. Lags that are quicker
+        shorten it at the export.
+    stop_time, communication_step : float
+        Default experiment, s.
+    """
+
+    max_step: float = 0.05
+    stop_time: float = 10.0
+    communication_step: float = 0.05
+
+
+class Variable(NamedTuple):
+    """One variable of a unit; its value reference is its place."""
+
+    name: str
+    unit: str
+    causality: str
+    variability: str
+    initial: str | None = None
+    start: float | None = None
+    derivative_of: int | None = None
+    limit: float | None = None
+    meaning: str = ""
+
+
+class Fmu:
+    """A vehicle as a functional mock-up unit for model exchange and co-simulation.
+
+    Inputs are the commands, outputs are pose, velocity and the force of the actuators (body frame), states
+    start at zero unless they are set, and every parameter of the model is one of the unit. All are SI, NED
+    and forward-starboard-down. Co-simulation integrates as `undertow.codegen.simulate.Simulator` does.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model.
+    version : {"2.0", "3.0"}
+        Version of FMI.
+
+    References
+    ----------
+    Modelica Association, Functional Mock-up Interface, versions 2.0 and 3.0, https://fmi-standard.org.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, version: Version = "3.0", settings: FmuSettings | None = None
+    ) -> None:
+        self.vehicle, self.version, self.settings = vehicle, version, settings or FmuSettings()
+        self._functions = Functions(vehicle)
+        self._manifest = describe(self._functions)
+        self.name = identifier(slug(vehicle.name))
+
+    # --- variables ----------------------------------------------------------------------------
+    @cached_property
+    def variables(self) -> list[Variable]:
+        """All variables in the order of their value references: time, x, x_dot, u, p, step, forces."""
+        states, limits = self._manifest.states, self.vehicle.command_limits
+        seen = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
+        inputs = [
+            replace(e, name=_apart(e.name, (*seen, *(p.name for p in self._manifest.parameters)), "command_"))
+            for e in self._manifest.inputs
+        ]
+        step = longest_step(self._functions, self.settings.max_step)
+        return [
+            Variable("time", "s", "independent", "continuous"),
+            *(_state(e, "output" if e.name in seen else "local") for e in states),
+            *(_rate(e, i) for i, e in enumerate(states, start=1)),
+            *(
+                Variable(i.name, i.unit, "input", "continuous", None, 0.0, None, limits.get(e.name))
+                for i, e in zip(inputs, self._manifest.inputs, strict=True)
+            ),
+            *map(_parameter, self._manifest.parameters),
+            Variable("max_step", "s", "parameter", "fixed", "exact", step, meaning="longest step"),
+            *(
+                Variable(f"actuators_{FORCE[i]}", FORCE_UNITS[i], "output", "continuous", "calculated",
+                         meaning="force or moment of the actuators, body frame")
+                for i in self.vehicle.dof_indices
+            ),
+        ]  # fmt: skip
+
+    @property
+    def losses(self) -> list[str]:
+        """What the model has and the unit has not."""
+        found = []
+        if self._manifest.input_delay:
+            found.append(
+                f"the commands act {self._manifest.input_delay:g} s late: delay the inputs of the unit"
+            )
+        late = sorted(set(self._manifest.output_delay.values()))
+        found += [f"some outputs are reported {s:g} s late: delay the outputs of the unit" for s in late]
+        ids = ", ".join(e.id for e in self.vehicle.all_effects if isinstance(e, Measurement))
+        if ids:
+            found.append(f"the outputs are the true motion, not what the sensors report ({ids})")
+        return found
+
+    # --- the archive --------------------------------------------------------------------------
+    def archive(self) -> bytes:
+        """The unit as a zip file; the same for the same vehicle."""
+        stream = BytesIO()
+        with ZipFile(stream, "w", ZIP_DEFLATED) as archive:
+            for name, text in self.texts.items():
+                archive.writestr(ZipInfo(name, _NO_DATE), text, ZIP_DEFLATED)
+        return stream.getvalue()
+
+    @cached_property
+    def texts(self) -> dict[str, str]:
+        """Text of every file of the unit by name."""
+        folder = files("undertow.export") / "templates"
+        wrapper = f"fmi{self.version[0]}.c"
+        own = (folder / wrapper).read_text(encoding="utf-8")
+        core = filled((folder / "fmu.h").read_text(encoding="utf-8"), self._fields)
+        texts = {"modelDescription.xml": self._description(wrapper)}
+        if self.version == "3.0":
+            texts["sources/buildDescription.xml"] = _build(self.name, wrapper)
+        page = "documentation/index.html"
+        return {**texts, f"sources/{wrapper}": own, "sources/fmu.h": core, page: self._page()}
+
+    @cached_property
+    def token(self) -> str:
+        """What ties the description to the sources."""
+        content = repr((__version__, self.version, self.variables, self._source))
+        return hashlib.sha256(content.encode()).hexdigest()
+
+    @property
+    def _fields(self) -> dict[str, object]:
+        starts = [v.start if v.start is not None else 0.0 for v in self.variables]
+        f = self._functions
+        return {
+            "TITLE": comment(self.vehicle.name),
+            "VERSION": __version__,
+            "NX": f.x.numel(),
+            "NU": f.u.numel(),
+            "NP": f.p.numel(),
+            "NF": f.nu.numel(),
+            "TOKEN": self.token,
+            "START": ", ".join(repr(v).replace("inf", "INFINITY") for v in starts),
+            "SOURCE": self._source,
+        }
+
+    @cached_property
+    def _source(self) -> str:
+        functions = {"dynamics": self._functions.dynamics, "forces": self._forces, "slopes": self._slopes}
+        return "\n".join(plain_c(f, name, prefix="static ") for name, f in functions.items())
+
+    @cached_property
+    def _forces(self) -> ca.Function:
+        """`tau = forces(x, u, p, t)`: what the actuators give, without what moving water takes from it."""
+        f = self._functions
+        acting = {e.id for e in self.vehicle.all_effects if isinstance(e, Wrench) and e.family == "actuation"}
+        total = sum((w for i, w in f.wrenches.items() if i in acting), ca.SX(f.nu.numel(), 1))
+        driven = ca.substitute(total, f.actuation, f.chain_output)
+        still = ca.substitute(driven, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
+        return ca.Function("forces", self._inputs, [ca.densify(still)], ["x", "u", "p", "t"], ["tau"])
+
+    @property
+    def _inputs(self) -> list[ca.SX]:
+        f = self._functions
+        return [f.x, f.u, f.p, f.t]
+
+    @cached_property
+    def _slopes(self) -> ca.Function:
+        """`s = slopes(x, u, p, t)`: x_dot and the forces by x, u and p, shape (nx + n, nx + nu + np)."""
+        inputs = [ca.MX.sym(n, v.shape) for n, v in zip("xupt", self._inputs, strict=True)]
+        f, forces = self._functions, self._forces(*self._inputs)
+        by = ca.jacobian(forces, ca.vertcat(f.x, f.u, f.p))
+        rows = ca.Function("force_slopes", self._inputs, [ca.densify(by)])
+        matrix = ca.vertcat(ca.horzcat(*f.jacobians(*inputs)[1:]), rows(*inputs))
+        return ca.Function("slopes", inputs, [matrix], ["x", "u", "p", "t"], ["s"])
+
+    # --- the description ------------------------------------------------------------------------
+    def _description(self, wrapper: str) -> str:
+        third = self.version == "3.0"
+        root = ET.Element(
+            "fmiModelDescription",
+            {
+                "fmiVersion": self.version,
+                "modelName": self.vehicle.name,
+                "instantiationToken" if third else "guid": self.token,
+                "description": "Motion of an underwater or surface vehicle; SI, NED, forward-starboard-down",
+                "generationTool": f"undertow {__version__}",
+                "variableNamingConvention": "flat",
+            },
+        )
+        self._kinds(root, wrapper)
+        units = ET.SubElement(root, "UnitDefinitions")
+        for unit in sorted({v.unit for v in self.variables if v.unit}):
+            _unit(units, unit)
+        times = {"startTime": "0", "stopTime": f"{self.settings.stop_time:g}"}
+        times["stepSize"] = f"{self.settings.communication_step:g}"
+        ET.SubElement(root, "DefaultExperiment", times)
+        variables = ET.SubElement(root, "ModelVariables")
+        for reference, variable in enumerate(self.variables):
+            (_float64 if third else _scalar)(variables, reference, variable)
+        self._structure(root)
+        return _text(root)
+
+    def _kinds(self, root: ET.Element, wrapper: str) -> None:
+        third = self.version == "3.0"
+        can = {"modelIdentifier": self.name, "canBeInstantiatedOnlyOncePerProcess": "false"}
+        both = ["canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives"]
+        second = ["canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative"]
+        can |= dict.fromkeys(both if third else second, "true")
+        for kind in ("ModelExchange", "CoSimulation"):
+            more = {"canHandleVariableCommunicationStepSize": "true"} if kind == "CoSimulation" else {}
+            element = ET.SubElement(root, kind, {**can, **more})
+            if not third:
+                ET.SubElement(ET.SubElement(element, "SourceFiles"), "File", {"name": wrapper})
+
+    def _structure(self, root: ET.Element) -> None:
+        """What the outputs and the derivatives depend on, and what is known only after initialisation."""
+        outputs = [i for i, v in enumerate(self.variables) if v.causality == "output"]
+        rates = [i for i, v in enumerate(self.variables) if v.derivative_of is not None]
+        unknown = [i for i, v in enumerate(self.variables) if v.initial == "calculated"]
+        structure = ET.SubElement(root, "ModelStructure")
+        groups = (("Output", outputs), ("ContinuousStateDerivative", rates), ("InitialUnknown", unknown))
+        for name, references in groups:
+            parent = structure if self.version == "3.0" else _listed(structure, name)
+            for reference in references:
+                needs = None if name == "InitialUnknown" else self._dependencies[reference]
+                _unknown(parent, name, reference, needs, self.version)
+
+    @cached_property
+    def _dependencies(self) -> dict[int, list[int]]:
+        """References of the states, inputs and time that a derivative or an output depends on."""
+        f, nx, nu = self._functions, self._functions.x.numel(), self._functions.u.numel()
+        moving = ca.vertcat(f.t, f.x, f.u)
+        rows = ca.vertcat(f.x_dot, self._forces(*self._inputs))
+        pattern = ca.jacobian_sparsity(rows, moving)
+        places = [0, *range(1, 1 + nx), *range(1 + 2 * nx, 1 + 2 * nx + nu)]
+        found: dict[int, list[int]] = {i: [i] for i in range(1, 1 + nx)}
+        first_force = len(self.variables) - f.nu.numel()
+        for k in range(rows.numel()):
+            found[1 + nx + k if k < nx else first_force + k - nx] = []
+        for k, j in zip(*pattern.get_triplet(), strict=True):
+            found[1 + nx + k if k < nx else first_force + k - nx].append(places[j])
+        return {reference: sorted(needs) for reference, needs in found.items()}
+
+    def _page(self) -> str:
+        """What a user of the unit has to know."""
+        lines = [
+            "SI units, angles in rad, frames NED and forward-starboard-down, derivatives in SNAME signs.",
+            "The states start at zero; commands are held by the importer.",
+            "Co-simulation: fourth-order Runge-Kutta, no step longer than the parameter max_step.",
+            *(f"Not in the unit: {line}." for line in self.losses),
+        ]
+        body = "\n".join(f"<p>{escape(line)}</p>" for line in lines)
+        title = escape(f"{self.vehicle.name}, by undertow {__version__}")
+        head = f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{title}</title></head>'
+        return f"{head}\n<body>\n<h1>{title}</h1>\n{body}\n</body>\n</html>\n"
+
+
+# --- variables ------------------------------------------------------------------------------------
+def _state(entry: Entry, causality: str) -> Variable:
+    return Variable(entry.name, entry.unit, causality, "continuous", "exact", 0.0)
+
+
+def _rate(entry: Entry, state: int) -> Variable:
+    unit = f"({entry.unit})/s" if "/" in entry.unit else f"{entry.unit or '1'}/s"
+    return Variable(f"der({entry.name})", unit, "local", "continuous", "calculated", None, state)
+
+
+def _parameter(entry: Entry) -> Variable:
+    return Variable(entry.name, entry.unit, "parameter", "fixed", "exact", entry.value)
+
+
+def _apart(name: str, taken: Iterable[str], prefix: str) -> str:
+    """A name that no other variable has."""
+    return prefix + name if name in taken else name
+
+
+def _attributes(variable: Variable) -> dict[str, str]:
+    found = {"causality": variable.causality, "variability": variable.variability}
+    if variable.initial:
+        found["initial"] = variable.initial
+    return found | ({"description": variable.meaning} if variable.meaning else {})
+
+
+def _numbers(variable: Variable) -> dict[str, str]:
+    found = {"unit": variable.unit} if variable.unit else {}
+    if variable.derivative_of is not None:
+        found["derivative"] = str(variable.derivative_of)
+    if variable.limit is not None:
+        found |= {"min": repr(-variable.limit), "max": repr(variable.limit)}
+    return found | ({} if variable.start is None else {"start": _double(variable.start)})
+
+
+def _double(value: float) -> str:
+    return ("-INF" if value < 0 else "INF") if isinf(value) else repr(float(value))
+
+
+# --- XML ------------------------------------------------------------------------------------------
+def _float64(parent: ET.Element, reference: int, variable: Variable) -> None:
+    head = {"name": variable.name, "valueReference": str(reference)}
+    ET.SubElement(parent, "Float64", head | _attributes(variable) | _numbers(variable))
+
+
+def _scalar(parent: ET.Element, reference: int, variable: Variable) -> None:
+    head = {"name": variable.name, "valueReference": str(reference)} | _attributes(variable)
+    numbers = _numbers(variable)
+    if variable.derivative_of is not None:  # FMI 2 counts the variables from one
+        numbers["derivative"] = str(variable.derivative_of + 1)
+    ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), "Real", numbers)
+
+
+def _listed(structure: ET.Element, name: str) -> ET.Element:
+    lists = {"ContinuousStateDerivative": "Derivatives", "Output": "Outputs"}
+    return ET.SubElement(structure, lists.get(name, "InitialUnknowns"))
+
+
+def _unknown(
+    parent: ET.Element, name: str, reference: int, needs: Sequence[int] | None, version: Version
+) -> None:
+    third = version == "3.0"
+    key, shift = ("valueReference", 0) if third else ("index", 1)
+    found = {key: str(reference + shift)}
+    if needs is not None:
+        found["dependencies"] = " ".join(str(i + shift) for i in needs)
+    ET.SubElement(parent, name if third else "Unknown", found)
+
+
+def _unit(parent: ET.Element, unit: str) -> None:
+    """A unit by its exponents in the base units; what a command is counted in has none."""
+    element = ET.SubElement(parent, "Unit", {"name": unit})
+    if "command" in unit:
+        return
+    scale, exponents = base_exponents(unit)
+    more = {} if scale == 1.0 else {"factor": repr(scale)}
+    ET.SubElement(element, "BaseUnit", {k: str(v) for k, v in exponents.items()} | more)
+
+
+def _build(name: str, wrapper: str) -> str:
+    root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
+    sources = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})
+    ET.SubElement(sources, "SourceFile", {"name": wrapper})
+    return _text(root)
+
+
+def _text(root: ET.Element) -> str:
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'

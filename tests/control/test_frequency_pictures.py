@@ -1,0 +1,58 @@
+"""Frequency responses as they are drawn: singular values, Nyquist and Nichols."""
+
+from __future__ import annotations
+
+import control as ct
+import numpy as np
+import pytest
+
+from undertow.control.gains import load_gains
+from undertow.control.linear.analysis import margins, singular_values
+from undertow.control.linear.pictures import picture
+from undertow.control.linear.report import Analysis
+from undertow.control.linear.trim import find_trim
+from undertow.model.loading import load_vehicle
+
+
+def test_singular_values_are_those_of_the_resolvent() -> None:
+    rng = np.random.default_rng(6)
+    a = rng.normal(size=(4, 4)) - 3 * np.eye(4)
+    b, c = rng.normal(size=(4, 3)), rng.normal(size=(2, 4))
+    omega = np.geomspace(0.1, 10, 7)
+    found = singular_values(ct.ss(a, b, c, np.zeros((2, 3))), omega)
+    assert found.shape == (2, 7)
+    for w, column in zip(omega, found.T, strict=True):
+        matrix = c @ np.linalg.solve(1j * w * np.eye(4) - a, b)
+        # The largest is the norm, and the product of the squares the determinant of G G*.
+        assert column[0] == pytest.approx(np.linalg.norm(matrix, 2))
+        assert np.prod(column) ** 2 == pytest.approx(np.linalg.det(matrix @ matrix.conj().T).real)
+
+
+def test_disk_margins_are_the_closed_forms() -> None:
+    # L = k/s: |1 + L| = |1 - L| on the axis, so the disk is the largest there is.
+    assert margins(ct.ss([[0.0]], [[1.0]], [[3.0]], 0.0)).disk == pytest.approx(2.0)
+    loop = ct.ss(ct.tf([4.0], [1.0, 2.0, 1.0, 0.0]) * 0.25)
+    omega = np.geomspace(1e-3, 1e3, 200_001)
+    gain = loop(1j * omega)
+    found = margins(loop)
+    assert found.disk == pytest.approx((2 * np.abs(1 + gain) / np.abs(1 - gain)).min(), rel=1e-6)
+    # What the disk allows is no more than the margins of gain and phase by themselves.
+    assert (2 + found.disk) / (2 - found.disk) <= found.gain
+    assert np.degrees(2 * np.arctan(found.disk / 2)) <= found.phase
+    assert margins(ct.ss(ct.tf([9.0], [1.0, 2.0, 1.0, 0.0]))).disk == 0.0
+
+
+def test_nyquist_and_nichols_draw_the_loop_that_the_margins_are_of() -> None:
+    vehicle = load_vehicle("mini-auv")
+    found = Analysis(vehicle, find_trim(vehicle), load_gains("paper-pd", vehicle))
+    margin = found.margins(found.main_channels)["force_surge"]
+    nyquist = picture("nyquist", found, found.main_channels).axes[0]
+    line = next(x for x in nyquist.lines if x.get_label() == "force_surge")
+    x, y = line.get_data()
+    distances = np.hypot(np.array(x) + 1, y)
+    assert distances.min() == pytest.approx(margin.distance, rel=1e-2)
+    nichols = picture("nichols", found, found.main_channels).axes[0]
+    line = next(x for x in nichols.lines if x.get_label() == "force_surge")
+    phase, size = line.get_data()
+    at_one = np.interp(0.0, np.array(size)[::-1], np.array(phase)[::-1])
+    assert 180 + at_one == pytest.approx(margin.phase, abs=0.5)
