@@ -112,7 +112,9 @@ def _check(orders: Orders) -> None:
     if not 1 <= orders.grids <= 4:
         raise UndertowError(f"{orders.grids} grids cannot be: give 1 to 4")
     if orders.prescribed and "paper" in orders.profiles:
-        raise UndertowError("profile paper is one of forces: leave out --prescribed, or choose push, step or sine")
+        raise UndertowError(
+            "profile paper is one of forces: leave out --prescribed, or choose push, step or sine"
+        )
 
 
 def _symmetries(hull: Mesh) -> list[int]:
@@ -159,7 +161,7 @@ def _case(hull: Mesh, orders: Orders, name: str, profile: str) -> dict[str, Any]
     if peak is None:
         peak = rate if orders.prescribed else orders.force or drag * rate**2
         if profile == "push" and not orders.prescribed and orders.force is None:
-            peak = 2 * (inertia + added) * rate / times[-1]
+            peak = np.pi * float(inertia + added) * rate / float(times[-1])
     push = profile == "push"
     reached = peak if orders.prescribed else max(rate, 0.0 if push else (peak / drag) ** 0.5)
     cell = _cell(hull)
@@ -213,6 +215,11 @@ def write_tank(root: Path, tank: Tank, hull: Mesh) -> list[Path]:
     return folders
 
 
+def section_axis(motion_name: str) -> int:
+    """Axis normal to the plane in which a case is drawn: 0, 1, 2 for x, y, z."""
+    return _SECTION[motion_name]
+
+
 def case_files(tank: Tank, case: Case, grid: int, cores: int = 1) -> dict[str, str]:
     """Names and contents of the files of an OpenFOAM case; the hull is in the tank's folder."""
     values = _values(tank, case, grid, cores)
@@ -243,7 +250,7 @@ def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:
     rate = case.peak * (tank.size / 2 if place > 2 else 1.0) if case.prescribed else 0.3
     k = 1.5 * (RULES.intensity * rate) ** 2
     inertia = case.inertia * share
-    section = np.eye(3)[_SECTION[case.motion]]
+    section = np.eye(3)[section_axis(case.motion)]
     return {
         **_block(tank, case, grid),
         "level": tank.level,

@@ -37,7 +37,8 @@ def signal(profile: str, prescribed: bool, end: float, scale: float) -> tuple[Ar
     ramp = (RULES.ramp if prescribed else RULES.force_ramp) * scale
     times = np.linspace(0.0, end, _SAMPLES + 1)
     if profile == "push":
-        return times, np.sin(np.pi * times / end) ** 2
+        # The hull is at rest again at the end either way: then drag does not pass for added mass.
+        return times, np.sin(np.pi * times / end) ** 2 if prescribed else np.sin(2 * np.pi * times / end)
     if profile == "sine":
         period = end / RULES.periods
         return times, np.sin(2 * np.pi * times / period) * _smooth(2 * times / period)
@@ -74,13 +75,15 @@ def read_signal(path: Path) -> tuple[Array, Array]:
         rows = np.genfromtxt(path, delimiter=",", comments="#", invalid_raise=True)
     except (OSError, ValueError) as error:
         raise UndertowError(
-            f"profile {path}: cannot be read as a table: choose {', '.join(PROFILES)}, or give a CSV file with "
-            "the columns time and speed or force"
+            f"profile {path}: cannot be read as a table: choose {', '.join(PROFILES)}, or give a CSV file "
+            "with the columns time and speed or force"
         ) from error
     rows = np.atleast_2d(rows)
     rows = rows[1:] if np.isnan(rows[0]).all() else rows
     if rows.shape[1] != 2 or len(rows) < 2 or not np.isfinite(rows).all():
-        raise UndertowError(f"profile {path}: needs two columns of numbers (time, value) and two rows at least")
+        raise UndertowError(
+            f"profile {path}: needs two columns of numbers (time, value) and two rows at least"
+        )
     times, values = rows.T
     if not (np.diff(times) > 0).all() or times[0] < 0 or not np.abs(values).max() > 0:
         raise UndertowError(f"profile {path}: times must rise from 0 on, and some value must differ from 0")

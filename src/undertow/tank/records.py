@@ -40,7 +40,14 @@ def columns(motion: str) -> tuple[str, ...]:
     turns = DOFS.index(motion) > 2
     force, angle = ("moment", "rad") if turns else ("force", "m")
     unit = "Nm" if turns else "N"
-    return ("t_s", f"applied_{force}_{unit}", f"place_{angle}", f"speed_{angle}_s", f"acceleration_{angle}_s2", f"water_{force}_{unit}")
+    return (
+        "t_s",
+        f"applied_{force}_{unit}",
+        f"place_{angle}",
+        f"speed_{angle}_s",
+        f"acceleration_{angle}_s2",
+        f"water_{force}_{unit}",
+    )
 
 
 def write_record(path: Path, record: Record, tank: Tank, case: Case) -> None:
@@ -73,7 +80,7 @@ def _mapping(record: Record, tank: Tank, case: Case) -> str:
     mark = "rad" if turns else "m"
     mapping = {
         "schema": SCHEMA,
-        "description": f"Virtual towing tank, {case.name}, grid {record.grid} of {record.cells} cells; {flow}",
+        "description": f"Towing tank, {case.name}, grid {record.grid} of {record.cells} cells; {flow}",
         "ignore": list(names[4:]),
         "time": {"column": names[0], "unit": "s"},
         "columns": {
@@ -91,9 +98,13 @@ def read_record(path: Path, grid: int) -> Record:
     try:
         table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
     except (OSError, ValueError) as error:
-        raise UndertowError(f"{path}: not a log of the tank ({error}): remove it and run the tank again") from error
+        raise UndertowError(
+            f"{path}: not a log of the tank ({error}): remove it and run the tank again"
+        ) from error
     if table.shape[1] != 6 or len(table) < 4:
         raise UndertowError(f"{path}: not a log of the tank (six columns): remove it and run the tank again")
     description = str(read_toml(path.with_suffix(".toml"), "mapping file").get("description", ""))
     digits = description.rpartition(" of ")[2].split(" cells")[0]
-    return Record(*table.T, grid=grid, cells=int(digits) if digits.isdigit() else 0, seconds=0.0)
+    cells = int(digits) if digits.isdigit() else 0
+    t, push, place, speed, acceleration, water = table.T
+    return Record(t, push, place, speed, acceleration, water, grid, cells, 0.0)

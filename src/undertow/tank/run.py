@@ -16,7 +16,7 @@ from time import monotonic
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.files import read_json, together, write_whole
+from undertow.files import read_json, write_whole
 from undertow.model.symbols import DOFS
 from undertow.typing import Array, Progress
 
@@ -52,7 +52,9 @@ class Watch:
         if found := _TIME.match(line):
             self.time = float(found[1])
             self.first = self.time if self.first is None else self.first
-            self.report(self.time / self.end, f"t = {self.time:.3g} s, Courant {self.courant:.2g}{self._left()}")
+            self.report(
+                self.time / self.end, f"t = {self.time:.3g} s, Courant {self.courant:.2g}{self._left()}"
+            )
         elif found := _COURANT.match(line):
             self.courant = float(found[1])
             if not self.courant <= RULES.courant_limit:
@@ -75,7 +77,9 @@ def need_openfoam(*programs: str) -> None:
             raise UndertowError(INSTALL.format(program))
 
 
-def run_tank(root: Path, tank: Tank, *, grids: int = 1, cores: int = 1, progress: Progress | None = None) -> list[str]:
+def run_tank(
+    root: Path, tank: Tank, *, grids: int = 1, cores: int = 1, progress: Progress | None = None
+) -> list[str]:
     """Run all cases that have no log yet, on the coarsest grid first; a cut-off run goes on.
 
     Returns the names of the logs that were written. Raises `UndertowError` where OpenFOAM is missing, no grid
@@ -96,7 +100,9 @@ def run_tank(root: Path, tank: Tank, *, grids: int = 1, cores: int = 1, progress
         start = end - share
         label = f"{case.name}, grid {grid}: "
 
-        def report(done: float, words: str, start: float = start, share: float = share, label: str = label) -> None:
+        def report(
+            done: float, words: str, start: float = start, share: float = share, label: str = label
+        ) -> None:
             tell(start + share * min(done, 1.0), label + words)
 
         _run_case(root, tank, case, grid, cores, report)
@@ -115,7 +121,9 @@ def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report:
     watch = Watch(case.end, report)
     _execute(folder, solver, watch)
     if not _reached(watch.time, case.end):
-        raise UndertowError(f"{folder}: the solver stopped at t = {watch.time:g} s of {case.end:g} s: run it again")
+        raise UndertowError(
+            f"{folder}: the solver stopped at t = {watch.time:g} s of {case.end:g} s: run it again"
+        )
     record = read_results(tank, case, grid, folder, cells, monotonic() - begun)
     write_record(log_of(root, case, grid), record, tank, case)
 
@@ -136,7 +144,13 @@ def _execute(folder: Path, command: list[str], watch: Watch) -> None:
     }
     with (folder / f"log.{name}").open("a", encoding="utf-8") as log:
         process = subprocess.Popen(
-            command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+            command,
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
         )
         try:
             for line in process.stdout or ():
@@ -171,8 +185,8 @@ def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:
         return f"{folder}: {name} failed: {shown[:200]}: see {folder / f'log.{name}'}"
     what = watch.fatal or f"exit code {code}"
     return (
-        f"{folder}: diverged at t = {watch.time:.4g} s ({what}): make the tank anew with a smaller --time-step, "
-        "a slower --profile or a heavier hull"
+        f"{folder}: diverged at t = {watch.time:.4g} s ({what}): make the tank anew with a smaller "
+        "--time-step, a slower --profile or a heavier hull"
     )
 
 
@@ -247,7 +261,9 @@ def read_motion(folder: Path, place: int) -> Array:
         if match := _TIME.match(line):
             now = float(match[1])
             rows = {t: row for t, row in rows.items() if t < now - 1e-9}
-        elif match := re.match(r"\s+(Centre of rotation|Orientation|Linear velocity|Angular velocity): \((.*)\)", line):
+        elif match := re.match(
+            r"\s+(Centre of rotation|Orientation|Linear velocity|Angular velocity): \((.*)\)", line
+        ):
             found[match[1]] = [float(word) for word in match[2].split()]
             if match[1] == "Angular velocity":
                 rows[now] = _state(found, place)
@@ -281,5 +297,7 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int, se
         push = np.interp(times, signal_times, signal)
         a = (push + water) / case.inertia
     if not all(np.isfinite(row).all() for row in (x, v, a, water)):
-        raise UndertowError(f"{folder}: diverged (a force is not a number): make the tank anew with a smaller --time-step")
+        raise UndertowError(
+            f"{folder}: diverged (a force is not a number): make the tank anew with a smaller --time-step"
+        )
     return Record(times, push, x, v, a, water, grid, cells, seconds)

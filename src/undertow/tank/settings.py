@@ -66,7 +66,9 @@ class Case(_Strict):
     profile: str
     direction: Literal[-1, 1]
     prescribed: bool  # whether the motion is given and the force measured, or the other way round
-    peak: float = Field(gt=0)  # largest speed (m/s, rad/s) of a prescribed motion, force (N, N m) of a free one
+    peak: float = Field(
+        gt=0
+    )  # largest speed (m/s, rad/s) of a prescribed motion, force (N, N m) of a free one
     inertia: float = Field(gt=0)  # mass, kg, or moment of inertia, kg m^2, that goes with the motion
     end: float = Field(gt=0)  # s
     step: float = Field(gt=0)  # time step on the coarsest grid, s
@@ -114,7 +116,11 @@ class Tank(_Strict):
         """The content of `tank.toml`."""
         content = self.model_dump(by_alias=True, exclude={"rules"}, mode="json")
         document = tomlkit.document()
-        document.add(tomlkit.comment("A virtual towing tank. Made by `undertow tank new`; `undertow tank run` runs it."))
+        document.add(
+            tomlkit.comment(
+                "A virtual towing tank. Made by `undertow tank new`; `undertow tank run` runs it."
+            )
+        )
         document.update({"schema": content.pop("schema"), **content, "rules": asdict(RULES)})
         return tomlkit.dumps(document)
 
@@ -140,7 +146,9 @@ def read_tank(root: str | Path) -> Tank:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise UndertowError(f"{path}: {where}: {first['msg']}: make it anew with undertow tank new") from error
+        raise UndertowError(
+            f"{path}: {where}: {first['msg']}: make it anew with undertow tank new"
+        ) from error
     for case in tank.cases:
         later = all(b > a for a, b in pairwise(case.times))
         if len(case.times) != len(case.signal) or len(case.times) < 2 or not later:
