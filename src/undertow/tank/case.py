@@ -72,11 +72,13 @@ def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank,
     reach = np.abs(centred.bounds).max(axis=0) + rules.reach * longest
     x, y, z = (float(r) for r in np.ceil(reach / background) * background)
     symmetric = _symmetries(centred)
+    added = np.diag(equivalent(centred, orders.density).matrix)
+    form = np.array([added, drag_of_hull(centred, orders.density).coefficients])
     cases = [
         case
         for motion_name in orders.motions
         for profile in orders.profiles
-        for case in _cases(centred, orders, motion_name, profile, symmetric)
+        for case in _cases(centred, form, orders, motion_name, profile, symmetric)
     ]
     tank = Tank(
         hull=name,
@@ -124,13 +126,15 @@ def _symmetries(hull: Mesh) -> list[int]:
     return [i for i, points in mirrored.items() if float(corners.query(points)[0].max()) <= near]
 
 
-def _cases(hull: Mesh, orders: Orders, name: str, profile: str, symmetric: list[int]) -> list[Case]:
-    """A case, or two where both directions are not alike."""
+def _cases(
+    hull: Mesh, form: Array, orders: Orders, name: str, profile: str, symmetric: list[int]
+) -> list[Case]:
+    """A case, or two where both directions are not alike; `form` (2, 6) is added mass and drag by form."""
     turns, axis = DOFS.index(name) > 2, DOFS.index(name) % 3
     alike = any((i == axis) != turns for i in symmetric)
     both = profile in PROFILES and profile != "sine" and not alike
     label = f"{name}-{profile if profile in PROFILES else Path(profile).stem.lower()}"
-    shared = _case(hull, orders, name, profile)
+    shared = _case(hull, form, orders, name, profile)
     shared["planes"] = tuple(_AXES[i] for i in symmetric if (i == axis) == turns)
     values = np.array(shared.pop("signal"))
     return [
@@ -144,7 +148,7 @@ def _cases(hull: Mesh, orders: Orders, name: str, profile: str, symmetric: list[
     ]
 
 
-def _case(hull: Mesh, orders: Orders, name: str, profile: str) -> dict[str, Any]:
+def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> dict[str, Any]:
     """What both directions of a case have in common: its signal, how strong it is, the time step."""
     place = DOFS.index(name)
     turns, sizes = place > 2, hull.extents
@@ -156,8 +160,7 @@ def _case(hull: Mesh, orders: Orders, name: str, profile: str) -> dict[str, Any]
     inertia = orders.mass
     if turns:
         inertia = orders.inertia or float(hull.inertia[place - 3, place - 3]) * orders.mass / hull.volume
-    added = float(equivalent(hull, orders.density).matrix[place, place])
-    drag = float(drag_of_hull(hull, orders.density).coefficients[place])
+    added, drag = form[:, place].tolist()
     if peak is None:
         peak = rate if orders.prescribed else orders.force or drag * rate**2
         if profile == "push" and not orders.prescribed and orders.force is None:
@@ -185,7 +188,7 @@ def _case(hull: Mesh, orders: Orders, name: str, profile: str) -> dict[str, Any]
 def _signal(profile: str, prescribed: bool, scale: float) -> tuple[Array, Array, float | None]:
     """Times, values from -1 to 1, and the largest value where a file says it."""
     if profile in PROFILES:
-        return *signal(profile, prescribed, duration(profile, prescribed, scale), scale), None
+        return *signal(profile, prescribed, duration(profile, scale), scale), None
     times, values = read_signal(Path(profile))
     peak = float(np.abs(values).max())
     return times, values / peak, peak

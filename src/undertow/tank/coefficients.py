@@ -24,6 +24,7 @@ class FitRules:
 
     settled: float = 3.0  # lengths travelled at one speed until the drag counts as steady
     even: float = 0.01  # share by which a speed may change in that time
+    rows: int = 6  # fewest samples that say something of damping
     band: float = 2.0  # a grid convergence index is a band of so many standard deviations
 
 
@@ -133,13 +134,13 @@ def _by_balance(
     columns, forces = [], []
     for r in records:
         settled = _settled(r, tank.size)
-        kept = settled if known and settled.any() else np.ones_like(settled)
+        kept = settled if known and settled.sum() >= _RULES.rows else np.ones_like(settled)
         kept = kept & (r.speed * direction > 0) if direction else kept
         u = r.speed[kept]
         columns.append(np.column_stack([r.acceleration[kept], u, np.abs(u) * u]))
         forces.append(-r.water[kept])
     table, force = np.concatenate(columns), np.concatenate(forces)
-    if len(table) < 6:
+    if len(table) < _RULES.rows:
         raise UndertowError(
             f"{len(table)} samples are too few for damping: choose a longer profile such as step"
         )

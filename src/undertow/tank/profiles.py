@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from undertow.errors import UndertowError
 from undertow.typing import Array
@@ -18,7 +19,7 @@ _PAPER_END, _PAPER_PEAK = 30.0, 0.48
 _SAMPLES = 400  # of the table of a smooth signal
 
 
-def duration(profile: str, prescribed: bool, scale: float) -> float:
+def duration(profile: str, scale: float) -> float:
     """How long a profile lasts, s; `scale` is the time in which the hull travels its length, s."""
     if profile == "push":
         return 2 * RULES.push * scale
@@ -26,7 +27,7 @@ def duration(profile: str, prescribed: bool, scale: float) -> float:
         return _PAPER_END
     if profile == "sine":
         return RULES.periods * 2 * np.pi * RULES.sine * scale
-    return (RULES.travel if prescribed else RULES.force_travel) * scale
+    return RULES.travel * scale
 
 
 def signal(profile: str, prescribed: bool, end: float, scale: float) -> tuple[Array, Array]:
@@ -45,7 +46,7 @@ def signal(profile: str, prescribed: bool, end: float, scale: float) -> tuple[Ar
     if profile == "paper":
         return _levels([(t, f / _PAPER_PEAK) for t, f in _PAPER], ramp, end, prescribed)
     if prescribed:
-        return _levels([(0.0, 0.5), (end / 2, 1.0)], ramp, end, prescribed)
+        return _levels([(0.0, 0.5), (2 / 3 * end, 1.0)], ramp, end, prescribed)
     return _levels([(0.0, 1.0), (end / 3, 0.0), (2 * end / 3, -1.0)], ramp, end, prescribed)
 
 
@@ -93,12 +94,7 @@ def read_signal(path: Path) -> tuple[Array, Array]:
 def motion(times: Array, speeds: Array, at: Array) -> Array:
     """Place, speed and acceleration, shape (3, n), of a speed that is given at times, at other times."""
     fine = np.union1d(np.linspace(times[0], times[-1], 20 * _SAMPLES + 1), at)
-    v = np.interp(fine, times, speeds) if len(times) < _SAMPLES else _cubic(times, speeds, fine)
+    # Monotone between the points: a spline would overshoot where a long even stretch begins.
+    v = PchipInterpolator(times, speeds)(fine)
     x = np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) / 2 * np.diff(fine))])
     return np.array([np.interp(at, fine, row) for row in (x, v, np.gradient(v, fine))])
-
-
-def _cubic(times: Array, speeds: Array, at: Array) -> Array:
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(times, speeds)(at))

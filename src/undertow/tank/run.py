@@ -43,6 +43,7 @@ class Watch:
     courant: float = 0.0
     tail: deque[str] = field(default_factory=lambda: deque(maxlen=40))
     fatal: str = ""
+    diverged: bool = False
     begun: float = field(default_factory=monotonic)
     first: float | None = None
 
@@ -58,6 +59,7 @@ class Watch:
         elif found := _COURANT.match(line):
             self.courant = float(found[1])
             if not self.courant <= RULES.courant_limit:
+                self.diverged = True
                 self.fatal = f"Courant number {self.courant:.3g}, limit {RULES.courant_limit:g}"
         elif _FATAL.search(line):
             self.fatal = self.fatal or "the solver gave up"
@@ -142,8 +144,9 @@ def _execute(folder: Path, command: list[str], watch: Watch) -> None:
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
         **os.environ,
     }
-    with (folder / f"log.{name}").open("a", encoding="utf-8") as log:
-        process = subprocess.Popen(
+    with (
+        (folder / f"log.{name}").open("a", encoding="utf-8") as log,
+        subprocess.Popen(
             command,
             cwd=folder,
             env=environment,
@@ -151,29 +154,22 @@ def _execute(folder: Path, command: list[str], watch: Watch) -> None:
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-        )
+        ) as process,
+    ):
+        ended = False
         try:
             for line in process.stdout or ():
                 log.write(line)
                 watch.line(line)
-                if watch.fatal and "Courant" in watch.fatal:
+                if watch.diverged:
                     break
+            ended = not watch.diverged
         finally:
             # Ctrl-C ends here, too: what has been written until then is where the next run begins.
-            if process.poll() is None and (watch.fatal or not _ended(process)):
+            if not ended:
                 process.terminate()
-            process.wait()
     if watch.fatal or process.returncode:
         raise UndertowError(_reason(folder, name, watch, process.returncode))
-
-
-def _ended(process: subprocess.Popen[str]) -> bool:
-    """Whether a program whose output is at its end has ended."""
-    try:
-        process.wait(timeout=10 if process.stdout is not None and process.stdout.closed else 0.5)
-    except subprocess.TimeoutExpired:
-        return False
-    return True
 
 
 def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:

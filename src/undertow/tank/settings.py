@@ -32,8 +32,10 @@ class TankRules:
     courant: float = 0.5  # surface cells that pass in one time step, at the speed asked for
     push_steps: int = 40  # time steps of a short push
     push: float = 0.02  # travel of a short push, of the length along the motion: no wake forms
-    travel: float = 12.0  # travel of prescribed steps: the drag settles at two speeds
-    force_travel: float = 15.0  # travel of force steps: speeding up, coasting and being pushed back
+    travel: float = (
+        15.0  # of steps, at the highest speed: the drag settles at two speeds, or the hull speeds up,
+    )
+    # coasts and is pushed back
     sine: float = 0.5  # amplitude of a prescribed sine, of the length along the motion
     periods: int = 3  # of a sine; the first is left out
     ramp: float = 1.0  # travel while a prescribed speed changes: impulsive starts diverge

@@ -213,6 +213,7 @@ def look(
     out: Annotated[Path | None, _PICTURES] = None,
 ) -> None:
     """Draw the grid around the hull, the speed of the water and the forces, one picture for each case."""
+    from contextlib import suppress
     from functools import partial
 
     from undertow.errors import nearest
@@ -226,7 +227,9 @@ def look(
     names = [c.name for c in made.cases]
     if case is not None and case not in names:
         raise UndertowError(f"case '{case}' is not in {root}{nearest(case, names)}")
-    found = coefficients(root, made) if any(root.glob("logs/*.csv")) else []
+    found: list[Coefficient] = []
+    with suppress(UndertowError):  # too few logs for coefficients are enough for pictures
+        found = coefficients(root, made)
     wanted = []
     for c in made.cases:
         grids = [
