@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
@@ -29,9 +30,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if wrong := [name for name in options.bodies if name not in BODIES]:
         parser.error(f"{wrong[0]} is no body: choose from {', '.join(BODIES)}")
-    rows = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else []
     if options.what == "page":
-        write_whole(options.out, page(rows))
+        write_whole(options.out, page(_rows()))
         return 0
     for name in options.bodies or BODIES:
         try:
@@ -40,10 +40,14 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"error: {error}", file=sys.stderr)
             return 2
         clear()
-        rows = [row for row in rows if row["body"] != name] + found
+        rows = [row for row in _rows() if row["body"] != name] + found
         rows.sort(key=lambda row: list(BODIES).index(row["body"]))
         write_whole(RESULTS, json.dumps(rows, indent=1) + "\n")
     return 0
+
+
+def _rows() -> list[dict[str, Any]]:
+    return json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else []
 
 
 if __name__ == "__main__":

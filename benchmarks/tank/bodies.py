@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from undertow.shape.mesh import Mesh, mended
 from undertow.tank.case import Orders, make_tank, write_tank
 from undertow.tank.coefficients import coefficients
 from undertow.tank.records import read_record
-from undertow.tank.run import run_tank
+from undertow.tank.run import processor_seconds, run_tank
 from undertow.tank.settings import FILE, Tank, folder_of, log_of, read_tank
 from undertow.typing import Progress
 
@@ -136,8 +135,7 @@ def _effort(root: Path, tank: Tank, motion: str, grids: int) -> dict[str, Any]:
     for grid in range(1, grids + 1):
         cases = [c for c in tank.cases if c.motion == motion]
         cells.append(read_record(log_of(root, cases[0], grid), grid).cells)
-        logs = [(folder_of(root, c, grid) / "log.pimpleFoam").read_text() for c in cases]
-        seconds.append(sum(float(re.findall(r"ExecutionTime = (\S+)", text)[-1]) for text in logs))
+        seconds.append(sum(processor_seconds(folder_of(root, c, grid)) for c in cases))
     return {"cells": cells, "seconds": seconds}
 
 
@@ -145,7 +143,8 @@ def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
     """Drag coefficients on the silhouette at the end of each speed of the steps."""
     body, rows = BODIES[name], []
     area = mended(body.hull(), name)[0].projected_area(0)
-    for case in (c for c in tank.cases if c.profile == "step"):
+    steps = [c for c in tank.cases if c.profile == "step"]
+    for case in steps:
         record = read_record(log_of(root, case, body.grids), body.grids)
         for end in (2 / 3 * case.end, case.end):
             now = np.searchsorted(record.time, end * (1 - 1e-6), side="right") - 1
@@ -154,7 +153,7 @@ def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
                 {
                     "body": name,
                     "name": "Cd",
-                    "direction": case.direction,
+                    "direction": case.direction * (len(steps) > 1),
                     "speed": float(u),
                     "reynolds": float(abs(u) * tank.size / tank.viscosity),
                     "value": float(-record.water[now] * np.sign(u) / (tank.density / 2 * area * u**2)),

@@ -16,7 +16,7 @@ _UNITS = {"X": "kg", "Y": "kg", "Z": "kg", "K": "kg m²", "M": "kg m²", "N": "k
 def page(rows: Sequence[dict[str, Any]]) -> str:
     """The whole page; `rows` are those of results.json."""
     text = _TEXT.read_text(encoding="utf-8")
-    added = [r for r in rows if r["name"].endswith("dot")]
+    added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps"]
     drag = [r for r in rows if r["name"] == "Cd"]
     return text.replace("{added}", "\n".join(_added(added))).replace("{drag}", "\n".join(_drag(drag)))
 

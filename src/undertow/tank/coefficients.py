@@ -116,12 +116,12 @@ def _by_pushes(pushes: Sequence[Record]) -> tuple[float, float]:
     """Added mass by the momentum that the water has taken up.
 
     Integrals of force are used because a lag of a fraction of a time step between force and acceleration,
-    which every scheme has, would pass for damping.
+    which every scheme has, would pass for damping; a constant takes up what the first steps from rest miss.
     """
     rows, taken = [], []
     for r in pushes:
         step = np.diff(r.time, prepend=0.0)
-        rows.append(np.column_stack([r.speed, np.cumsum(r.speed * step)]))
+        rows.append(np.column_stack([r.speed, np.cumsum(r.speed * step), np.ones(len(step))]))
         taken.append(-np.cumsum(r.water * step))
     values, errors = least_squares(np.concatenate(rows), np.concatenate(taken))
     return float(values[0]), float(errors[0])

@@ -93,8 +93,6 @@ def read_signal(path: Path) -> tuple[Array, Array]:
 
 def motion(times: Array, speeds: Array, at: Array) -> Array:
     """Place, speed and acceleration, shape (3, n), of a speed that is given at times, at other times."""
-    fine = np.union1d(np.linspace(times[0], times[-1], 20 * _SAMPLES + 1), at)
     # Monotone between the points: a spline would overshoot where a long even stretch begins.
-    v = PchipInterpolator(times, speeds)(fine)
-    x = np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) / 2 * np.diff(fine))])
-    return np.array([np.interp(at, fine, row) for row in (x, v, np.gradient(v, fine))])
+    speed = PchipInterpolator(times, speeds)
+    return np.array([speed.antiderivative()(at), speed(at), speed.derivative()(at)])

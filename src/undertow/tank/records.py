@@ -32,7 +32,7 @@ class Record:
     water: Array  # force or moment of the water on the hull, N or N m
     grid: int
     cells: int
-    seconds: float  # that the run took, on the clock
+    seconds: float  # of one processor that the solver took
 
 
 def columns(motion: str) -> tuple[str, ...]:
@@ -74,7 +74,7 @@ def _mapping(record: Record, tank: Tank, case: Case) -> str:
         f"grid {record.grid}: {record.cells} cells, {tank.cell_of(record.grid):.4g} m at the hull, "
         f"{case.copies} times mirrored",
         f"OpenFOAM pimpleFoam, {flow}, time step {tank.step_of(case, record.grid):.4g} s, "
-        f"{record.seconds:.0f} s on the clock",
+        f"{record.seconds:.0f} s of a processor",
     ):
         document.add(tomlkit.comment(line))
     mark = "rad" if turns else "m"

@@ -9,7 +9,7 @@ import subprocess
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from time import monotonic
 
@@ -28,8 +28,6 @@ from .settings import HULL, RULES, Case, Tank, folder_of, log_of
 INSTALL = "OpenFOAM is not installed (no {} on the PATH): apt-get install openfoam"
 _TIME = re.compile(r"^Time = (\S+)")
 _COURANT = re.compile(r"^Courant Number mean: \S+ max: (\S+)")
-_SECONDS = re.compile(r"^ExecutionTime = (\S+) s")
-_CELLS = re.compile(r"^\s+cells:\s+(\d+)|^Snapped mesh : cells:(\d+)")
 _FATAL = re.compile(r"FOAM FATAL|Foam::sigFpe::sigHandler|^Floating point exception")
 
 
@@ -116,22 +114,22 @@ def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report:
     folder = folder_of(root, case, grid)
     if not (folder / "system" / "controlDict").is_file():
         raise UndertowError(f"{folder}: no OpenFOAM case: make the tank anew with undertow tank new")
-    begun = monotonic()
     cells = _grid(root, tank, case, folder, report)
-    _distribute(tank, case, grid, folder, cores)
-    solver = ["pimpleFoam"] if cores == 1 else ["mpirun", "-np", str(cores), "pimpleFoam", "-parallel"]
-    watch = Watch(case.end, report)
-    _execute(folder, solver, watch)
-    if not _reached(watch.time, case.end):
-        raise UndertowError(
-            f"{folder}: the solver stopped at t = {watch.time:g} s of {case.end:g} s: run it again"
-        )
-    record = read_results(tank, case, grid, folder, cells, monotonic() - begun)
+    if not _reached(folder, case):  # it may have been cut off after the last step
+        _distribute(tank, case, grid, folder, cores)
+        solver = ["pimpleFoam"] if cores == 1 else ["mpirun", "-np", str(cores), "pimpleFoam", "-parallel"]
+        watch = Watch(case.end, report)
+        _execute(folder, solver, watch)
+        if not _reached(folder, case):
+            raise UndertowError(f"{folder}: the solver stopped at t = {watch.time:g} s: run it again")
+    record = read_results(tank, case, grid, folder, cells)
     write_record(log_of(root, case, grid), record, tank, case)
 
 
-def _reached(time: float, end: float) -> bool:
-    return time >= end * (1 - 1e-6)
+def _reached(folder: Path, case: Case) -> bool:
+    """Whether the forces are there up to the end."""
+    times = _forces(folder, DOFS.index(case.motion))
+    return bool(times) and max(times) >= case.end * (1 - 1e-6)
 
 
 # --- programs -------------------------------------------------------------------------------------
@@ -229,6 +227,14 @@ def read_forces(folder: Path, place: int) -> tuple[Array, Array]:
 
     A run that was taken up again has written several files; the later ones count.
     """
+    rows = _forces(folder, place)
+    if not rows:
+        raise UndertowError(f"{folder}: the solver wrote no forces: run it again")
+    times = sorted(rows)
+    return np.array(times), np.array([rows[t] for t in times])
+
+
+def _forces(folder: Path, place: int) -> dict[float, float]:
     name = "force.dat" if place < 3 else "moment.dat"
     rows: dict[float, float] = {}
     files = sorted(folder.glob(f"postProcessing/forces/*/{name}"), key=lambda p: float(p.parent.name))
@@ -236,10 +242,7 @@ def read_forces(folder: Path, place: int) -> tuple[Array, Array]:
         begun = float(path.parent.name)
         rows = {t: f for t, f in rows.items() if t <= begun + 1e-9}
         rows.update(_force_rows(path, place % 3))
-    if not rows:
-        raise UndertowError(f"{folder}: the solver wrote no forces: run it again")
-    times = sorted(rows)
-    return np.array(times), np.array([rows[t] for t in times])
+    return rows
 
 
 def _force_rows(path: Path, axis: int) -> Iterator[tuple[float, float]]:
@@ -277,7 +280,15 @@ def _state(found: dict[str, list[float]], place: int) -> tuple[float, float]:
     return float(np.arctan2(matrix[two, one], matrix[one, one])), found["Angular velocity"][axis]
 
 
-def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int, seconds: float) -> Record:
+def processor_seconds(folder: Path) -> float:
+    """What the solver has taken, also where it was taken up again, s."""
+    path = folder / "log.pimpleFoam"
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    taken = [float(word) for word in re.findall(r"^ExecutionTime = (\S+) s", text, re.MULTILINE)]
+    return sum(now for now, later in pairwise([*taken, 0.0]) if later < now)
+
+
+def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) -> Record:
     """What a case has given: motion, acceleration, force of the water, force on the hull from outside."""
     place = DOFS.index(case.motion)
     times, water = read_forces(folder, place)
@@ -296,4 +307,4 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int, se
         raise UndertowError(
             f"{folder}: diverged (a force is not a number): make the tank anew with a smaller --time-step"
         )
-    return Record(times, push, x, v, a, water, grid, cells, seconds)
+    return Record(times, push, x, v, a, water, grid, cells, processor_seconds(folder))
