@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from undertow.errors import UndertowError
+from undertow.figures import save_png
 from undertow.files import write_whole
 
 from ..progress import clear, teller
-from .bodies import BODIES, run
+from .bodies import BODIES, drawing, run
 from .page import page
 
 RESULTS = Path(__file__).parent / "results.json"
+PICTURES = {name: Path(f"docs/images/tank-{name}.png") for name in ("box", "box-steps")}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -40,6 +42,8 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"error: {error}", file=sys.stderr)
             return 2
         clear()
+        if name in PICTURES:
+            save_png(drawing(name, options.work), PICTURES[name])
         rows = [row for row in _rows() if row["body"] != name] + found
         rows.sort(key=lambda row: list(BODIES).index(row["body"]))
         write_whole(RESULTS, json.dumps(rows, indent=1) + "\n")

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.shape.hulls import box_mesh, revolved
 from undertow.shape.bodies import box, prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, mended
 from undertow.tank.case import Orders, make_tank, write_tank
 from undertow.tank.coefficients import coefficients
+from undertow.tank.pictures import picture
 from undertow.tank.records import read_record
 from undertow.tank.run import processor_seconds, run_tank
 from undertow.tank.settings import FILE, Tank, folder_of, log_of, read_tank
@@ -86,6 +88,14 @@ BODIES = {
         _BOX,
         "panels",
     ),
+    "box-forced": Body(
+        "the same box, steps of 5 N for 10 s",
+        lambda: box_mesh(BOX),
+        Orders(60.48, profiles=("step",), force=5.0),
+        1,
+        _BOX,
+        "panels",
+    ),
     "re100": Body("sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 1, {}, ""),
     "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
     "bullet": Body(
@@ -108,6 +118,13 @@ def run(name: str, work: Path, progress: Progress) -> list[dict[str, Any]]:
     tank = read_tank(root)
     run_tank(root, tank, grids=body.grids, progress=progress)
     return [*_coefficients(name, root, tank), *_drag(name, root, tank)]
+
+
+def drawing(name: str, work: Path) -> Figure:
+    """The picture of the first case of a body on its finest grid."""
+    root = work / name
+    tank = read_tank(root)
+    return picture(root, tank, tank.cases[0], BODIES[name].grids, coefficients(root, tank))
 
 
 def _coefficients(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
@@ -143,7 +160,7 @@ def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
     """Drag coefficients on the silhouette at the end of each speed of the steps."""
     body, rows = BODIES[name], []
     area = mended(body.hull(), name)[0].projected_area(0)
-    steps = [c for c in tank.cases if c.profile == "step"]
+    steps = [c for c in tank.cases if c.profile == "step" and c.prescribed]
     for case in steps:
         record = read_record(log_of(root, case, body.grids), body.grids)
         for end in (2 / 3 * case.end, case.end):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from dataclasses import replace
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.shape.hulls import box_mesh, spheroid_mesh
+from benchmarks.tank.__main__ import RESULTS
+from benchmarks.tank.page import page, published
 from tests.tank.stand_ins import ADDED, LINEAR, QUADRATIC, stand_ins
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -312,3 +315,14 @@ def test_stl_is_read_back(tmp_path: Path) -> None:
     assert read_hull(tmp_path / "hull.stl").mesh.volume == pytest.approx(
         spheroid_mesh(0.6, 0.2, 4).volume, rel=1e-6
     )
+
+
+@pytest.mark.docs
+def test_the_page_says_what_was_measured() -> None:
+    rows = json.loads(RESULTS.read_text(encoding="utf-8"))
+    assert page(rows) == Path("docs/tank.md").read_text(encoding="utf-8")
+    known = {(r["body"], r["name"]): r["value"] / r["truth"] - 1 for r in rows if r.get("truth")}
+    assert all(abs(off) < 0.03 for (body, _), off in known.items() if body != "box-free"), known
+    assert abs(known["box-free", "X_udot"]) < 0.05
+    drag = [r["value"] / published(r["reynolds"]) - 1 for r in rows if r["body"] == "re100"]
+    assert np.abs(drag).max() < 0.03
