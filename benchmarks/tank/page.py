@@ -18,6 +18,8 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
     text = _TEXT.read_text(encoding="utf-8")
     added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps"]
     drag = [r for r in rows if r["name"] == "Cd"]
+    (rms,) = (r for r in rows if r["name"] == "rms")
+    text = text.replace("{off}", f"{1000 * rms['off']:.1f}").replace("{speed}", f"{1000 * rms['speed']:.0f}")
     return text.replace("{added}", "\n".join(_added(added))).replace("{drag}", "\n".join(_drag(drag)))
 
 

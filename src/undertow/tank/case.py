@@ -265,7 +265,6 @@ def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:
         "viscosity": tank.viscosity,
         "point": _vector(section * 0.25 * tank.cell_of(grid)),
         "normal": _vector(section),
-        "ddt": "backward" if case.prescribed else "Euler",
         "corrections": 2 if case.prescribed else RULES.corrections,
         "cores": cores,
         "free": not case.prescribed,

@@ -16,7 +16,7 @@ class GciRules:
 
     three: float = 1.25  # factor of safety where three grids show the order
     two: float = 3.0  # the same where the order is assumed
-    assumed: float = 1.0  # order where it is: time steps are of first order in free motions
+    assumed: float = 1.0  # order where it is: limiters and turbulence are of first order
     least: float = 0.5  # a lower observed order would make the index grow without bound
     most: float = 2.0  # the schemes have no higher order; a higher observed one is chance
     one: float = 0.10  # share of a value that a single grid leaves open
