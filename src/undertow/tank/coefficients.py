@@ -24,6 +24,8 @@ class FitRules:
 
     settled: float = 3.0  # lengths travelled at one speed until the drag counts as steady
     even: float = 0.01  # share by which a speed may change in that time
+    # share that grids do not show: the boundary of the water, time steps within a push (docs/tank.md)
+    model: float = 0.02
     rows: int = 6  # fewest samples that say something of damping
     band: float = 2.0  # a grid convergence index is a band of so many standard deviations
 
@@ -49,8 +51,9 @@ class Coefficient:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation: of the fit and of the grid."""
-        return float(np.hypot(self.fit, self.grid.index / _RULES.band))
+        """Standard deviation: of the fit, of the grid, and of what grids do not show."""
+        parts = [self.fit, self.grid.index / _RULES.band, _RULES.model * self.value]
+        return float(np.linalg.norm(parts))
 
 
 def coefficients(root: Path, tank: Tank) -> list[Coefficient]:
