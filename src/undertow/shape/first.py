@@ -473,15 +473,17 @@ def entry_line(
     value: float,
     unit: str,
     *,
+    backward: float | None = None,
     sigma: float = 0.0,
     estimate: bool = False,
     assumed: bool = False,
     source: str,
 ) -> str:
-    """One parameter of a table, as a line of the file."""
+    """One parameter of a table, as a line of the file; `backward`: its value backward, if another."""
     # What is zero by symmetry, and known to be so, leaves nothing to be estimated.
     open_ = bool(value) or sigma > _RULES.rounding
-    fields = [f"value = {_quoted(f'{0.0 + value:.6g} {unit}')}"]
+    ways = {"value": value} if backward is None else {"forward": value, "backward": backward}
+    fields = [f"{way} = {_quoted(f'{0.0 + number:.6g} {unit}')}" for way, number in ways.items()]
     fields += ["assumed = true"] if assumed else []
     fields += ["estimate = true"] if estimate and open_ else []
     fields += [f"sigma = {_quoted(f'{sigma:.3g} {unit}')}"] if sigma and open_ else []

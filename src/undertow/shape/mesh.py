@@ -366,6 +366,14 @@ def _stl(path: Path) -> tuple[Array, Faces]:
     return points, np.arange(len(points)).reshape(-1, 3)
 
 
+def stl_bytes(mesh: Mesh) -> bytes:
+    """The content of a binary STL file of a hull."""
+    facets = np.zeros(len(mesh.faces), dtype=_STL_FACET)
+    normals = mesh.vector_areas / mesh.areas[:, None]
+    facets["floats"] = np.concatenate([normals[:, None], mesh.corners], axis=1).reshape(-1, 12)
+    return b"hull".ljust(_STL_HEAD - 4) + np.uint32(len(facets)).tobytes() + facets.tobytes()
+
+
 def _text_facets(path: Path, data: bytes) -> Array:
     words = [line.split() for line in data.splitlines()]
     points = [w[1:] for w in words if w and w[0].lower() == b"vertex"]

@@ -1,10 +1,12 @@
-"""Make a first vehicle file from a hull, a type and its dimensions, or the autopilot's parameters in a log.
+"""Make a first vehicle file from a hull, a type and its dimensions, a log's parameters, or a towing tank.
 
     undertow vehicle new --mesh hull.stl --unit mm --frame FLU --mass 12 --cg 0,0,0.02 --out my.toml
 
     undertow vehicle new --type torpedo --length 1.33 --beam 0.19 --height 0.19 --mass 30.5 --out my.toml
 
     undertow vehicle new --log dive.bin --out my.toml
+
+    undertow vehicle new --tank tank/ --out my.toml
 
     undertow vehicles show my.toml
 
@@ -70,6 +72,9 @@ _LOG = typer.Option(
     metavar="LOG",
     help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters tell frame and motors.",
 )
+_TANK = typer.Option(
+    "--tank", metavar="FOLDER", help="In place of all: a virtual towing tank that was run (undertow tank)."
+)
 _LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
 _BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width.")
 _HEIGHT = typer.Option("--height", metavar="M", help="With --type: overall; of ship and asv the draught.")
@@ -130,6 +135,7 @@ def new(
     mass: Annotated[float | None, _MASS] = None,
     mesh: Annotated[Path | None, _MESH] = None,
     log: Annotated[Path | None, _LOG] = None,
+    tank: Annotated[Path | None, _TANK] = None,
     kind: Annotated[Kind | None, _TYPE] = None,
     length: Annotated[float | None, _LENGTH] = None,
     beam: Annotated[float | None, _BEAM] = None,
@@ -163,15 +169,20 @@ def new(
     With --log the file is that of the bundled BlueROV2 of the log's frame (six or eight thrusters); which way
     each of them pushes is that of the parameters, and its thrust follows the curve of a T200 at the voltage
     of the battery.
+
+    With --tank the file has the motions that were tested there: added mass, linear and quadratic damping with
+    errors of the fit and of the grid.
     """
     from undertow.files import sha256_of, write_whole
     from undertow.shape.first import HullSpec, first_vehicle, motions
 
     sides = (length, beam, height)
-    if log is not None:
-        if any(given is not None for given in (mass, mesh, kind, *sides)):
-            raise UndertowError("--log takes mass and shape from a bundled vehicle: leave these options out")
-        _of_log(log, out, force)
+    if log is not None or tank is not None:
+        if any(given is not None for given in (mass, mesh, kind, *sides, tank and log)):
+            raise UndertowError(
+                "--log and --tank have mass and shape already: give one of them, and no other"
+            )
+        _of_log(log, out, force) if log is not None else _of_tank(tank, name, out, force)
         return
     if mass is None:
         raise UndertowError("the mass is missing: give --mass in kg")
@@ -210,6 +221,21 @@ def _of_log(log: Path, out: Path | None, force: bool) -> None:
     write_whole(target, vehicle_text(found, target.stem))
     say(f"wrote {target}; commands are outputs of motors from -1 to 1, as undertow reads them from the log")
     say(f"then: undertow doctor {target} {log}")
+
+
+def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool) -> None:
+    """Write a vehicle file from the logs of a towing tank."""
+    from undertow.files import write_whole
+    from undertow.tank.coefficients import coefficients
+    from undertow.tank.settings import read_tank
+    from undertow.tank.vehicle import tank_vehicle
+
+    assert root is not None
+    made = read_tank(root)
+    title = name or Path(made.hull).stem
+    target = new_file(out or Path(f"{title}.toml"), force, [root / "tank.toml"])
+    write_whole(target, tank_vehicle(made, coefficients(root, made), title))
+    say(f"wrote {target}; state its thrusters, then: undertow vehicles show {target}")
 
 
 def _of_type(

@@ -99,7 +99,7 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
 
 
 def track(records: Sequence[Record]) -> Figure:
-    """The way of several runs in the plane, north up, with the mission that they followed or the set-point."""
+    """The way of several runs in the plane, north up, with the mission or the set-point."""
     first = records[0]
     with look():
         picture, axes = figure(5.0)

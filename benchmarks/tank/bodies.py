@@ -1,0 +1,201 @@
+"""Bodies in the tank: what is run, and what is known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.shape.hulls import box_mesh, revolved
+from undertow.shape.bodies import box, prolate_spheroid, sphere
+from undertow.shape.mesh import Mesh, mended
+from undertow.tank.case import Orders, make_tank, write_tank
+from undertow.tank.coefficients import coefficients
+from undertow.tank.pictures import picture
+from undertow.tank.records import read_record
+from undertow.tank.run import processor_seconds, run_tank
+from undertow.tank.settings import FILE, Tank, folder_of, log_of, read_tank
+from undertow.typing import Progress
+
+BOX = (0.60, 0.42, 0.24)
+RADIUS = 0.25
+SHIPPED = Path("src/undertow/demo_data/cfd-surge/surge_step_coarse.csv.gz")
+
+
+def _spheroid(a: float, b: float) -> Mesh:
+    angles = np.linspace(0.0, np.pi, 41)
+    return revolved([(float(-a * np.cos(t)), float(b * np.sin(t))) for t in angles], 80)
+
+
+def _bullet() -> Mesh:
+    """A half-sphere and a cylinder as long as its radius with a flat base: forward and backward differ."""
+    angles = np.linspace(np.pi / 2, np.pi, 21)
+    nose = [(float(-RADIUS * np.cos(t)), float(RADIUS * np.sin(t))) for t in angles]
+    return revolved([(-RADIUS, 0.0), *((x, RADIUS) for x in np.linspace(-RADIUS, 0.0, 6)[:-1]), *nose], 80)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A hull, what is done with it, and its exact added mass by name."""
+
+    title: str
+    hull: Callable[[], Mesh]
+    orders: Orders
+    grids: int
+    truth: dict[str, float]
+    source: str
+
+
+def _lamb(matrix: Any) -> dict[str, float]:
+    return dict(
+        zip(("X_udot", "Y_vdot", "Z_wdot", "K_pdot", "M_qdot", "N_rdot"), np.diag(matrix), strict=True)
+    )
+
+
+def _push(mass: float, motions: tuple[str, ...] = ("surge",), prescribed: bool = True) -> Orders:
+    return Orders(mass, motions=motions, profiles=("push",), prescribed=prescribed)
+
+
+_SPHERE = _lamb(sphere(RADIUS).matrix)
+_BOX = _lamb(box(*BOX).matrix)
+_STEP = Orders(60.48, profiles=("step",), prescribed=True)
+_VISCOUS = Orders(
+    65.4, profiles=("step",), prescribed=True, viscosity=0.0015
+)  # Reynolds 50 and 100 at 0.3 m/s
+
+BODIES = {
+    "sphere": Body(
+        "sphere, diameter 0.5 m", lambda: _spheroid(RADIUS, RADIUS), _push(65.3), 3, _SPHERE, "Lamb"
+    ),
+    "spheroid": Body(
+        "spheroid 0.6 x 0.2 m",
+        lambda: _spheroid(0.3, 0.1),
+        _push(12.5, ("surge", "sway", "yaw")),
+        2,
+        _lamb(prolate_spheroid(0.6, 0.2).matrix),
+        "Lamb",
+    ),
+    "box": Body("box 0.60 x 0.42 x 0.24 m", lambda: box_mesh(BOX), _push(60.48), 3, _BOX, "panels"),
+    "box-turning": Body("the same box", lambda: box_mesh(BOX), _push(60.48, ("yaw",)), 1, _BOX, "panels"),
+    "box-free": Body(
+        "the same box, pushed by a force",
+        lambda: box_mesh(BOX),
+        _push(60.48, prescribed=False),
+        1,
+        _BOX,
+        "panels",
+    ),
+    "box-light": Body(
+        "a box like it of 7.5 kg, pushed by a force",
+        lambda: box_mesh(BOX),
+        _push(7.5, ("heave",), prescribed=False),
+        1,
+        _BOX,
+        "panels",
+    ),
+    "box-forced": Body(
+        "the same box, steps of 5 N for 10 s",
+        lambda: box_mesh(BOX),
+        Orders(60.48, profiles=("step",), force=5.0),
+        1,
+        _BOX,
+        "panels",
+    ),
+    "re100": Body("sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 1, {}, ""),
+    "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
+    "bullet": Body(
+        "half-sphere before a cylinder, 0.5 x 0.5 m",
+        _bullet,
+        Orders(80.0, profiles=("push", "step"), prescribed=True),
+        1,
+        {
+            "X_udot": 44.6
+        },  # 1504 panels (undertow added-mass mesh --panels 1600), which say +- 0.7 of themselves
+        "panels",
+    ),
+}
+
+
+def run(name: str, work: Path, progress: Progress) -> list[dict[str, Any]]:
+    """Run what is missing of a body in a folder, and return what came out."""
+    body, root = BODIES[name], work / name
+    if not (root / FILE).exists():
+        tank, hull = make_tank(mended(body.hull(), name)[0], body.orders, f"{name}.stl", "0" * 64)
+        write_tank(root, tank, hull)
+    tank = read_tank(root)
+    run_tank(root, tank, grids=body.grids, progress=progress)
+    found = [*_coefficients(name, root, tank), *_drag(name, root, tank)]
+    return [*found, _against_demo(root, tank)] if name == "box-forced" else found
+
+
+def _against_demo(root: Path, tank: Tank) -> dict[str, Any]:
+    """How far the speed is from that of the shipped run, which other scripts made: root mean squares, m/s."""
+    shipped = np.genfromtxt(SHIPPED, delimiter=",", names=True)
+    record = read_record(log_of(root, tank.cases[0], 1), 1)
+    off = np.interp(shipped["t_s"], record.time, record.speed) - shipped["velocity_m_s"]
+    rms = {"off": float(np.sqrt(np.mean(off**2))), "speed": float(np.sqrt(np.mean(record.speed**2)))}
+    return {"body": "box-forced", "name": "rms", "direction": 0, **rms}
+
+
+def drawing(name: str, work: Path) -> Figure:
+    """The picture of the first case of a body on its finest grid."""
+    root = work / name
+    tank = read_tank(root)
+    return picture(root, tank, tank.cases[0], BODIES[name].grids, coefficients(root, tank))
+
+
+def _coefficients(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
+    body = BODIES[name]
+    return [
+        {
+            "body": name,
+            "name": c.name,
+            "direction": c.direction,
+            "value": c.value,
+            "sigma": c.sigma,
+            "grid": asdict(c.grid),
+            "truth": body.truth.get(c.name),  # alike in both directions
+            "source": body.source,
+            **_effort(root, tank, c.motion, body.grids),
+        }
+        for c in coefficients(root, tank)
+        if name != "re100"  # its two speeds say no coefficients: the drag is neither linear nor quadratic
+    ]
+
+
+def _effort(root: Path, tank: Tank, motion: str, grids: int) -> dict[str, Any]:
+    """Cells and processor seconds of the grids."""
+    cells, seconds = [], []
+    for grid in range(1, grids + 1):
+        cases = [c for c in tank.cases if c.motion == motion]
+        cells.append(read_record(log_of(root, cases[0], grid), grid).cells)
+        seconds.append(sum(processor_seconds(folder_of(root, c, grid)) for c in cases))
+    return {"cells": cells, "seconds": seconds}
+
+
+def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
+    """Drag coefficients on the silhouette at the end of each speed of the steps."""
+    body, rows = BODIES[name], []
+    area = mended(body.hull(), name)[0].projected_area(0)
+    steps = [c for c in tank.cases if c.profile == "step" and c.prescribed]
+    for case in steps:
+        record = read_record(log_of(root, case, body.grids), body.grids)
+        for end in (2 / 3 * case.end, case.end):
+            now = np.searchsorted(record.time, end * (1 - 1e-6), side="right") - 1
+            u = record.speed[now]
+            rows.append(
+                {
+                    "body": name,
+                    "name": "Cd",
+                    "direction": case.direction * (len(steps) > 1),
+                    "speed": float(u),
+                    "reynolds": float(abs(u) * tank.size / tank.viscosity),
+                    "value": float(-record.water[now] * np.sign(u) / (tank.density / 2 * area * u**2)),
+                    **_effort(root, tank, case.motion, body.grids),
+                }
+            )
+    return rows

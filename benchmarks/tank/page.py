@@ -1,0 +1,60 @@
+"""The text of docs/tank.md."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from .bodies import BODIES
+
+_TEXT = Path(__file__).parent / "page.md"
+_WAYS = {0: "", 1: " forward", -1: " backward"}
+_UNITS = {"X": "kg", "Y": "kg", "Z": "kg", "K": "kg m²", "M": "kg m²", "N": "kg m²"}
+
+
+def page(rows: Sequence[dict[str, Any]]) -> str:
+    """The whole page; `rows` are those of results.json."""
+    text = _TEXT.read_text(encoding="utf-8")
+    added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps"]
+    drag = [r for r in rows if r["name"] == "Cd"]
+    (rms,) = (r for r in rows if r["name"] == "rms")
+    text = text.replace("{off}", f"{1000 * rms['off']:.1f}").replace("{speed}", f"{1000 * rms['speed']:.0f}")
+    return text.replace("{added}", "\n".join(_added(added))).replace("{drag}", "\n".join(_drag(drag)))
+
+
+def _title(row: dict[str, Any]) -> str:
+    return BODIES[row["body"]].title + _WAYS[row["direction"]]
+
+
+def _effort(row: dict[str, Any]) -> str:
+    return f"{', '.join(f'{c:,}' for c in row['cells'])} | {', '.join(f'{s:.0f}' for s in row['seconds'])}"
+
+
+def _added(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    yield "| body | | tank | known | off by | grid index | sigma | cells | processor seconds |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for r in rows:
+        known = f"{r['truth']:.4g} ({r['source']})" if r["truth"] else "–"
+        off = f"{100 * (r['value'] / r['truth'] - 1):+.1f} %" if r["truth"] else "–"
+        index, sigma = (f"{100 * x / r['value']:.1f} %" for x in (r["grid"]["index"], r["sigma"]))
+        value = f"{r['value']:.4g} {_UNITS[r['name'][0]]}"
+        yield f"| {_title(r)} | -{r['name']} | {value} | {known} | {off} | {index} | {sigma} | {_effort(r)} |"
+
+
+def published(reynolds: float) -> float:
+    """Standard drag coefficient of a sphere on its silhouette for Reynolds numbers from 20 to 260.
+
+    Source: Clift, Grace and Weber (1978), Bubbles, Drops, and Particles, chapter 5.
+    """
+    return 24 / reynolds * (1 + 0.1935 * reynolds**0.6305)
+
+
+def _drag(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    yield "| body | speed | Reynolds number | C_d | published | off by | cells | processor seconds |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for r in rows:
+        known = published(r["reynolds"]) if r["body"] == "re100" else None
+        shown = f"{known:.3f} | {100 * (r['value'] / known - 1):+.1f} %" if known else "– | –"
+        speed = f"{r['speed']:.3g} m/s"
+        yield f"| {_title(r)} | {speed} | {r['reynolds']:.3g} | {r['value']:.3f} | {shown} | {_effort(r)} |"

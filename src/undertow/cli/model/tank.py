@@ -1,0 +1,250 @@
+"""Move a hull through computed water with OpenFOAM, and find its added mass and damping.
+
+    undertow tank new hull.stl --mass 7.5 --motion surge,heave,yaw --prescribed --out tank/
+
+    undertow tank run tank/ --cores 2 --grids 2
+
+    undertow tank look tank/
+
+    undertow vehicle new --tank tank/ --out my.toml
+
+One motion is free or prescribed at a time; the hull is deeply submerged, in still water without bounds. A
+short push tells the added mass, steps of speed or force the drag. `run` goes on where it was cut off, and
+prints the coefficients with errors of the fit and of the grid. Its logs are logs as any other:
+
+    undertow fit my.toml tank/logs/surge-step-grid1.csv --map tank/logs/surge-step-grid1.toml
+
+OpenFOAM is a package of the system: apt-get install openfoam.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from undertow.errors import UndertowError
+
+from .._options import JsonOption
+from .._terminal import console, print_json, progress, say, table, write_files
+from .vehicle import FrameOption, UnitOption, read
+
+if TYPE_CHECKING:
+    from undertow.tank.coefficients import Coefficient
+
+app = typer.Typer(add_completion=False)
+
+_HULL = typer.Argument(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
+_ROOT = typer.Argument(metavar="TANK", help="Folder of the tank.")
+_MASS = typer.Option("--mass", metavar="KG", help="Of the vehicle.")
+_MOTION = typer.Option("--motion", metavar="NAME,NAME", help="Motions to test, one at a time.")
+_PROFILE = typer.Option(
+    "--profile",
+    metavar="NAME,NAME",
+    help="push, step, sine, paper, or a CSV file of time and force or speed.",
+)
+_PRESCRIBED = typer.Option(
+    "--prescribed", help="Prescribe motions and measure forces; else forces are given."
+)
+_OUT = typer.Option("--out", metavar="FOLDER", help="Where to write the tank.")
+_SPEED = typer.Option("--speed", metavar="M/S", help="Highest speed; when turning, that of the hull's ends.")
+_FORCE = typer.Option(
+    "--force-peak", metavar="N", help="Highest force or moment.", show_default="what keeps up the speed"
+)
+_INERTIA = typer.Option(
+    "--inertia", metavar="KG M2", help="Of turning.", show_default="mass spread evenly over the hull"
+)
+_DENSITY = typer.Option("--density", metavar="KG/M3", help="Of the water.")
+_VISCOSITY = typer.Option("--viscosity", metavar="M2/S", help="Kinematic, of the water.")
+_TURBULENCE = typer.Option("--turbulence", help="Of the water; auto: by the Reynolds number.")
+_MADE = typer.Option("--grids", metavar="N", help="Grids to write cases for, 1 to 4.")
+_STEP = typer.Option("--time-step", metavar="SHARE", help="Of the usual time step; less if a run diverges.")
+_REPLACE = typer.Option("--force", help="Replace a tank that has not been run.")
+_CORES = typer.Option("--cores", metavar="N", min=1, help="Processes of the solver.")
+_GRIDS = typer.Option("--grids", metavar="N", min=1, max=4, help="Grids to run, the coarsest first.")
+_CASE = typer.Option("--case", metavar="NAME", help="One case.", show_default="all that were run")
+_PICTURES = typer.Option("--out", metavar="FOLDER", help="Where to.", show_default="TANK/pictures")
+
+
+@app.callback()
+def tank() -> None:
+    pass
+
+
+@app.command()
+def new(
+    hull: Annotated[Path, _HULL],
+    mass: Annotated[float, _MASS],
+    motion: Annotated[str, _MOTION] = "surge",
+    profile: Annotated[str, _PROFILE] = "push,step",
+    prescribed: Annotated[bool, _PRESCRIBED] = False,
+    out: Annotated[Path, _OUT] = Path("tank"),
+    unit: UnitOption = None,
+    frame: FrameOption = "FRD",
+    speed: Annotated[float, _SPEED] = 0.3,
+    force_peak: Annotated[float | None, _FORCE] = None,
+    inertia: Annotated[float | None, _INERTIA] = None,
+    density: Annotated[float, _DENSITY] = 1000.0,
+    viscosity: Annotated[float, _VISCOSITY] = 1e-6,
+    turbulence: Annotated[Literal["auto", "laminar", "k-omega-sst"], _TURBULENCE] = "auto",
+    grids: Annotated[int, _MADE] = 3,
+    time_step: Annotated[float, _STEP] = 1.0,
+    force: Annotated[bool, _REPLACE] = False,
+) -> None:
+    """Write OpenFOAM cases around a hull, for every motion and direction, on several grids.
+
+    The hull has to be closed. A direction that is the mirror image of the other has no case of its own, and
+    water is cut at planes of symmetry. Nothing has to be installed for this.
+    """
+    from undertow.files import check_folder, sha256_of
+    from undertow.shape.first import motions
+    from undertow.tank.case import Orders, make_tank, write_tank
+
+    check_folder(out)
+    _refuse_old(out, force)
+    surface = read(hull, unit, frame).mesh
+    orders = Orders(
+        mass=mass,
+        motions=motions([m.strip() for m in motion.split(",")]),
+        profiles=[p.strip() for p in profile.split(",")],
+        prescribed=prescribed,
+        speed=speed,
+        force=force_peak,
+        inertia=inertia,
+        density=density,
+        viscosity=viscosity,
+        turbulence=turbulence,
+        grids=grids,
+        step=time_step,
+    )
+    made, centred = make_tank(surface, orders, hull.name, sha256_of(hull))
+    with progress("writing", None):
+        write_tank(out, made, centred)
+    size = " x ".join(f"{2 * h:.3g}" for h in made.half)
+    rows = [
+        (
+            c.name,
+            f"{c.end:.3g} s",
+            f"{c.end / c.step:.0f}",
+            "k-omega SST" if c.turbulent else "laminar",
+            f"1/{c.copies}",
+        )
+        for c in made.cases
+    ]
+    console().print(table(("case", "time", "steps, grid 1", "flow", "of the water"), rows, indent=0))
+    say(f"{size} m of water; cells of {made.cell:.3g} m at the hull")
+    say(f"wrote {out}; then: undertow tank run {out}")
+
+
+def _refuse_old(out: Path, force: bool) -> None:
+    from undertow.tank.settings import FILE
+
+    if (out / FILE).exists():
+        if any(out.glob("logs/*.csv")):
+            raise UndertowError(f"'{out}' is a tank with logs: name another folder with --out")
+        if not force or any(out.glob("cases/*/grid*/grid.json")):
+            raise UndertowError(f"'{out}' is a tank already: name another folder with --out")
+
+
+@app.command()
+def run(
+    root: Annotated[Path, _ROOT],
+    cores: Annotated[int, _CORES] = 1,
+    grids: Annotated[int, _GRIDS] = 1,
+    json: JsonOption = False,
+) -> None:
+    """Run all cases that have no log yet, and print what all logs say.
+
+    Cut off (Ctrl-C, a machine that stops), it goes on from the last time that was written; a run that
+    diverges is refused with the time and the Courant number. Logs, with mapping files, are in TANK/logs.
+    """
+    from undertow.tank.coefficients import coefficients
+    from undertow.tank.run import run_tank
+    from undertow.tank.settings import read_tank
+
+    made = read_tank(root)
+    with progress("towing tank") as report:
+        written = run_tank(root, made, grids=grids, cores=cores, progress=report)
+    found = coefficients(root, made)
+    if json:
+        print_json({"coefficients": [_plain(c) for c in found], "written": written})
+        return
+    say(f"{len(written)} logs written to {root / 'logs'}" if written else "all logs are there already")
+    show(found)
+    say(f"then: undertow tank look {root}; undertow vehicle new --tank {root}")
+
+
+def _plain(c: Coefficient) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {**asdict(c), "value": c.value, "sigma": c.sigma}
+
+
+_WAYS = {0: "both", 1: "forward", -1: "backward"}
+
+
+def show(found: list[Coefficient]) -> None:
+    """Print coefficients with their errors."""
+    from undertow.model.symbols import DOFS
+
+    units = ({"dot": "kg", "abs": "kg/m"}, {"dot": "kg m^2", "abs": "kg m^2"})
+    plain = ("kg/s", "kg m^2/s")
+    rows = []
+    for c in found:
+        turns = DOFS.index(c.motion) > 2
+        unit = next((u for mark, u in units[turns].items() if mark in c.name), plain[turns])
+        numbers = (
+            f"{c.value:.4g}",
+            f"{c.sigma:.2g}",
+            f"{c.fit:.2g}",
+            f"{c.grid.index:.2g}",
+            f"{c.grid.extrapolated:.4g}",
+        )
+        rows.append((f"-{c.name}", _WAYS[c.direction], *numbers, c.grid.kind, unit))
+    heads = ("", "", "value", "sigma", "of the fit", "grid index", "extrapolated", "grids", "")
+    console().print(table(heads, rows, indent=0))
+
+
+@app.command()
+def look(
+    root: Annotated[Path, _ROOT],
+    case: Annotated[str | None, _CASE] = None,
+    out: Annotated[Path | None, _PICTURES] = None,
+) -> None:
+    """Draw the grid around the hull, the speed of the water and the forces, one picture for each case."""
+    from contextlib import suppress
+    from functools import partial
+
+    from undertow.errors import nearest
+    from undertow.figures import save_png
+    from undertow.files import check_folder, make_folder
+    from undertow.tank.coefficients import coefficients
+    from undertow.tank.pictures import picture
+    from undertow.tank.settings import folder_of, log_of, read_tank
+
+    made, folder = read_tank(root), out or root / "pictures"
+    names = [c.name for c in made.cases]
+    if case is not None and case not in names:
+        raise UndertowError(f"case '{case}' is not in {root}{nearest(case, names)}")
+    found: list[Coefficient] = []
+    with suppress(UndertowError):  # too few logs for coefficients are enough for pictures
+        found = coefficients(root, made)
+    wanted = []
+    for c in made.cases:
+        grids = [
+            g
+            for g in range(made.grids, 0, -1)
+            if any(folder_of(root, c, g).glob("postProcessing/section/*/*"))
+        ]
+        if grids and case in (None, c.name):
+            done = [g for g in grids if log_of(root, c, g).is_file()]
+            wanted.append((c, (done or grids)[0]))
+    if not wanted:
+        raise UndertowError(f"{root}: nothing to look at yet: undertow tank run {root} computes it")
+    check_folder(folder)
+    make_folder(folder)
+    for c, grid in wanted:
+        path = folder / f"{c.name}-grid{grid}.png"
+        drawn = picture(root, made, c, grid, found)
+        write_files((path, partial(save_png, drawn)))

@@ -1,0 +1,1 @@
+"""A towing tank of computed water: OpenFOAM cases around a hull, their runs, and the coefficients in them."""

@@ -1,0 +1,342 @@
+"""OpenFOAM cases: from a hull to the water around it, and from that to the files of every case."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from scipy.spatial import cKDTree
+
+from undertow.errors import UndertowError
+from undertow.files import make_folder, together, write_whole
+from undertow.model.symbols import DOFS
+from undertow.shape.bodies import equivalent
+from undertow.shape.first import drag_of_hull
+from undertow.shape.mesh import Mesh, stl_bytes
+from undertow.typing import Array
+
+from .profiles import PROFILES, duration, motion, read_signal, signal
+from .settings import FILE, HULL, RULES, Case, Tank, folder_of
+
+_AXES = ("x", "y", "z")
+# The plane that shows most of each motion, by its normal.
+_SECTION = {"surge": 1, "sway": 2, "heave": 1, "roll": 0, "pitch": 1, "yaw": 2}
+_ALWAYS = (
+    "system/blockMeshDict",
+    "system/surfaceFeatureExtractDict",
+    "system/snappyHexMeshDict",
+    "system/controlDict",
+    "system/fvSchemes",
+    "system/fvSolution",
+    "system/decomposeParDict",
+    "constant/dynamicMeshDict",
+    "constant/transportProperties",
+    "constant/turbulenceProperties",
+    "0/U",
+    "0/p",
+)
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What is to be done in the tank."""
+
+    mass: float  # kg
+    motions: Sequence[str] = ("surge",)
+    profiles: Sequence[str] = ("push", "step")  # names, or CSV files
+    prescribed: bool = False  # whether motions are given and forces measured
+    speed: float = 0.3  # highest, m/s; a turning hull has it at the ends of its longest side
+    force: float | None = None  # highest, N or N m; None: what keeps `speed` up by the drag of the form
+    inertia: float | None = None  # of turning, kg m^2; None: mass spread evenly over the hull
+    density: float = 1000.0  # kg/m^3
+    viscosity: float = 1e-6  # m^2/s
+    turbulence: str = "auto"  # laminar, k-omega-sst, or auto: by the Reynolds number
+    grids: int = 3
+    step: float = 1.0  # time steps, as a share of those of the rules
+
+
+def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank, Mesh]:
+    """A tank for a hull, and the hull with its centre of volume in the origin."""
+    _check(orders)
+    centred = hull.moved(-hull.centroid)
+    sizes, rules = centred.extents, RULES
+    longest, cell = float(sizes.max()), _cell(centred)
+    level = max(1, int(np.floor(np.log2(longest / rules.background / cell) + 1e-9)))
+    background = cell * 2**level
+    reach = np.abs(centred.bounds).max(axis=0) + rules.reach * longest
+    x, y, z = (float(r) for r in np.ceil(reach / background) * background)
+    symmetric = _symmetries(centred)
+    added = np.diag(equivalent(centred, orders.density).matrix)
+    form = np.array([added, drag_of_hull(centred, orders.density).coefficients])
+    cases = [
+        case
+        for motion_name in orders.motions
+        for profile in orders.profiles
+        for case in _cases(centred, form, orders, motion_name, profile, symmetric)
+    ]
+    tank = Tank(
+        hull=name,
+        sha256=sha256,
+        mass=orders.mass,
+        density=orders.density,
+        viscosity=orders.viscosity,
+        half=(x, y, z),
+        cell=cell,
+        level=level,
+        size=longest,
+        refinement=rules.refinement,
+        grids=orders.grids,
+        symmetric=tuple(_AXES[i] for i in symmetric),  # type: ignore[misc]
+        cases=tuple(cases),
+    )
+    return tank, centred
+
+
+def _check(orders: Orders) -> None:
+    numbers = {
+        "mass": (orders.mass, "kg"),
+        "speed": (orders.speed, "m/s"),
+        "density": (orders.density, "kg/m^3"),
+        "viscosity": (orders.viscosity, "m^2/s"),
+        "force": (1.0 if orders.force is None else orders.force, "N or N m"),
+        "inertia": (1.0 if orders.inertia is None else orders.inertia, "kg m^2"),
+        "time step": (orders.step, "of that of the rules"),
+    }
+    for what, (value, unit) in numbers.items():
+        if not (value > 0 and np.isfinite(value)):
+            raise UndertowError(f"{what} = {value:g} {unit} cannot be: give a positive number")
+    if not 1 <= orders.grids <= 4:
+        raise UndertowError(f"{orders.grids} grids cannot be: give 1 to 4")
+    if orders.prescribed and "paper" in orders.profiles:
+        raise UndertowError(
+            "profile paper is one of forces: leave out --prescribed, or choose push, step or sine"
+        )
+
+
+def _symmetries(hull: Mesh) -> list[int]:
+    """Axes along which the hull is its own mirror image, corner by corner."""
+    corners, near = cKDTree(hull.vertices), RULES.same * float(hull.extents.max())
+    mirrored = {i: hull.vertices * (1 - 2 * (np.arange(3) == i)) for i in range(3)}
+    return [i for i, points in mirrored.items() if float(corners.query(points)[0].max()) <= near]
+
+
+def _cases(
+    hull: Mesh, form: Array, orders: Orders, name: str, profile: str, symmetric: list[int]
+) -> list[Case]:
+    """A case, or two where both directions are not alike; `form` (2, 6) is added mass and drag by form."""
+    turns, axis = DOFS.index(name) > 2, DOFS.index(name) % 3
+    alike = any((i == axis) != turns for i in symmetric)
+    both = profile in PROFILES and profile != "sine" and not alike
+    label = f"{name}-{profile if profile in PROFILES else Path(profile).stem.lower()}"
+    shared = _case(hull, form, orders, name, profile)
+    shared["planes"] = tuple(_AXES[i] for i in symmetric if (i == axis) == turns)
+    values = np.array(shared.pop("signal"))
+    return [
+        Case(
+            name=_plain(label + (("-forward" if way > 0 else "-backward") if both else "")),
+            direction=way,  # type: ignore[arg-type]
+            signal=tuple(np.round(way * values, 9).tolist()),
+            **shared,
+        )
+        for way in ((1, -1) if both else (1,))
+    ]
+
+
+def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> dict[str, Any]:
+    """What both directions of a case have in common: its signal, how strong it is, the time step."""
+    place = DOFS.index(name)
+    turns, sizes = place > 2, hull.extents
+    longest = float(sizes.max())
+    arm = longest / 2 if turns else 1.0
+    rate = orders.speed / arm  # m/s or rad/s
+    scale = (longest if turns else float(sizes[place])) / orders.speed
+    times, values, peak = _signal(profile, orders.prescribed, scale)
+    inertia = orders.mass
+    if turns:
+        inertia = orders.inertia or float(hull.inertia[place - 3, place - 3]) * orders.mass / hull.volume
+    added, drag = form[:, place].tolist()
+    if peak is None:
+        peak = rate if orders.prescribed else orders.force or drag * rate**2
+        if profile == "push" and not orders.prescribed and orders.force is None:
+            peak = np.pi * float(inertia + added) * rate / float(times[-1])
+    push = profile == "push"
+    reached = peak if orders.prescribed else max(rate, 0.0 if push else (peak / drag) ** 0.5)
+    cell = _cell(hull)
+    step = times[-1] / RULES.push_steps if push else RULES.courant * cell / (reached * arm)
+    auto = not push and reached * arm * longest / orders.viscosity > RULES.laminar_below
+    return {
+        "motion": name,
+        "profile": profile if profile in PROFILES else "table",
+        "prescribed": orders.prescribed,
+        "peak": peak,
+        "inertia": inertia,
+        "end": float(times[-1]),
+        "step": float(step * orders.step),
+        "turbulent": auto if orders.turbulence == "auto" else orders.turbulence == "k-omega-sst",
+        "relaxation": min(RULES.relaxation, 1 / (1 + added / inertia)),
+        "times": tuple(np.round(times, 9).tolist()),
+        "signal": values,
+    }
+
+
+def _signal(profile: str, prescribed: bool, scale: float) -> tuple[Array, Array, float | None]:
+    """Times, values from -1 to 1, and the largest value where a file says it."""
+    if profile in PROFILES:
+        return *signal(profile, prescribed, duration(profile, scale), scale), None
+    times, values = read_signal(Path(profile))
+    peak = float(np.abs(values).max())
+    return times, values / peak, peak
+
+
+def _cell(hull: Mesh) -> float:
+    """Size of the cells at the hull on the coarsest grid, m."""
+    return float(min(hull.extents.max() / RULES.along, hull.extents.min() / RULES.across))
+
+
+def _plain(label: str) -> str:
+    return "".join(c if c.isalnum() and c.isascii() else "-" for c in label)
+
+
+def write_tank(root: Path, tank: Tank, hull: Mesh) -> list[Path]:
+    """Write the tank and all files of its cases, all or none; the folders of the cases are returned."""
+    folders = []
+    with together():
+        make_folder(root / "logs")
+        write_whole(root / FILE, tank.text())
+        write_whole(root / HULL, stl_bytes(hull))
+        for case, grid in product(tank.cases, range(1, tank.grids + 1)):
+            folders.append(folder_of(root, case, grid))
+            for name, text in case_files(tank, case, grid).items():
+                make_folder((folders[-1] / name).parent)
+                write_whole(folders[-1] / name, text)
+    return folders
+
+
+def section_axis(motion_name: str) -> int:
+    """Axis normal to the plane in which a case is drawn: 0, 1, 2 for x, y, z."""
+    return _SECTION[motion_name]
+
+
+def case_files(tank: Tank, case: Case, grid: int, cores: int = 1) -> dict[str, str]:
+    """Names and contents of the files of an OpenFOAM case; the hull is in the tank's folder."""
+    values = _values(tank, case, grid, cores)
+    names = [*_ALWAYS]
+    names += ["0/k", "0/omega", "0/nut"] if case.turbulent else []
+    names += ["0/pointDisplacement"] if not case.prescribed else []
+    files = {name: str(_template(name.partition("/")[2]).render(values)) for name in names}
+    if case.prescribed:
+        files["constant/motion.dat"] = _motion_table(case, tank.step_of(case, grid))
+    return files
+
+
+@cache
+def _template(name: str) -> Any:
+    environment = Environment(
+        loader=PackageLoader("undertow.tank"),
+        autoescape=False,  # dictionaries of OpenFOAM, filled with numbers only
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(name)
+
+
+def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:
+    place = DOFS.index(case.motion)
+    step, share = tank.step_of(case, grid), 1 / case.copies
+    rate = case.peak * (tank.size / 2 if place > 2 else 1.0) if case.prescribed else 0.3
+    k = 1.5 * (RULES.intensity * rate) ** 2
+    inertia = case.inertia * share
+    section = np.eye(3)[section_axis(case.motion)]
+    return {
+        **_block(tank, case, grid),
+        "level": tank.level,
+        "bands": " ".join(f"({d:.6g} {n})" for d, n in _bands(tank)),
+        "end": f"{case.end:.12g}",
+        "step": f"{step:.12g}",
+        "interval": max(1, round(case.end / step / RULES.outputs)),
+        "density": tank.density,
+        "viscosity": tank.viscosity,
+        "point": _vector(section * 0.25 * tank.cell_of(grid)),
+        "normal": _vector(section),
+        "corrections": 2 if case.prescribed else RULES.corrections,
+        "cores": cores,
+        "free": not case.prescribed,
+        "turbulent": case.turbulent,
+        "relaxation": f"{case.relaxation:.4g}",
+        # A joint leaves one motion free: the other moments of inertia have no effect.
+        "mass": f"{inertia if place < 3 else tank.mass * share:.9g}",
+        "inertia": f"{inertia if place > 2 else inertia * tank.size**2 / 12:.9g}",
+        "joint": f"{'PR'[place > 2]}{'xyz'[place % 3]}",
+        "beyond": 1e3 * tank.size,  # nothing is deformed: all of the mesh moves with the hull
+        **_push(case, place, share),
+        "k": k,
+        "omega": k / (RULES.eddies * tank.viscosity),
+    }
+
+
+def _push(case: Case, place: int, share: float) -> dict[str, str]:
+    """The force on a free hull; a moment is a force at an arm of 1 m, whose push the joint takes up."""
+    axis = place % 3
+    direction = np.eye(3)[axis if place < 3 else (axis + 2) % 3]
+    arm = np.eye(3)[(axis + 1) % 3] * (place > 2)
+    rows = zip(case.times, case.signal, strict=True)
+    table = "\n".join(f"    ({t:.9g} ({_vector(direction * s * case.peak * share)}))" for t, s in rows)
+    return {"arm": _vector(arm), "force": f"\n{table}\n    "}
+
+
+def _bands(tank: Tank) -> list[tuple[float, int]]:
+    """Distances from the hull and the halvings of cells within them."""
+    around = [(RULES.around * tank.size, 1)] if tank.level > 1 else []
+    middle = [(2 * RULES.near * tank.size * (tank.level - n), n) for n in range(tank.level - 1, 1, -1)]
+    return [(RULES.near * tank.size, tank.level), *middle, *around]
+
+
+def _block(tank: Tank, case: Case, grid: int) -> dict[str, str]:
+    """The block of water, cut at planes of symmetry, and what its faces are."""
+    cut = [axis in case.planes for axis in _AXES]
+    cell = tank.cell_of(grid) * 2**tank.level
+    low = [0.0 if c else -h for c, h in zip(cut, tank.half, strict=True)]
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    points = [[(low[i], tank.half[i])[c[i]] for i in range(3)] for c in corners]
+    counts = [round((h - lo) / cell) for h, lo in zip(tank.half, low, strict=True)]
+    faces: dict[bool, list[str]] = {True: [], False: []}
+    sides = [("0 4 7 3", "1 2 6 5"), ("0 1 5 4", "3 7 6 2"), ("0 3 2 1", "4 5 6 7")]
+    for i, (lower, upper) in enumerate(sides):
+        faces[cut[i]].append(f"({lower})")
+        faces[False].append(f"({upper})")
+    inside = [h - (0.37 + 0.04 * i) * cell for i, h in enumerate(tank.half)]
+    return {
+        "vertices": [_vector(p) for p in points],  # type: ignore[dict-item]
+        "counts": " ".join(map(str, counts)),
+        "far": " ".join(faces[False]),
+        "cut": " ".join(faces[True]),
+        "inside": _vector(inside),
+    }
+
+
+def _motion_table(case: Case, step: float) -> str:
+    """Places of a prescribed motion at the time steps, and beyond both ends for the spline through them."""
+    at = np.arange(-3, round(case.end / step) + 4) * step
+    times, speeds = np.array(case.times), case.peak * np.array(case.signal)
+    places, _, _ = motion(times, speeds, np.clip(at, 0.0, case.end))
+    beyond = np.maximum(at - case.end, 0.0) * speeds[-1]
+    rows = [_pose(case.motion, x) for x in places + beyond]
+    lines = "\n".join(f"({t:.10g} {row})" for t, row in zip(at, rows, strict=True))
+    return f"(\n{lines}\n)\n"
+
+
+def _pose(motion_name: str, x: float) -> str:
+    pose = np.zeros(6)
+    pose[DOFS.index(motion_name)] = x
+    return f"(({_vector(pose[:3])}) ({_vector(np.degrees(pose[3:]))}))"
+
+
+def _vector(values: Sequence[float] | Array) -> str:
+    return " ".join(f"{0.0 + v:.10g}" for v in values)

@@ -1,0 +1,158 @@
+"""What a tank is: its rules, its cases, and the file `tank.toml` that states them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import tomlkit
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from undertow.errors import UndertowError
+from undertow.files import read_toml
+
+SCHEMA = "undertow/tank/1"
+FILE = "tank.toml"
+HULL = "hull.stl"
+
+
+@dataclass(frozen=True)
+class TankRules:
+    """How water, grid and time follow from a hull and a speed; lengths are shares of its longest side."""
+
+    reach: float = 3.0  # water between hull and outer boundary: it holds the added mass of a sphere to 0.3 %
+    along: float = 20.0  # surface cells of the coarsest grid along the longest side, at least
+    across: float = 8.0  # the same across the shortest side
+    background: float = 5.0  # cells far away along the longest side, at least
+    near: float = 0.1  # distance within which cells are as fine as at the surface
+    around: float = 0.67  # distance within which they are twice as fine as far away
+    refinement: float = 2**0.5  # ratio of cells, and of time steps, of one grid to the next finer one
+    courant: float = 0.5  # surface cells that pass in one time step, at the speed asked for
+    push_steps: int = 40  # time steps of a short push
+    push: float = 0.02  # travel of a short push, of the length along the motion: no wake forms
+    travel: float = (
+        15.0  # of steps, at the highest speed: the drag settles at two speeds, or the hull speeds up,
+    )
+    # coasts and is pushed back
+    sine: float = 0.5  # amplitude of a prescribed sine, of the length along the motion
+    periods: int = 3  # of a sine; the first is left out
+    ramp: float = 1.0  # travel while a prescribed speed changes: impulsive starts diverge
+    force_ramp: float = 0.025  # travel while a force changes
+    laminar_below: float = 4000.0  # Reynolds number below which no turbulence model is used
+    intensity: float = 0.01  # of the turbulence in the water at rest, of the speed
+    eddies: float = 10.0  # turbulent viscosity of the water at rest, of the laminar one
+    relaxation: float = 0.75  # most that an acceleration changes in one correction of a free hull
+    corrections: int = 3  # outer corrections of a time step
+    same: float = 1e-5  # distance within which a mirrored corner is a corner: the hull is mirror-symmetric
+    courant_limit: float = 50.0  # beyond it a run has diverged
+    outputs: int = 20  # times at which a run that is cut off can be taken up again
+
+
+RULES = TankRules()
+
+Motion = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]
+Axis = Literal["x", "y", "z"]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Case(_Strict):
+    """One motion of the hull, on all grids."""
+
+    name: str = Field(pattern=r"^[a-z0-9-]+$")
+    motion: Motion
+    profile: str
+    direction: Literal[-1, 1]
+    prescribed: bool  # whether the motion is given and the force measured, or the other way round
+    peak: float = Field(
+        gt=0
+    )  # largest speed (m/s, rad/s) of a prescribed motion, force (N, N m) of a free one
+    inertia: float = Field(gt=0)  # mass, kg, or moment of inertia, kg m^2, that goes with the motion
+    end: float = Field(gt=0)  # s
+    step: float = Field(gt=0)  # time step on the coarsest grid, s
+    planes: tuple[Axis, ...]  # axes normal to the planes of symmetry at which the water is cut
+    turbulent: bool
+    relaxation: float = Field(gt=0, le=1)
+    times: tuple[float, ...]  # of the signal, s
+    signal: tuple[float, ...]  # speed or force at these times, over `peak`
+
+    @property
+    def copies(self) -> int:
+        """How often the water that is computed makes up the whole."""
+        return 2 ** len(self.planes)
+
+
+class Tank(_Strict):
+    """A hull, the water around it, and the cases: what `tank.toml` says."""
+
+    schema_: Literal["undertow/tank/1"] = Field(alias="schema", default="undertow/tank/1")
+    hull: str  # file it was made from
+    sha256: str  # of that file
+    mass: float = Field(gt=0)  # kg
+    density: float = Field(gt=0)  # kg/m^3
+    viscosity: float = Field(gt=0)  # kinematic, m^2/s
+    half: tuple[float, float, float]  # half sides of the water, m
+    cell: float = Field(gt=0)  # of the surface on the coarsest grid, m
+    level: int = Field(ge=1, le=6)  # halvings from the cells far away to those at the surface
+    size: float = Field(gt=0)  # longest side of the hull, m
+    refinement: float = Field(gt=1)
+    grids: int = Field(ge=1, le=4)
+    symmetric: tuple[Axis, ...]  # axes along which the hull is its own mirror image
+    cases: tuple[Case, ...] = Field(min_length=1)
+    rules: dict[str, float] = {}  # `TankRules` that it was made by, for the record
+
+    def cell_of(self, grid: int) -> float:
+        """Size of the cells at the hull on a grid (1 is the coarsest), m."""
+        return float(self.cell / self.refinement ** (grid - 1))
+
+    def step_of(self, case: Case, grid: int) -> float:
+        """Time step of a case on a grid, s: a whole number of them is the whole time."""
+        wanted = case.step / self.refinement ** (grid - 1)
+        return case.end / max(1, round(case.end / wanted))
+
+    def text(self) -> str:
+        """The content of `tank.toml`."""
+        content = self.model_dump(by_alias=True, exclude={"rules"}, mode="json")
+        document = tomlkit.document()
+        document.add(
+            tomlkit.comment(
+                "A virtual towing tank. Made by `undertow tank new`; `undertow tank run` runs it."
+            )
+        )
+        document.update({"schema": content.pop("schema"), **content, "rules": asdict(RULES)})
+        return tomlkit.dumps(document)
+
+
+def folder_of(root: Path, case: Case, grid: int) -> Path:
+    """Where the OpenFOAM case of a grid stands."""
+    return root / "cases" / case.name / f"grid{grid}"
+
+
+def log_of(root: Path, case: Case, grid: int) -> Path:
+    """Where its log stands."""
+    return root / "logs" / f"{case.name}-grid{grid}.csv"
+
+
+def read_tank(root: str | Path) -> Tank:
+    """Read the `tank.toml` of a folder."""
+    path = Path(root) / FILE
+    if not path.is_file():
+        raise UndertowError(f"{root}: no towing tank (no {FILE} in it): make one with undertow tank new")
+    content: dict[str, Any] = read_toml(path, "towing tank")
+    try:
+        tank = Tank.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UndertowError(
+            f"{path}: {where}: {first['msg']}: make it anew with undertow tank new"
+        ) from error
+    for case in tank.cases:
+        later = all(b > a for a, b in pairwise(case.times))
+        if len(case.times) != len(case.signal) or len(case.times) < 2 or not later:
+            raise UndertowError(f"{path}: case {case.name}: times must rise, one for each value of signal")
+    return tank

@@ -1,0 +1,68 @@
+"""A vehicle file out of the coefficients of a tank."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from undertow.model.symbols import DOFS
+from undertow.shape.first import EffectTable, entry_line, vehicle_text
+
+from .coefficients import Coefficient
+from .settings import Tank
+
+_EFFECTS = {"added_mass": "dot", "quadratic_damping": "abs", "linear_damping": ""}
+
+
+def tank_vehicle(tank: Tank, found: Sequence[Coefficient], name: str) -> str:
+    """The text of a vehicle file with the motions that were tested.
+
+    Mass and moments of inertia are those of the tank; values of both directions stand in it where the hull
+    was tested in both.
+    """
+    motions = tuple(d for d in DOFS if any(c.motion == d for c in found))
+    turns = [EffectTable("rigid_body_coriolis", []), EffectTable("added_mass_coriolis", [])]
+    tables = [EffectTable("rigid_body", list(_rigid_body(tank, motions)))]
+    tables += [EffectTable(effect, list(_entries(found, effect))) for effect in _EFFECTS]
+    return vehicle_text(
+        made_from=f"a virtual towing tank with {tank.hull} (sha256 {tank.sha256})",
+        about=[
+            "The hull was moved in one motion at a time: couplings between motions were not tested.",
+            "Weight and buoyancy are taken as equal; what moves the vehicle besides is not in it.",
+        ],
+        name=name,
+        description=f"{name} as tested in a virtual towing tank, {', '.join(motions)}",
+        source=f"virtual towing tank, {tank.hull}",
+        degrees_of_freedom=motions,
+        density=tank.density,
+        tables=[t for t in tables if t.entries] + (turns if len(motions) > 1 else []),
+    )
+
+
+def _rigid_body(tank: Tank, motions: Sequence[str]) -> Iterator[str]:
+    yield entry_line("m", tank.mass, "kg", source="as stated")
+    for motion, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z")):
+        if motion in motions:
+            inertia = next(case.inertia for case in tank.cases if case.motion == motion)
+            yield entry_line(f"I_{axis}", inertia, "kg m^2", source="as in the tank")
+
+
+def _entries(found: Sequence[Coefficient], effect: str) -> Iterator[str]:
+    own = [c for c in found if _effect(c.name) == effect]
+    for name in dict.fromkeys(c.name for c in own):
+        first, *others = [c for c in own if c.name == name]
+        turns = DOFS.index(first.motion) > 2
+        units = {"added_mass": "kg", "linear_damping": "kg/s", "quadratic_damping": "kg/m"}
+        turning = {"added_mass": "kg m^2", "linear_damping": "kg m^2/s", "quadratic_damping": "kg m^2"}
+        yield entry_line(
+            name,
+            -first.value,
+            (turning if turns else units)[effect],
+            backward=-others[0].value if others else None,
+            sigma=max(c.sigma for c in (first, *others)),
+            estimate=True,
+            source=first.source,
+        )
+
+
+def _effect(name: str) -> str:
+    return next(effect for effect, mark in _EFFECTS.items() if mark in name)

@@ -1,0 +1,74 @@
+"""`undertow tank` on the command line, with a stand-in for the solver."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.shape.hulls import box_mesh, stl
+from tests.cli.bad import refusal
+from tests.tank.stand_ins import ADDED, stand_ins
+from undertow.cli.main import main
+from undertow.model.loading import load_vehicle
+from undertow.shape.mesh import Mesh
+
+Capture = pytest.CaptureFixture[str]
+NEW = ["tank", "new", "box.stl", "--mass", "60.48", "--prescribed", "--grids", "2"]
+
+
+@pytest.fixture
+def hull(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    stl(box_mesh((0.60, 0.42, 0.24)), tmp_path / "box.stl")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_from_a_hull_to_a_vehicle_file(hull: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.setenv("PATH", f"{stand_ins(hull / 'bin', copies=4)}:/usr/bin:/bin")
+    assert main(NEW) == 0
+    assert "then: undertow tank run tank" in capsys.readouterr().out
+    assert main(["tank", "run", "tank", "--grids", "2", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert len(answer["written"]) == 4
+    assert {c["name"] for c in answer["coefficients"]} == {"X_udot", "X_u", "X_uabsu"}
+    assert main(["tank", "run", "tank"]) == 0
+    out = capsys.readouterr().out
+    assert "all logs are there already" in out
+    assert "-X_udot" in out
+    assert main(["vehicle", "new", "--tank", "tank", "--out", "my.toml"]) == 0
+    assert load_vehicle("my.toml").values["X_udot"].value == pytest.approx(-ADDED, rel=0.02)
+    # A log of the tank is a log as any other.
+    logs = hull / "tank" / "logs"
+    words = ["fit", "my.toml", logs / "surge-step-grid1.csv", "--map", logs / "surge-step-grid1.toml"]
+    assert main([str(w) for w in words]) == 0
+    assert "X_uabsu" in capsys.readouterr().out
+    line = refusal(NEW, capsys, hull)
+    assert "tank with logs: name another folder" in line
+
+
+def test_a_hole_is_refused(hull: Path, capsys: Capture) -> None:
+    box = box_mesh((0.60, 0.42, 0.24))
+    stl(Mesh(box.vertices, box.faces[:-1]), hull / "box.stl")
+    assert "box.stl: the hull is open: 3 edges" in refusal(NEW, capsys, hull)
+    assert not (hull / "tank").exists()
+
+
+def test_refusals_are_one_line(hull: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    assert "profile paper is one of forces" in refusal([*NEW, "--profile", "paper"], capsys, hull)
+    assert "cannot be read as a table" in refusal([*NEW, "--profile", "stairs"], capsys, hull)
+    assert "choose from surge" in refusal([*NEW, "--motion", "sideways"], capsys, hull)
+    assert "speed = -1 m/s cannot be" in refusal([*NEW, "--speed", "-1"], capsys, hull)
+    assert "no towing tank" in refusal(["tank", "run", "tank"], capsys, hull)
+    assert main(NEW) == 0
+    assert "is a tank already" in refusal(NEW, capsys, hull)
+    assert main([*NEW, "--force"]) == 0
+    assert "tank has 2" in refusal(["tank", "run", "tank", "--grids", "3"], capsys, hull)
+    assert "nothing to look at yet" in refusal(["tank", "look", "tank"], capsys, hull)
+    assert "did you mean 'surge-push'" in refusal(
+        ["tank", "look", "tank", "--case", "surge-pusk"], capsys, hull
+    )
+    assert "no logs yet" in refusal(["vehicle", "new", "--tank", "tank"], capsys, hull)
+    monkeypatch.setenv("PATH", str(hull))
+    assert "apt-get install openfoam" in refusal(["tank", "run", "tank"], capsys, hull)
