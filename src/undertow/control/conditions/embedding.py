@@ -158,10 +158,11 @@ class Embedding:
         self.size = (3 if self.integral else 2) * self.n
         rotation = plant.J.extract(self.shifts, self.shifts)
         self.frame = self._frame(rotation)
+        left = self._left_of_turn(rotation)
         whole = sm.eye(self.n)
         for i, a in enumerate(self.shifts):
             for j, b in enumerate(self.shifts):
-                whole[a, b] = (self.frame.T * rotation).applyfunc(sm.trigsimp)[i, j]
+                whole[a, b] = left[i, j]
         N = sm.eye(self.n)
         for a in self.turns:
             for b in self.turns:
@@ -176,10 +177,16 @@ class Embedding:
     def _frame(self, rotation: sm.Matrix) -> sm.Matrix:
         """G, the largest turn that every gain commutes with."""
         unit = sm.eye(len(self.shifts))
-        if not (rotation * rotation.T).applyfunc(sm.trigsimp) == unit:
+        if self.plant.J_inverse.extract(self.shifts, self.shifts) != rotation.T:
             raise UndertowError("its translations do not turn as a rotation: no quadratic V is searched for")
         level = rotation.xreplace({symbol("phi"): sm.Integer(0), symbol("theta"): sm.Integer(0)})
         return next(turn for turn in (rotation, level, unit) if self._commutes(turn))
+
+    def _left_of_turn(self, rotation: sm.Matrix) -> sm.Matrix:
+        """G' R, with R = R_z R_y R_x."""
+        if self._turned_by_body:
+            return sm.eye(len(self.shifts))
+        return rotation.xreplace({symbol("psi"): sm.Integer(0)}) if self._follows_heading else rotation
 
     def _commutes(self, turn: sm.Matrix) -> bool:
         own = [np.diag(K)[self.shifts] for K in self._gains]

@@ -32,15 +32,16 @@ class QuadraticSettings:
     headings: int = 12  # headings in the program; the proof has every one
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
-    most: int = 250_000  # matrices that one proof may look at: seconds
+    most: float = 1.5e8  # size^3 of all matrices that one proof may look at: seconds
     batch: int = 1024  # matrices at a time: memory
+    most_in_program: int = 25_000  # corners with all attitudes: memory
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     tries: int = 7  # boxes of speeds that are tried
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
     smaller: float = 0.6  # factor on speeds for which there is no V
     # Factors on speeds that a V asks for which does not hold the start: a little more, and at most so much.
-    more: float = 1.1
+    more: float = 1.15
     most_more: float = 8.0
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
@@ -157,7 +158,9 @@ class Search:
     def _next(self, bounds: Bounds, program: Program, proposal: Proposal | None) -> Bounds | None:
         """Smaller speeds where there is no V; those that the start asks for where V does not hold it."""
         if proposal is None or proposal.start < 1:
-            return Bounds(SETTINGS.smaller * bounds.speeds, bounds.tilts)
+            least = self._tilted(self._filled(self.start) * (1 + SETTINGS.slack))
+            tilts = {a: max(SETTINGS.smaller * t, self._tilt(least[a])) for a, t in bounds.tilts.items()}
+            return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
         growth = np.sqrt(proposal.start) * SETTINGS.more
         reach, speeds = program.reach(proposal) * growth, program.speeds(proposal) * growth
         most = np.minimum(speeds, SETTINGS.most_more * bounds.speeds)
@@ -173,6 +176,7 @@ class Program:
         self.vertices = self.loop.vertices(bounds.speeds)
         self.count = len(self.vertices.inverse.lo)
         self.samples = self._samples()
+        self._require_few()
         self._scale = self._scaling()
 
     def _samples(self) -> Boxes:
@@ -184,6 +188,15 @@ class Program:
         headings = np.linspace(-np.pi, np.pi, count, endpoint=False)
         rows = [{a: t[a] * ends[a] for a in ends} | {"psi": float(h)} for t in tilts for h in headings]
         return {a: _point(np.array([r[a] for r in rows])) for a in self.loop.angles}
+
+    def _require_few(self) -> None:
+        total = self.count * max(_count(self.samples), 1)
+        if total > SETTINGS.most_in_program:
+            raise UndertowError(
+                f"a quadratic V would have to fall at {total} corners of speeds, signs and attitudes, and the "
+                f"limit is {SETTINGS.most_in_program}: give x, y and z the same gains, so that the heading "
+                "drops out"
+            )
 
     def _scaling(self) -> Array:
         """Sizes of the states: errors of the start, speeds of the box, integrals by what they hold."""
@@ -394,9 +407,9 @@ class Program:
 
     def _halving(self, P: Array, holds: Callable[[Array, Boxes], Flags], each: int) -> bool:
         boxes = self.loop.boxes(self.bounds.tilts, {"phi": 2, "theta": 2, "psi": 2 * SETTINGS.headings})
-        looked = 0
+        looked = 0.0
         for _ in range(SETTINGS.halvings * max(len(boxes), 1)):
-            looked += each * _count(boxes) * 2 ** len(boxes)
+            looked += each * _count(boxes) * 2 ** len(boxes) * self.loop.size**3
             if looked > SETTINGS.most:
                 return False
             open_ = ~holds(P, boxes)
@@ -422,7 +435,8 @@ class Program:
         A(angles) differs from what its values at the corners of the box interpolate by h^2/8 times the second
         derivative along each side h at most.
         """
-        parts = np.array_split(np.arange(_count(boxes)), -(-_count(boxes) * self.count // SETTINGS.batch))
+        batches = min(_count(boxes), -(-_count(boxes) * self.count // SETTINGS.batch))
+        parts = np.array_split(np.arange(_count(boxes)), batches)
         found = [self._falls_in({a: Interval(v.lo[p], v.hi[p]) for a, v in boxes.items()}, P) for p in parts]
         return np.concatenate(found)
 
