@@ -193,7 +193,7 @@ class Program:
         total = self.count * max(_count(self.samples), 1)
         if total > SETTINGS.most_in_program:
             raise UndertowError(
-                f"a quadratic V would have to fall at {total} corners of speeds, signs and attitudes, and the "
+                f"a quadratic V would have to fall at {total} corners of speeds and attitudes, and the "
                 f"limit is {SETTINGS.most_in_program}: give x, y and z the same gains, so that the heading "
                 "drops out"
             )
