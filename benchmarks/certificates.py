@@ -411,8 +411,8 @@ Certified loops were attacked by an evolution of starts on the level set (3 gene
 one that leaves the certified errors or speeds, or does not come to rest. Parameters, headings of the
 set-point and limits were not varied.
 
-With six degrees of freedom the proof over roll and pitch is often given up, and it is refused at once where the
-gains tell x, y and z apart.
+With six degrees of freedom the proof over roll and pitch is often given up, and it is refused at once where
+the gains tell x, y and z apart.
 
 | degrees of freedom | called | loops | certified | broken by attack | median, s of processor | longest, s |
 |---|---|---|---|---|---|---|"""
