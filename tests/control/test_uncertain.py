@@ -114,30 +114,6 @@ def loop_of(problem: Problem, iota: float) -> Callable[..., tuple[np.ndarray, np
     return cast("Callable[..., tuple[np.ndarray, np.ndarray]]", sm.lambdify(names, pair, "numpy", cse=True))
 
 
-@pytest.mark.parametrize("drag", first_quick([5.2, 50.0]))
-def test_v_falls_from_every_state_within_the_level_of_the_region(drag: float) -> None:
-    """States drawn at and below the level, most of them along one axis, where damping hurts most."""
-    problem = thick_water(STRONG, drag)
-    rng, count, iota = np.random.default_rng(5), 50_000, 0.11576
-    found = region(problem, (iota, iota))
-    assert found.level is not None
-    assert "estimate" in found.text
-    assert "everywhere" not in found.text
-    states = rng.normal(size=(12, count)) * np.array([1.0] * 4 + [1.0 / iota] * 4 + [0.5] * 4)[:, None]
-    states *= rng.random(states.shape) < np.repeat(rng.choice([0.1, 1.0], count)[None], 12, axis=0)
-    states[0] += 1e-3  # no state is zero
-    # With this integral V is least for an error: a level allows the largest error then.
-    states[4:8] = np.where(rng.random(count) < 0.5, -states[:4] / iota, states[4:8])
-    states[[8, 10]] = np.abs(states[[8, 10]])
-    of = loop_of(problem, iota)
-    psi = rng.uniform(-np.pi, np.pi, count)
-    height, _ = of(psi, *states)
-    states *= np.sqrt(found.level * rng.choice([0.999, 0.5, 0.1], count) / height)
-    height, fall = of(psi, *states)
-    assert np.all(height < found.level)
-    assert np.all(fall < 0)
-
-
 def test_states_beyond_the_damping_of_the_region_rise() -> None:
     """What the level is for: with thick water V_dot is positive at a state that damping at rest allows."""
     of = loop_of(thick_water(STRONG, 50.0), 0.11576)
@@ -169,9 +145,9 @@ def test_damping_that_turns_into_its_opposite_limits_the_region() -> None:
     """Backward X_|u|u > 0 feeds power in: K_V + X_u is outweighed at |u| = (K_V + X_u)/X_|u|u."""
     vehicle = load_vehicle("mini-auv")
     gains = load_gains("paper-pd", vehicle)
-    assert region(Problem(gains), None).kind == "everywhere"
+    assert region(Problem(gains), True).kind == "everywhere"
     odd = load_gains("paper-pd", vehicle.with_values({"X_uabsu_backward": Value(5.0)}))
-    found = region(Problem(odd), None)
+    found = region(Problem(odd), True)
     assert found.kind == "level"
     damping = gains.values["K_V_x"] - vehicle.value_of("X_u_backward").value
     assert 0.9 * damping / 5.0 < found.speeds["u"] < damping / 5.0

@@ -41,6 +41,7 @@ def check_gains(
     forms: Sequence[str] = (),
     iota: float | None = None,
     tilt: float = 60.0,
+    start: Mapping[str, float] | None = None,
     progress: Progress = lambda done, words: None,
 ) -> Report:
     """Check the conditions on the gains of a control law, without simulating.
@@ -61,6 +62,8 @@ def check_gains(
         The constant of the PID conditions, 1/s; searched for by default.
     tilt : float
         Largest roll and pitch that the check covers, degrees.
+    start : mapping, optional
+        Largest errors by coordinate, m and rad, at rest, that the certified region has to hold.
     progress : callable
         Told what share is done, and what is being done.
 
@@ -82,7 +85,7 @@ def check_gains(
     """
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
     uncertainty = Uncertainty(vehicle, confidence, covariance)
-    options = {"forms": forms, "iota": iota, "tilt": radians(tilt)}
+    options = {"forms": forms, "iota": iota, "tilt": radians(tilt), "start": start}
     return certify(chosen, uncertainty, progress=progress, **options)
 
 

@@ -7,11 +7,17 @@ channel is judged by Routh-Hurwitz, the Lyapunov function is compared with the m
 
     undertow gains mini-auv paper-pid
     undertow gains rov.toml my-gains.toml --form derived --repair lyapunov
+    undertow gains rov.toml my-gains.toml --form derived --start "x=0.5 m, y=0.5 m, psi=20 deg"
 
 The first line shows why the published PID gains do not work: their surge loop is unstable. In a pipeline,
 --form derived leaves the printed conditions out, which ask for far more than stability needs, and --json
 prints everything for a program. --repair proposes the smallest change of the gains after which the literal
 (printed) conditions, the lyapunov (derived) conditions or only routh (linear stability) hold.
+
+--start states a box of errors, at rest, that the certified region has to hold. For PID laws, and for PD laws
+whose own conditions are not enough, a quadratic V is searched for by a semidefinite program (Clarabel,
+pip install 'undertow[certificates]') and proved by interval arithmetic, so that the solver need not be
+trusted; a V that is found stands for the conditions derived from the model, which are more than is needed.
 
 Then comes what the answer depends on: the region from which every motion comes to rest with no command beyond
 the limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
@@ -40,7 +46,7 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import EffectsOption, JsonOption, VehicleArgument
+from .._options import EffectsOption, JsonOption, VehicleArgument, in_si
 from .._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
@@ -65,6 +71,12 @@ _CONFIDENCE = typer.Option(
 _TILT = typer.Option(
     "--tilt", metavar="DEGREES", min=1.0, max=85.0, help="Largest roll and pitch that the check covers."
 )
+_START = typer.Option(
+    "--start",
+    metavar="NAME=SIZE,...",
+    help='Largest errors that the region has to hold, as "x=0.5 m, psi=20 deg".',
+    show_default="the largest of some usual ones",
+)
 _REPAIR = typer.Option("--repair", help="Propose the smallest change of the gains that satisfies these.")
 
 
@@ -76,6 +88,7 @@ def gains(
     iota: Annotated[float | None, _IOTA] = None,
     confidence: Annotated[float, _CONFIDENCE] = 0.95,
     tilt: Annotated[float, _TILT] = 60.0,
+    start: Annotated[str | None, _START] = None,
     repair: Annotated[Literal["literal", "lyapunov", "routh"] | None, _REPAIR] = None,
     json: JsonOption = False,
     effects: EffectsOption = None,
@@ -106,6 +119,7 @@ def gains(
             forms=[form] if form else [],
             iota=iota,
             tilt=tilt,
+            start=_sizes(start) if start is not None else None,
             progress=report,
         )
         problem = Problem(chosen, math.radians(tilt))
@@ -150,6 +164,23 @@ def show_mission(report: MissionReport) -> None:
 
 MISSION_SCHEMA = "undertow/mission-report/1"
 """Of what --json prints with --path; docs/missions.md documents it."""
+
+
+def _sizes(text: str) -> dict[str, float]:
+    """The errors of --start in SI, by coordinate."""
+    from undertow.model.symbols import MOTION_UNITS, POSE
+
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, value = (p.strip() for p in part.partition("="))
+        if name not in map(str, POSE) or not value:
+            raise UndertowError(
+                f'--start {text} is not NAME=SIZE,...: write it like --start "x=0.5 m, psi=20 deg"'
+            )
+        found[name] = in_si(f"--start {name}", value, MOTION_UNITS[name])
+    return found
+
+
 SCHEMA = "undertow/gain-report/1"
 """Of what --json prints; docs/gains.md documents it."""
 _GREEN, _RED = "green", "red"
@@ -172,6 +203,8 @@ def _plain(value: Any) -> Any:
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
     if isinstance(value, complex):
         return [value.real, value.imag]
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -200,6 +233,8 @@ def show(report: Report, singles: Sequence[SingleRepair] = (), repair: Repair | 
 
 
 def _headline(report: Report) -> str:
+    if not report.conditions_hold and report.ok:
+        return "certified by a quadratic V; conditions that would be enough, but are not needed, fail"
     if not report.conditions_hold:
         unproved = any(r.verdict == "not proved" for r in report.rows)
         refuted = any(r.verdict in ("fails", "no iota") for r in report.rows) or not unproved
@@ -213,6 +248,8 @@ def _headline(report: Report) -> str:
         but.append(f"{', '.join(report.alone.axes)} is left alone and {fate}")
     elif report.region.kind == "none":
         but.append("no region is certified")
+    if report.region.start_held is False:
+        but.append("the start box is not held")
     if report.whole is not None and not report.whole.stable:
         but.append(f"the whole loop is {report.whole.verdict}")
     return "all conditions hold" + (f", but {', and '.join(but)}" if but else "")
@@ -350,6 +387,13 @@ def _show_region(report: Report) -> None:
     found = report.region
     section("Certified region")
     say(f"  {found.text}", _RED if found.kind == "none" and not report.alone else "")
+    if found.start_held is not None:
+        word = (
+            "held: every motion that begins in it at rest comes to rest" if found.start_held else "NOT held"
+        )
+        say(f"  start box {_with_units(found.start)}: {word}", "" if found.start_held else _RED)
+    if found.quadratic is not None:
+        say(f"  V is at most {found.quadratic.start:.3g} on the box that it was searched for, the level is 1")
     if found.errors:
         say(f"  starts at rest: {_with_units(found.starts)}, one error at a time")
         say(f"  largest errors: {_with_units(found.errors)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +48,7 @@ def check(
     forms: Sequence[str] = (),
     iota: float | None = None,
     tilt: float = np.pi / 3,
+    start: Mapping[str, float] | None = None,
     progress: Progress = no_progress,
 ) -> Report:
     """Check the gains of a law against every condition, without effects that no condition knows.
@@ -64,14 +65,17 @@ def check(
         The constant of the PID conditions, 1/s; searched for when not given.
     tilt : float
         Largest roll and pitch that conditions have to hold for, rad.
+    start : mapping, optional
+        Largest errors by coordinate, m and rad, that the region has to hold: a box, at rest.
     progress : callable
         Is called as the work goes on.
 
     Raises
     ------
     UndertowError
-        If the mass matrix is not positive definite, or damping is not finite at rest.
+        If the mass matrix is not positive definite, damping is not finite at rest, or a start is none.
     """
+    _require_start(gains, start)
     uncertainty = uncertainty or Uncertainty(gains.plant.vehicle)
     everything = Problem(gains, tilt)
     problem = everything.of_forms(forms)
@@ -90,11 +94,24 @@ def check(
         channels=tuple(linear_channels(problem)),
         coupled=coupled(problem),
         lyapunov=lyapunov(gains.plant, gains.law, equilibria),
-        region=_region(everything.of_forms([_DERIVED]), iota, rows, agreements),
+        region=_region(everything.of_forms([_DERIVED]), start, rows, agreements),
         alone=left_alone(gains),
         left_out=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
     )
+
+
+def _require_start(gains: GainSet, start: Mapping[str, float] | None) -> None:
+    known = gains.signals.coordinates
+    for name, size in (start or {}).items():
+        if name not in known:
+            raise UndertowError(
+                f"start: '{gains.plant.vehicle.name}' has no {name}, it has {', '.join(known)}"
+            )
+        if not 0 <= size < np.inf:
+            raise UndertowError(f"start: {name} = {size:g} is no size of an error: state one from zero up")
+    if start is not None and not any(start.values()):
+        raise UndertowError("start: every error is zero: state the largest ones, as x=0.5")
 
 
 def derived_conditions_hold(gains: GainSet) -> bool:
@@ -102,23 +119,24 @@ def derived_conditions_hold(gains: GainSet) -> bool:
     return check(gains, forms=[_DERIVED]).satisfied
 
 
-def _region(problem: Problem, iota: float | None, rows: list[Row], agreements: list[Agreement]) -> Region:
-    """The region of a law whose derived conditions hold as matrices, over all attitudes and sign sets.
+def _region(
+    problem: Problem, start: Mapping[str, float] | None, rows: list[Row], agreements: list[Agreement]
+) -> Region:
+    """The region of a law, by its derived conditions as matrices, over all attitudes and sign sets.
 
     `rows` and `agreements` are what was worked out; the derived ones are where other forms were asked for.
     """
     if problem.gains.unactuated:
         names = ", ".join(problem.gains.unactuated)
-        return Region("none", f"none is certified: {names} is left alone, so that V may rise")
+        text = f"none is certified: {names} is left alone, so that V may rise"
+        return Region("none", text, start=dict(start or {}), start_held=False if start else None)
     own = [a for a in agreements if a.form == _DERIVED]
     derived = [r for r in rows if r.form == _DERIVED]
     if not derived:
-        own = _agreements(problem, iota)
-        derived = _rows(problem, Uncertainty(problem.plant.vehicle), iota, own, no_progress)
-    if any(r.verdict != HOLDS for r in derived) or any(a.verdict != HOLDS for a in own):
-        return Region("none", "no region: the conditions derived from the model do not hold")
-    span = next((a.iota for a in own), None)
-    return region(problem, span if iota is None or span is None else (iota, iota))
+        own = _agreements(problem, None)
+        derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, own, no_progress)
+    verdicts = [r.verdict for r in derived] + [a.verdict for a in own]
+    return region(problem, all(v == HOLDS for v in verdicts), start)
 
 
 def _require_damping(problem: Problem) -> None:

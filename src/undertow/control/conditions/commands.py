@@ -169,17 +169,6 @@ class SlidingCommands:
         return values["K_1"] * np.sqrt(surface) + np.sqrt(2 * values["K_2"] * surface)
 
 
-def per_root_of_level(commands: Commands, form: Array, J: Array) -> Array:
-    """How far each command of PID control can move at one attitude, divided by the root of the level of V.
-
-    V = z' form z/2 in z = (q_dot, error, integral), form of shape (3n, 3n); J is that of the attitude.
-    """
-    gains = commands.problem.values
-    w = J @ commands.share.T
-    rows = np.concatenate([-gains["K_V"][:, None] * w, gains["K_P"][:, None] * w, gains["K_I"][:, None] * w])
-    return np.asarray(np.sqrt(2 * np.einsum("im,im->m", rows, np.linalg.solve(form, rows))))
-
-
 Term = tuple[int, int, tuple[int, ...], float]
 """Row, column, exponents of the magnitudes of the velocities, size of the coefficient."""
 
@@ -206,26 +195,12 @@ class FastDamping:
         """Whether damping at speed may be less than at rest."""
         return bool(self.falling)
 
-    def shares(self, speeds: Array) -> Array:
-        """T with |D(nu) - D(0)| <= sum_k |nu_k| T[:, k, :] while |nu| <= speeds, shape (n, n, n)."""
-        T = np.zeros((self.size,) * 3)
-        for i, j, powers, coefficient in self.terms:
-            k = j if powers[j] else next(k for k, p in enumerate(powers) if p)
-            rest = np.array(powers) - np.eye(self.size, dtype=int)[k]
-            T[i, k, j] += coefficient * float(np.prod(speeds**rest))
-        return T
-
     def loss(self, speeds: Array) -> Array:
         """What damping can lose while |nu| <= speeds: |nu' (D(nu) - D(0)) nu| <= |nu|' loss |nu|, (n, n)."""
         found = np.zeros((self.size, self.size))
         for i, j, powers, coefficient in self.falling:
             found[i, j] += coefficient * float(np.prod(speeds ** np.array(powers)))
         return 0.5 * (found + found.T)
-
-    @property
-    def depends_on_speed(self) -> bool:
-        """Whether `shares` changes with the speeds."""
-        return any(sum(powers) > 1 for _, _, powers, _ in self.terms)
 
 
 def fast_damping(plant: Plant, one: SignSet) -> FastDamping | None:

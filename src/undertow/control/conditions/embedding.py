@@ -1,0 +1,363 @@
+"""The closed loop of PD and PID control as z_dot = A(angles, nu) z, enclosed in intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+import sympy as sm
+
+from undertow.errors import UndertowError
+from undertow.model.symbols import symbol
+from undertow.typing import Array
+
+from .attitude import ANGLES, Interval, block, enclose, enclosing
+from .commands import Commands
+from .problem import Problem
+
+_EPS = float(np.finfo(float).eps)
+_ANGLES = [symbol(a) for a in ANGLES]
+
+
+def certainly_positive(matrix: Interval) -> bool:
+    """Whether every symmetric matrix in a stack of intervals is positive definite, proved.
+
+    By the Cholesky factorisation in floating point of a matrix that is lowered by the radii and by a bound of
+    its rounding (Rump 2006, Verification of positive definiteness, BIT 46).
+    """
+    symmetric = 0.5 * (matrix + matrix.T)
+    middle, radius = symmetric.middle, symmetric.radius
+    diagonal = np.einsum("...ii->...i", middle)
+    if not np.isfinite(radius).all() or not (diagonal > 0).all():
+        return False
+    scale = 2.0 ** np.round(-0.5 * np.log2(diagonal))  # powers of two scale without rounding
+    both = scale[..., :, None] * scale[..., None, :]
+    middle, radius = middle * both, radius * both
+    n = middle.shape[-1]
+    rounding = 8 * (n + 2) * _EPS * np.trace(middle, axis1=-2, axis2=-1)
+    lowered = radius.sum(axis=-1) * (1 + n * _EPS) + rounding[..., None]
+    try:
+        np.linalg.cholesky(middle - lowered[..., None] * np.eye(n))
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+class Jet:
+    """A matrix that depends on one angle, with its first two derivatives, all as intervals."""
+
+    __array_ufunc__ = None  # so that array @ Jet comes here
+
+    def __init__(self, value: Interval, slope: Interval, bend: Interval) -> None:
+        self.value, self.slope, self.bend = value, slope, bend
+
+    def __matmul__(self, other: Any) -> Jet:
+        o = _jet(other)
+        bend = self.bend @ o.value + 2.0 * (self.slope @ o.slope) + self.value @ o.bend
+        return Jet(self.value @ o.value, self.slope @ o.value + self.value @ o.slope, bend)
+
+    def __rmatmul__(self, other: Any) -> Jet:
+        return _jet(other) @ self
+
+    def __add__(self, other: Any) -> Jet:
+        o = _jet(other)
+        return Jet(self.value + o.value, self.slope + o.slope, self.bend + o.bend)
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Jet:
+        return Jet(-self.value, -self.slope, -self.bend)
+
+    def __sub__(self, other: Any) -> Jet:
+        return self + -_jet(other)
+
+    def __mul__(self, other: Array) -> Jet:
+        return Jet(self.value * other, self.slope * other, self.bend * other)
+
+    @property
+    def T(self) -> Jet:
+        """Transposes."""
+        return Jet(self.value.T, self.slope.T, self.bend.T)
+
+
+def _jet(value: Any) -> Jet:
+    """What does not depend on the angle, too."""
+    if isinstance(value, Jet):
+        return value
+    value = enclose(value)
+    none = enclose(np.zeros_like(value.lo))
+    return Jet(value, none, none)
+
+
+def _inverse(matrix: Interval) -> Interval:
+    """Inverses of matrices of nearly no width, enclosed by what is left of the identity."""
+    near = np.linalg.inv(matrix.middle)
+    n = near.shape[-1]
+    left = (enclose(np.eye(n)) - near @ matrix).size.sum(axis=-1).max(axis=-1) * (1 + n * _EPS)
+    if not (left < 0.5).all():
+        raise UndertowError("the mass matrix is too badly conditioned for a certificate: check [effects]")
+    radius = (2 * left)[..., None, None] * np.abs(near).max(axis=-2, keepdims=True)
+    return Interval(near, near) + Interval(-radius, radius)
+
+
+Boxes = dict[str, Interval]
+"""Boxes of angles by name, each an interval of shape (boxes,); empty where nothing depends on angles."""
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """Corners of a box of velocities, cut where parameters or magnitudes switch sign, and matrices there."""
+
+    inverse: Interval  # of the mass matrix, shape (k, n, n)
+    moving: Interval  # C + D
+    turning: Interval  # S(omega) of the translations, zero elsewhere
+    yaw: Interval  # rows that give the rate of the heading from velocities on the angles, shape (k, n, 1)
+
+    def of(self, places: Sequence[int] | slice) -> Vertices:
+        """Some of them."""
+        return Vertices(*(Interval(p.lo[places], p.hi[places]) for p in self._parts))
+
+    @property
+    def hull(self) -> Vertices:
+        """One interval of each matrix that holds all of them."""
+        parts = (Interval(p.lo.min(axis=0)[None], p.hi.max(axis=0)[None]) for p in self._parts)
+        return Vertices(*parts)
+
+    @property
+    def _parts(self) -> tuple[Interval, ...]:
+        return self.inverse, self.moving, self.turning, self.yaw
+
+
+class Embedding:
+    """z_dot = A z with z = (integral, error, velocity); the integral is missing in PD control.
+
+    With J = diag(R, T), R the rotation of the translations, errors stand in a frame that is turned by G, the
+    velocity of the translations too: E = G' e, w = L nu, L = diag(G' R, I). G is R where every gain commutes
+    with it (then no attitude is left but that in T), the heading alone where x and y have the same gains,
+    else the identity. With N = diag(I, T) and Omega = G_dot' G
+
+        E_dot = Omega E - N w,   integral_dot = Omega integral + E,
+        w_dot = L_dot L' w + L M^-1 [L' N' (K_P E + K_I integral - K_V N w) - (C + D) L' w].
+
+    Entries are affine in every velocity while no sign changes, so A(nu) is within the hull of its vertices.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.plant = problem, problem.plant
+        plant = problem.plant
+        dofs = plant.vehicle.dof_indices
+        self.n = len(dofs)
+        self.shifts = [i for i, d in enumerate(dofs) if d < 3]
+        self.turns = [i for i, d in enumerate(dofs) if d >= 3]
+        self._gains = [np.diag(problem.values[g]) for g in ("K_P", "K_V", "K_I") if g in problem.values]
+        self.integral = "K_I" in problem.values
+        self.size = (3 if self.integral else 2) * self.n
+        rotation = plant.J.extract(self.shifts, self.shifts)
+        self.frame = self._frame(rotation)
+        left = self._left_of_turn(rotation)
+        whole = sm.eye(self.n)
+        for i, a in enumerate(self.shifts):
+            for j, b in enumerate(self.shifts):
+                whole[a, b] = left[i, j]
+        N = sm.eye(self.n)
+        for a in self.turns:
+            for b in self.turns:
+                N[a, b] = plant.J[a, b]
+        self._matrices = {"L": whole, "N": N}
+        self._functions: dict[str, Callable[..., Interval]] = {}
+        self.angles = tuple(a for a in ANGLES if symbol(a) in (whole.free_symbols | N.free_symbols))
+        if self._follows_heading:
+            self._matrices["rate"] = plant.J[problem.coordinates.index("psi"), :]
+
+    # --- frames -------------------------------------------------------------------------------
+    def _frame(self, rotation: sm.Matrix) -> sm.Matrix:
+        """G, the largest turn that every gain commutes with."""
+        unit = sm.eye(len(self.shifts))
+        if self.plant.J_inverse.extract(self.shifts, self.shifts) != rotation.T:
+            raise UndertowError("its translations do not turn as a rotation: no quadratic V is searched for")
+        level = rotation.xreplace({symbol("phi"): sm.Integer(0), symbol("theta"): sm.Integer(0)})
+        return next(turn for turn in (rotation, level, unit) if self._commutes(turn))
+
+    def _left_of_turn(self, rotation: sm.Matrix) -> sm.Matrix:
+        """G' R, with R = R_z R_y R_x."""
+        if self._turned_by_body:
+            return sm.eye(len(self.shifts))
+        return rotation.xreplace({symbol("psi"): sm.Integer(0)}) if self._follows_heading else rotation
+
+    def _commutes(self, turn: sm.Matrix) -> bool:
+        own = [np.diag(K)[self.shifts] for K in self._gains]
+        pairs = product(range(turn.rows), repeat=2)
+        return all(turn[i, j] == 0 or all(k[i] == k[j] for k in own) for i, j in pairs if i != j)
+
+    @property
+    def _turned_by_body(self) -> bool:
+        return self.frame == self.plant.J.extract(self.shifts, self.shifts)
+
+    @property
+    def frame_name(self) -> str:
+        """Which frame errors stand in."""
+        if self._turned_by_body:
+            return "body"
+        return "heading" if self.frame.free_symbols else "earth"
+
+    @cached_property
+    def groups(self) -> list[list[int]]:
+        """Coordinates that the frame mixes, so that a bound on one has to be that on all of them."""
+        mixed = [[j for j in range(self.frame.rows) if self.frame[i, j] != 0] for i in range(self.frame.rows)]
+        joined: list[set[int]] = []
+        for row in map(set, mixed):
+            touching = [g for g in joined if g & row]
+            joined = [g for g in joined if not g & row] + [row.union(*touching)]
+        return [sorted(self.shifts[i] for i in g) for g in joined] + [[i] for i in self.turns]
+
+    @property
+    def _follows_heading(self) -> bool:
+        return not self._turned_by_body and bool(self.frame.free_symbols)
+
+    def _at(self, name: str, angles: Mapping[str, Interval], by: str = "", order: int = 0) -> Interval:
+        """L, N or the rate of the heading, or a derivative by an angle, shape (boxes, 1, n, n)."""
+        key = f"{name} {by} {order}"
+        if key not in self._functions:
+            matrix = self._matrices[name]
+            self._functions[key] = enclosing(_ANGLES, matrix.diff(symbol(by), order) if order else matrix)
+        found = self._functions[key](*self.problem.attitudes.every_angle(dict(angles)))
+        return Interval(found.lo[:, None], found.hi[:, None])
+
+    # --- velocities -----------------------------------------------------------------------------
+    @cached_property
+    def _moving(self) -> tuple[list[sm.Symbol], Callable[..., Interval], Callable[..., Interval], list[int]]:
+        """C + D and M as functions of velocities, their magnitudes and signs; how many corners each needs."""
+        plant, nu = self.plant, list(self.plant.nu)
+        sizes = [sm.Symbol(f"size_{v}") for v in nu]
+        signs = [sm.Symbol(f"sign_{v}") for v in nu]
+        plain = {sm.Abs(v): a for v, a in zip(nu, sizes, strict=True)}
+        plain |= {sm.sign(v): s for v, s in zip(nu, signs, strict=True)}
+        moving = (plant.C + plant.D).xreplace(plain).xreplace(plant.numbers).applyfunc(sm.expand)
+        inertia = plant.M.xreplace(plain).xreplace(plant.numbers)
+        _require_affine(moving, nu, sizes)
+        used = moving.free_symbols | inertia.free_symbols
+        corners = [
+            4 if s in used else 3 if a in used else 2 for s, a in zip(signs, sizes, strict=True)
+        ]  # a velocity turns the frame at least
+        names = [*nu, *sizes, *signs]
+        return names, enclosing(names, moving), enclosing(signs, inertia), corners
+
+    def vertices(self, speeds: Array) -> Vertices:
+        """The corners of |nu_i| <= speeds_i."""
+        _, moving, inertia, corners = self._moving
+        places = [_corners(b, count) for b, count in zip(speeds, corners, strict=True)]
+        rows = np.array(list(product(*places)))  # (k, n, 2): value and sign
+        nu, signs = rows[..., 0], rows[..., 1]
+        columns = [enclose(c) for c in (*nu.T, *np.abs(nu).T, *signs.T)]
+        return Vertices(
+            _inverse(inertia(*columns[2 * self.n :])),
+            moving(*columns),
+            enclose(self._turning(nu)),
+            enclose(nu[..., None]),
+        )
+
+    def _turning(self, nu: Array) -> Array:
+        """S(omega) of the translations, shape (k, n, n)."""
+        dofs = list(self.plant.vehicle.dof_indices)
+        omega = np.zeros((len(nu), 3))
+        for i in self.turns:
+            omega[:, dofs[i] - 3] = nu[:, i]
+        p, q, r = omega.T
+        zero = np.zeros_like(p)
+        S = np.array([[zero, -r, q], [r, zero, -p], [-q, p, zero]]).transpose(2, 0, 1)
+        found = np.zeros((len(nu), self.n, self.n))
+        own = [dofs[i] for i in self.shifts]
+        found[np.ix_(range(len(nu)), self.shifts, self.shifts)] = S[np.ix_(range(len(nu)), own, own)]
+        return found
+
+    # --- the loop -------------------------------------------------------------------------------
+    def loop(self, at: Vertices, angles: Mapping[str, Interval]) -> Interval:
+        """A at every vertex for every box of angles, shape (boxes, k, size, size)."""
+        return block(self._cells(at, {m: self._at(m, angles) for m in self._matrices}))  # type: ignore[no-any-return]
+
+    def bend(self, at: Vertices, angles: Mapping[str, Interval], by: str) -> Array:
+        """Bound on |second derivative of A by one angle| in each box, shape (boxes, size, size)."""
+        jets = {
+            m: Jet(self._at(m, angles), self._at(m, angles, by, 1), self._at(m, angles, by, 2))
+            for m in self._matrices
+        }
+        cells = [[_jet(c).bend for c in row] for row in self._cells(at.hull, jets)]
+        return np.asarray(block(cells).size[:, 0])
+
+    def _cells(self, at: Vertices, matrices: Mapping[str, Any]) -> list[list[Any]]:
+        """A in blocks of (integral, error, velocity), of intervals or with derivatives."""
+        L, N = matrices["L"], matrices["N"]
+        K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
+        push = L @ at.inverse  # L M^-1
+        spring = push @ (L.T @ N.T)
+        spin: Any = enclose(np.zeros_like(at.turning.lo))
+        if self._turned_by_body:
+            spin, swing = -at.turning, spin
+        else:
+            if self._follows_heading:
+                spin = (matrices["rate"] @ at.yaw) * self._level_turn
+            swing = L @ at.turning @ L.T + spin
+        brake = -(spring @ K["K_V"] @ N) - push @ at.moving @ L.T + swing
+        none, unit = np.zeros((1, self.n, self.n)), np.eye(self.n)[None]
+        pull = spring @ K["K_P"]
+        if not self.integral:
+            return [[spin, -N], [pull, brake]]
+        return [[spin, unit, none], [none, spin, -N], [spring @ K["K_I"], pull, brake]]
+
+    @property
+    def _level_turn(self) -> Array:
+        """-S of a unit rate of the heading."""
+        turn = np.zeros((self.n, self.n))
+        x, y = (self.problem.coordinates.index(c) for c in ("x", "y"))
+        turn[x, y], turn[y, x] = 1.0, -1.0
+        return turn
+
+    def speeds_of(self, angles: Mapping[str, Interval]) -> Interval:
+        """Rows that give the body velocities from z, shape (boxes, n, size)."""
+        L = self._at("L", angles)
+        none = np.zeros((self.n, self.size - self.n))
+        return _one(block([[none, L.T]]))
+
+    def commands_of(self, commands: Commands, angles: Mapping[str, Interval]) -> Interval:
+        """Rows that give what each limited command adds to that at rest, shape (boxes, m, size)."""
+        L, N = self._at("L", angles), self._at("N", angles)
+        K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
+        force = commands.share @ (L.T @ N.T)
+        parts = [force @ K["K_P"], -(force @ K["K_V"] @ N)]
+        return _one(block([[force @ K["K_I"], *parts] if self.integral else parts]))
+
+    def boxes(self, tilts: Mapping[str, float], cuts: Mapping[str, int]) -> Boxes:
+        """Boxes of the angles that A depends on: |roll|, |pitch| within `tilts` and every heading."""
+        ends = [np.pi if a == "psi" else tilts[a] for a in self.angles]
+        edges = [np.linspace(-e, e, 1 + cuts[a]) for a, e in zip(self.angles, ends, strict=True)]
+        low, high = (np.meshgrid(*[e[part] for e in edges]) for part in (slice(-1), slice(1, None)))
+        pairs = zip(self.angles, low, high, strict=True)
+        return {a: Interval(lo.ravel(), hi.ravel()) for a, lo, hi in pairs}
+
+
+def _one(rows: Interval) -> Interval:
+    """Without the place of the vertices."""
+    return Interval(rows.lo[:, 0], rows.hi[:, 0])
+
+
+def _corners(speed: float, count: int) -> list[tuple[float, float]]:
+    """Values and signs of one velocity that bound everything between."""
+    forward, backward = [(speed, 1.0), (0.0, 1.0)], [(-speed, -1.0), (0.0, -1.0)]
+    return {2: [forward[0], backward[0]], 3: [*forward, backward[0]], 4: forward + backward}[count]
+
+
+def _require_affine(moving: sm.Matrix, nu: list[sm.Symbol], sizes: list[sm.Symbol]) -> None:
+    """Refuse what is not affine in every velocity while no sign changes."""
+    n = len(nu)
+    for entry in moving:
+        if not entry.is_polynomial(*nu, *sizes):
+            raise UndertowError("damping is no polynomial in velocities and their magnitudes")
+        for powers in sm.Poly(entry, *nu, *sizes).monoms():
+            if any(powers[k] + powers[n + k] > 1 for k in range(n)):
+                raise UndertowError(
+                    "damping grows faster than in proportion to a velocity: no quadratic V is searched for"
+                )

@@ -1,0 +1,177 @@
+"""A quadratic V from a semidefinite program: what is proved holds against the model, and no more is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import sympy as sm
+
+from tests.control.test_certificates import law, sinker
+from tests.control.test_uncertain import STRONG, thick_water
+from undertow.cli.main import main
+from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.conditions.attitude import Interval, enclose
+from undertow.control.conditions.embedding import certainly_positive
+from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.region import region
+from undertow.control.conditions.result import Region
+from undertow.control.conditions.whole import certify
+from undertow.control.gains import load_gains
+from undertow.control.laws import LawSignals
+from undertow.errors import UndertowError
+from undertow.model.loading import load_vehicle
+
+pytest.importorskip("clarabel")
+UNEQUAL = STRONG | {"K_P_y": 1.2, "K_I_psi": 2.0}
+START = {"x": 0.3, "y": 0.2, "z": 0.3, "psi": 0.3}
+
+
+def rates(problem: Problem, way: dict[sm.Symbol, int], states: np.ndarray) -> np.ndarray:
+    """Derivative of (heading, error, integral, nu) from the law and the model themselves, one direction."""
+    plant, gains = problem.plant, problem.gains
+    s = LawSignals(plant, gains.law)
+    net = gains.law.force(s) - (plant.C + plant.D) * plant.nu - plant.g
+    numbers = {**plant.numbers, **gains.numbers}
+    parts = [plant.J * plant.nu, net, gains.law.rates(s), plant.M]
+    psi = plant.eta[3]
+    names = [psi, *s.error, *s.states, *plant.nu]
+    turn, force, integral, M = (
+        sm.lambdify(names, plant.one_way(sm.Matrix(p), way).xreplace(numbers), "numpy") for p in parts
+    )
+    found = []
+    for z in states:
+        rate = turn(*z)[:, 0]
+        nu_dot = np.linalg.solve(M(*z), force(*z)[:, 0])
+        found.append(np.concatenate([[rate[3]], -rate, integral(*z)[:, 0], nu_dot]))
+    return np.array(found)
+
+
+def value(found: Region, states: np.ndarray) -> np.ndarray:
+    """V by (heading, error, integral, nu): translations turn by the heading alone."""
+    assert found.quadratic is not None
+    psi, error, integral, nu = states[:, 0], states[:, 1:5], states[:, 5:9], states[:, 9:]
+    turn = np.tile(np.eye(4), (len(psi), 1, 1))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(psi)
+    turn[:, 0, 1], turn[:, 1, 0] = -np.sin(psi), np.sin(psi)
+    if found.quadratic.frame == "body":
+        back = np.swapaxes(turn, 1, 2)
+        parts = [np.einsum("kij,kj->ki", back, integral), np.einsum("kij,kj->ki", back, error), nu]
+    else:
+        parts = [integral, error, np.einsum("kij,kj->ki", turn, nu)]
+    z = np.concatenate(parts, axis=1)
+    return np.asarray(np.einsum("ki,ij,kj->k", z, found.quadratic.P, z))
+
+
+@pytest.mark.parametrize(("gains", "frame"), [(STRONG, "body"), (UNEQUAL, "earth")])
+def test_v_falls_along_the_model_from_every_state_below_its_level(
+    gains: dict[str, float], frame: str
+) -> None:
+    """Random states and headings on and below V = 1, V_dot by differences of the law and the model."""
+    problem = thick_water(gains, 50.0 if frame == "body" else 5.2)
+    start = {c: e if frame == "body" else 0.3 * e for c, e in START.items()}
+    found = region(problem, False, start)
+    assert found.quadratic is not None
+    assert (found.quadratic.frame, found.start_held) == (frame, True)
+    rng, count = np.random.default_rng(8), 500
+    states = rng.normal(size=(count, 13)) * (rng.random((count, 13)) < rng.choice([0.2, 1.0], (count, 1)))
+    states[:, 5:9] *= 20
+    states[:, 0] = rng.uniform(-np.pi, np.pi, count)
+    states[:, 1] += 1e-3  # no state is zero
+    share = rng.choice([0.999, 0.5, 0.01], count)
+    states[:, 1:] *= np.sqrt(share / value(found, states))[:, None]
+    assert np.all(np.abs(states[:, 9:]) <= list(found.speeds.values()))
+    for sign in (1, -1):
+        way = dict.fromkeys(problem.plant.reversing, sign)
+        own = states.copy()
+        own[:, 9:] = sign * np.abs(own[:, 9:])
+        own = own[value(found, own) < 1]
+        step = 1e-6 * rates(problem, way, own)
+        assert np.all(value(found, own + step) < value(found, own - step))
+
+
+def test_the_start_box_is_below_the_level_at_every_heading() -> None:
+    for gains in (STRONG, UNEQUAL):
+        found = region(thick_water(gains, 5.2), False, {c: 0.3 * e for c, e in START.items()})
+        rng = np.random.default_rng(2)
+        states = np.zeros((500, 13))
+        states[:, 0] = rng.uniform(-np.pi, np.pi, 500)
+        states[:, 1:5] = rng.choice((-1.0, 1.0), (500, 4)) * 0.3 * np.array(list(START.values()))
+        heights = value(found, states)
+        assert found.quadratic is not None
+        assert np.all(heights <= found.quadratic.start * (1 + 1e-6))
+        assert found.quadratic.start < 1
+
+
+def test_the_published_surge_loop_gets_no_v() -> None:
+    """Routh refuses it: so does the search, whatever the start."""
+    problem = Problem(load_gains("paper-pid", load_vehicle("mini-auv")))
+    found = region(problem, False, dict.fromkeys(START, 0.02))
+    assert (found.kind, found.start_held) == ("none", False)
+    assert "not stable" in found.text
+
+
+@pytest.mark.slow
+def test_commands_stay_below_their_bounds_from_the_start_box() -> None:
+    gains = law(sinker(16.2), "pid")
+    start = {"x": 0.4, "y": 0.4, "z": 0.4, "psi": 0.4}
+    report = certify(gains, forms=["derived"], start=start)
+    assert report.ok
+    (command,) = report.region.commands
+    assert command.largest <= command.limit
+    corners = np.random.default_rng(3).choice((-1.0, 1.0), (12, 4)) * list(start.values())
+    runs = ClosedLoop(gains).run_many(
+        Scenario((0, 0, 0, 0), 300.0, 0.02), starts=dict(zip(start, corners.T, strict=True))
+    )
+    assert np.abs(runs.command("f1")).max() <= command.largest
+    assert np.abs(runs.states[:, -1, :4]).max() < 0.05
+    most = np.abs(runs.states[..., :4]).max(axis=(0, 1))
+    assert np.all(most <= list(report.region.errors.values()))
+
+
+def test_a_start_that_asks_for_more_than_a_thruster_has_is_refused() -> None:
+    """14.3 N of weight and K_P z = 2 N/m times 2 m: 18.3 N of 16.2 N."""
+    report = certify(law(sinker(16.2), "pid"), forms=["derived"], start={"z": 2.0})
+    assert not report.ok
+    assert report.region.start_held is False
+    assert "the start asks 18.3 of f1, whose limit is 16.2" in report.region.text
+
+
+def test_pd_says_whether_its_own_level_holds_the_start() -> None:
+    """V = K_P e^2/2 against the level; everywhere holds every start."""
+    assert certify(law(sinker(), "pd"), forms=["derived"], start={"x": 50.0}).region.start_held
+    report = certify(law(sinker(40.0), "sliding-mode"), forms=["derived"], start={"z": 1e3})
+    assert report.region.start_held is False
+    assert not report.ok
+
+
+def test_positive_definite_is_said_only_where_it_is() -> None:
+    """A Gram matrix of whole numbers has no rounding: with a shift of 0 it is singular, else definite."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        thin = rng.integers(-9, 10, (6, 5)).astype(float)
+        singular = thin @ thin.T
+        assert not certainly_positive(enclose(singular[None]))
+        assert certainly_positive(enclose((singular + 1e-6 * np.eye(6))[None]))
+        wide = np.full((6, 6), 1e-6)
+        shifted = singular + 1e-6 * np.eye(6)
+        assert not certainly_positive(Interval((shifted - wide)[None], (shifted + wide)[None]))
+
+
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [("x:1", "is not NAME=SIZE"), ("q=1", "is not NAME=SIZE"), ("x=-1", "no size"), ("x=0", "zero")],
+)
+def test_a_start_that_is_none_is_bad_input(start: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gains", "mini-auv", "paper-pd", "--form", "derived", "--start", start]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_start_of_a_coordinate_that_the_vehicle_has_not_is_told() -> None:
+    with pytest.raises(UndertowError, match="has no theta"):
+        certify(law(sinker(), "pd"), start={"theta": 0.1})
+
+
+def test_a_region_that_was_not_searched_for_has_no_verdict_on_starts() -> None:
+    found = certify(law(sinker(), "pid"), forms=["derived"]).region
+    assert found.quadratic is not None
+    assert found.start_held is None
