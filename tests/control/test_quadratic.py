@@ -13,10 +13,11 @@ from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import Interval, enclose
 from undertow.control.conditions.embedding import certainly_positive
 from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.quadratic import search
 from undertow.control.conditions.region import region
 from undertow.control.conditions.result import Region
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import load_gains
+from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -175,3 +176,25 @@ def test_a_region_that_was_not_searched_for_has_no_verdict_on_starts() -> None:
     found = certify(law(sinker(), "pid"), forms=["derived"]).region
     assert found.quadratic is not None
     assert found.start_held is None
+
+
+@pytest.mark.slow
+def test_pid_in_six_degrees_of_freedom_is_proved() -> None:
+    """Position and attitude of the bundled ROV; an integral gain beyond Routh's limit gets no V."""
+    rov = load_vehicle("bluerov2")
+    each = ("x", "y", "z", "phi", "theta", "psi")
+
+    def gains(K_I: float) -> GainSet:
+        columns = {"K_P": (25.0, 2.0), "K_V": (50.0, 2.0), "K_I": (K_I, 0.3)}
+        chosen = {k: {c: pair[i > 2] for i, c in enumerate(each)} for k, pair in columns.items()}
+        table = {"schema": "undertow/gains/1", "name": "rov-pid", "law": "pid", "gains": chosen}
+        table["allocation"] = {"limits": {f"f{i}": "40 N" for i in range(1, 9)}}
+        return gains_from_table(GainTable.model_validate(table), rov)
+
+    start = {"x": 0.05, "psi": 0.05}
+    found = search(Problem(gains(2.0), np.pi / 3), start)
+    assert found is not None
+    assert found.start < 1
+    np.testing.assert_array_less(0, np.linalg.eigvalsh(found.P))
+    with pytest.raises(UndertowError, match="not stable"):
+        search(Problem(gains(200.0), np.pi / 3), start)

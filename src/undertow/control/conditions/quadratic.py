@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from undertow.typing import Array, Flags
 
 from .attitude import Interval, enclose
 from .commands import Commands
-from .embedding import Boxes, Embedding, certainly_positive
+from .embedding import Boxes, Embedding, Vertices, certainly_positive
 from .problem import Problem
 from .result import Quadratic
 
@@ -46,6 +46,9 @@ class QuadraticSettings:
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
     tilt: float = 2.0  # roll and pitch that are allowed for, times those of the start
+    # Degrees of freedom up to which P is a full matrix. Beyond, it has a block for each axis, as gains have:
+    # the program takes seconds then instead of minutes.
+    most_full: int = 4
 
 
 SETTINGS = QuadraticSettings()
@@ -219,9 +222,9 @@ class Program:
     # --- the program ----------------------------------------------------------------------------
     @cached_property
     def basis(self) -> Array:
-        """Symmetric matrices of which P is a sum, (k, size, size): a block for each axis if uncoupled."""
+        """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
         n, size = self.loop.n, self.loop.size
-        one = self.search.problem.decoupled
+        one = self.search.problem.decoupled or n > SETTINGS.most_full
         pairs = [(i, j) for i in range(size) for j in range(i, size) if not one or i % n == j % n]
         found = np.zeros((len(pairs), size, size))
         for k, (i, j) in enumerate(pairs):
@@ -403,7 +406,11 @@ class Program:
 
     def _everywhere(self, P: Array) -> bool:
         """Whether V falls and all bounds hold at every attitude: boxes of angles are halved until it does."""
-        return self._halving(P, self._within_bounds, 1) and self._halving(P, self._falls, self.count)
+        if not self._halving(P, self._within_bounds, 1):
+            return False
+        if self._halving(P, partial(self._falls, vertices=self.vertices.hull), 1):
+            return True
+        return self._halving(P, partial(self._falls, vertices=self.vertices), self.count)
 
     def _halving(self, P: Array, holds: Callable[[Array, Boxes], Flags], each: int) -> bool:
         boxes = self.loop.boxes(self.bounds.tilts, {"phi": 2, "theta": 2, "psi": 2 * SETTINGS.headings})
@@ -429,18 +436,18 @@ class Program:
             return speeds
         return speeds & _bounded(P, self._by(self.loop.commands_of(self.commands, boxes)), self.left)
 
-    def _falls(self, P: Array, boxes: Boxes) -> Flags:
-        """Whether V falls at every vertex, at every attitude in each box.
+    def _falls(self, P: Array, boxes: Boxes, vertices: Vertices) -> Flags:
+        """Whether V falls at every vertex, or in the one interval around all, at every attitude in each box.
 
         A(angles) differs from what its values at the corners of the box interpolate by h^2/8 times the second
         derivative along each side h at most.
         """
-        batches = min(_count(boxes), -(-_count(boxes) * self.count // SETTINGS.batch))
+        batches = min(_count(boxes), -(-_count(boxes) * len(vertices.inverse.lo) // SETTINGS.batch))
         parts = np.array_split(np.arange(_count(boxes)), batches)
-        found = [self._falls_in({a: Interval(v.lo[p], v.hi[p]) for a, v in boxes.items()}, P) for p in parts]
-        return np.concatenate(found)
+        some = [{a: Interval(v.lo[p], v.hi[p]) for a, v in boxes.items()} for p in parts]
+        return np.concatenate([self._falls_in(each, P, vertices) for each in some])
 
-    def _falls_in(self, boxes: Boxes, P: Array) -> Flags:
+    def _falls_in(self, boxes: Boxes, P: Array, vertices: Vertices) -> Flags:
         ratio = self._scale[None, :] / self._scale[:, None]
         missed = np.zeros((_count(boxes), self.loop.size, self.loop.size))
         for angle, side in boxes.items():
@@ -450,7 +457,7 @@ class Program:
         held = np.ones(_count(boxes), dtype=bool)
         for corner in product(*(("lo", "hi") for _ in boxes)):
             at = {a: _point(getattr(v, side)) for (a, v), side in zip(boxes.items(), corner, strict=True)}
-            fall = P @ (self._scaled(self.loop.loop(self.vertices, at)) + around)
+            fall = P @ (self._scaled(self.loop.loop(vertices, at)) + around)
             held &= _positive(-(fall + fall.T))
         return held
 
