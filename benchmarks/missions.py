@@ -48,6 +48,9 @@ def tracks(records: dict[str, Record], title: str) -> Figure:
                     record.followed.way[:, 0], record.followed.way[:, 1], ":", color=INK, label="mission"
                 )
             axis.plot(record.state["x"][own], record.state["y"][own], label=label, color=COLOURS[i])
+            if record.estimated:
+                seen = record.estimated["x"][own], record.estimated["y"][own]
+                axis.plot(*seen, "--", label="estimated", color=COLOURS[i + 1])
         axis.set(xlabel="north x [m]", ylabel="east y [m]", aspect="equal", title=title)
         axis.grid()
         axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -7,11 +7,13 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from undertow.control.guidance.mission import load_mission
 from undertow.figures import save_png
 from undertow.files import write_whole
 
-from .page import page, picture
-from .steps import Chain, Said
+from ..missions import errors, tracks
+from .page import estimates, page, picture
+from .steps import MISSION, Chain, Said
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -23,9 +25,16 @@ def main(arguments: list[str] | None = None) -> int:
     with TemporaryDirectory() as passing:
         folder = options.keep or Path(passing)
         folder.mkdir(parents=True, exist_ok=True)
-        said, gains = worked(Chain(folder, lambda words: print(words, file=sys.stderr, flush=True)))
-        (options.out / "images").mkdir(parents=True, exist_ok=True)
-        save_png(picture(folder), options.out / "images" / "chain.png")
+        chain = Chain(folder, lambda words: print(words, file=sys.stderr, flush=True))
+        said, gains = worked(chain)
+        images = options.out / "images"
+        images.mkdir(parents=True, exist_ok=True)
+        save_png(picture(folder), images / "chain.png")
+        mission = chain.followed()
+        run = {"true": mission}
+        save_png(tracks(run, "Four legs, current 0.13 m/s"), images / "chain-mission-track.png")
+        save_png(errors(run, "cross track", 1.0, "m"), images / "chain-mission-errors.png")
+        save_png(estimates(mission, load_mission(folder / MISSION)), images / "chain-mission-estimates.png")
         write_whole(options.out / "chain.md", page(said, gains))
     return 0
 
@@ -49,6 +58,11 @@ def worked(chain: Chain) -> tuple[dict[str, Said], dict[str, str]]:
     said["gains tuned anew"] = chain.check("rov.toml", expect=0)
     said["third update"] = chain.update()
     said["simulated anew"] = chain.simulate("--plant", "truth.toml", out="anew.csv")
+    said["observer"] = chain.observe()
+    said["gains on legs"] = chain.check_legs()
+    said["gains with the observer"] = chain.check("rov.toml", 0, "--observer", "observer.toml")
+    said["mission"] = chain.follow()
+    said["code"] = chain.write_c()
     return said, gains
 
 

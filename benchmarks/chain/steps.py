@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from undertow.control.closed_loop import Choices, Record, Scenario
+from undertow.control.guidance.mission import load_mission
 from undertow.model.loading import load_vehicle
 
 from .tuning import gain_file
@@ -20,6 +22,7 @@ WIDTH = 108
 FLIGHTS = {"run1": "8,1,1,0", "run2": "1,8,0,0", "run3": "-6,-6,1,1", "run4": "-7,5,1,-1"}
 """Set-points of the flights that are logged; the last one is kept aside."""
 NOISE = {**dict.fromkeys("xyz", 0.01), **dict.fromkeys(("psi", "u", "v", "w", "r"), 0.005)}
+MISSION = "four-legs.toml"
 GOAL = ["--to", "2,1,1,0", "--for", "240", "--dt", "0.02", "--log", "0.2"]
 LOGS = ["run1.csv", "run2.csv", "run3.csv", "--holdout", "run4.csv"]
 
@@ -56,7 +59,7 @@ class Chain:
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda words: None) -> None:
         self.folder, self._tell = folder, tell
-        for name in ("truth.toml", "survey.toml"):
+        for name in ("truth.toml", "survey.toml", "four-legs.toml", "without-doppler.toml"):
             shutil.copy(HERE / name, folder / name)
         (folder / "rov.toml").write_text(without_drag((folder / "truth.toml").read_text()))
 
@@ -95,9 +98,9 @@ class Chain:
         (self.folder / "tuned.toml").write_text(text)
         return text
 
-    def check(self, vehicle: str, expect: int) -> Said:
+    def check(self, vehicle: str, expect: int, *more: str) -> Said:
         """The conditions that are derived from a model."""
-        return self.undertow("gains", vehicle, "tuned.toml", "--form", "derived", expect=expect)
+        return self.undertow("gains", vehicle, "tuned.toml", "--form", "derived", *more, expect=expect)
 
     def simulate(self, *plant: str, out: str) -> Said:
         """A run to the goal, on the model or on the true vehicle."""
@@ -114,6 +117,35 @@ class Chain:
     def add(self) -> Said:
         """Put it in."""
         return self.undertow("add", "quadratic_damping", "rov.toml", *LOGS, "--in-place")
+
+    # --- the mission --------------------------------------------------------------------------
+    def observe(self) -> Said:
+        """Make an observer of the model and a log without velocities."""
+        words = ["--process", "model", "--current", "--save", "observer.toml"]
+        return self.undertow("observe", "rov.toml", "run4.csv", "--map", "without-doppler.toml", *words)
+
+    def check_legs(self) -> Said:
+        """The poles on the legs."""
+        return self.undertow("gains", "rov.toml", "tuned.toml", "--path", MISSION)
+
+    def follow(self) -> Said:
+        """The mission on the true vehicle, the observer in the loop."""
+        words = ["--plant", "truth.toml", "--path", MISSION, "--observer", "observer.toml", "--dt", "0.1"]
+        return self.undertow("simulate", "rov.toml", "tuned.toml", *words)
+
+    def write_c(self) -> Said:
+        """Guidance and law, and the observer, in C."""
+        words = ["--controller", "tuned.toml", "--path", MISSION, "--observer", "observer.toml"]
+        return self.undertow("codegen", "rov.toml", *words)
+
+    def followed(self) -> Record:
+        """The run of `follow` with everything that pictures need."""
+        files = {name: self.folder / f"{name}.toml" for name in ("rov", "truth", "tuned", "observer")}
+        mission, model = load_mission(self.folder / MISSION), load_vehicle(files["rov"])
+        loop = Choices().loop(
+            files["tuned"], model, load_vehicle(files["truth"]), mission=mission, observer=files["observer"]
+        )
+        return loop.run(Scenario(duration=mission.lasts(model.pose_names), dt=0.1))
 
 
 def without_drag(text: str) -> str:

@@ -92,6 +92,10 @@ BAD = {
     "a unit": ([*SHIP, "--path", "unit.toml"], ["unit.toml: way-point 2 x", "kg"]),
     "turns": (["simulate", "cybership2", "turns.toml", "--path", "m.toml"], ["order", "--order together"]),
     "legs without sampling": ([*SHIP, "--path", "legs.toml", "--continuous"], ["leave --continuous out"]),
+    "an observer on legs": (
+        ["gains", "cybership2", "g.toml", "--path", "m.toml", "--observer", "o.toml"],
+        ["--observer o.toml", "true states", "simulate"],
+    ),
     "code without a law": (["codegen", "cybership2", "--path", "m.toml"], ["give --controller GAINS"]),
 }
 

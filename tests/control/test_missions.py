@@ -7,6 +7,7 @@ import math
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -14,9 +15,10 @@ import numpy as np
 import pytest
 import sympy as sm
 
-from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.tracking import _coriolis, check_mission, damping_corners
+from undertow.control.conditions.whole import certify
 from undertow.control.controller import Controller, ControllerExport
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.guidance.line_of_sight import Guidance, LineOfSight
@@ -24,8 +26,10 @@ from undertow.control.guidance.mission import Mission, MissionTable, load_missio
 from undertow.control.guidance.reference import Limits
 from undertow.control.guidance.signals import Kinematics
 from undertow.control.laws import LAWS
+from undertow.control.linear.systems import SettledObserver, close_loop
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
+from undertow.observer.design import ObserverTable, design
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "missions"
 GAINS = {
@@ -346,6 +350,77 @@ def test_a_leg_is_certified_and_too_short_a_lookahead_is_not(remus: GainSet) -> 
     slow = np.roots([1, 1.5 * math.cos(psi) * k, 1.5 * math.cos(psi) * k**2 * 0.1]).max()
     assert good.rows[1].margin == pytest.approx(-slow, rel=0.05)
     assert [r.verdict for r in check_mission(remus, on_leg(lookahead=1.5)).rows] == ["holds", "fails"]
+
+
+# --- behind an observer -----------------------------------------------------------------------------
+def _observer(noise: float, process: str = "model", push: float = 1e-3, **more: float) -> ObserverTable:
+    sensors = {name: {"noise": noise, "period": 0.1} for name in ("x", "y", "psi")}
+    driven = ("u", "v", "r") if process == "model" else ("u_dot", "v_dot", "r_dot")
+    own = dict.fromkeys(driven, push) | more
+    content = {"schema": "undertow/observer/1", "name": "gnss", "process": process, "estimate": [*more]}
+    return ObserverTable.model_validate(content | {"sensors": sensors, "disturbance": own})
+
+
+FOUR = [{"x": 0.0, "y": 0.0}, {"x": 15.0}, {"x": 15.0, "y": 10.0}, {"y": 10.0}, {"x": 0.0}]
+WATER = {"north": 0.03, "east": 0.05}
+
+
+def _four_legs(observer: ObserverTable | None) -> Record:
+    guidance = {"lookahead": 3.0, "acceptance": 1.0, "integral": 0.05}
+    legs = mission("legs", FOUR, speed=0.2, guidance=guidance, current=WATER)
+    gains = ship("pid", gains={"K_P": 5.0, "K_V": 30.0, "K_I": 0.1})
+    chosen = None if observer is None else design(observer, gains.plant.vehicle)
+    plant = Choices(current=legs.current).in_current(gains.plant.vehicle)
+    loop = ClosedLoop(gains, plant, mission=legs, observer=chosen)
+    return loop.run(Scenario(duration=legs.lasts(gains.plant.vehicle.pose_names), dt=0.1))
+
+
+def test_a_mission_behind_an_observer_is_that_of_true_states() -> None:
+    """Its states stand before those of the guidance: legs and the end have to be read behind them."""
+    true = _four_legs(None).result.followed
+    seen = _four_legs(_observer(1e-5, V_N=1e-3, V_E=1e-3)).result.followed
+    assert true is not None
+    assert seen is not None
+    assert true.arrived is not None
+    assert seen.arrived == pytest.approx(true.arrived, abs=0.5)
+    for mine, own in zip(seen.errors, true.errors, strict=True):
+        assert (mine.rms, mine.largest) == pytest.approx((own.rms, own.largest), abs=0.01)
+
+
+def test_legs_in_a_current_are_followed_by_estimates_that_are_near_the_truth() -> None:
+    record = _four_legs(_observer(0.02, V_N=3e-3, V_E=3e-3))
+    assert record.followed is not None
+    assert record.result.followed is not None
+    assert record.result.followed.arrived is not None
+    late = (record.t > 30.0) & (record.t < record.result.followed.arrived)
+    following = np.flatnonzero(late) + 1  # a row holds what is foretold for the next one
+    for name, bound in (("x", 0.02), ("y", 0.02), ("u", 0.02), ("v", 0.02)):
+        error = record.estimated[name][late] - record.state[name][following]
+        assert np.sqrt(np.mean(error**2)) < bound
+    for name, true in zip(("V_N", "V_E"), WATER.values(), strict=True):
+        assert record.estimated[name][late].mean() == pytest.approx(true, abs=0.01)
+    cross = np.abs(record.followed.errors["cross track"])[late]
+    assert np.median(cross) < 0.3
+    assert cross.max() < 1.5  # at a change of legs it is measured from the next one, 1 m off
+
+
+def test_gains_judge_the_loop_behind_an_observer() -> None:
+    gains = ship("pd")
+    vehicle = gains.plant.vehicle
+    found = certify(gains, observer=design(_observer(0.02), vehicle), forms=["derived"]).observed
+    loop = close_loop(vehicle, gains)
+    filter = SettledObserver(design(_observer(0.02), vehicle), loop.trim)
+    # The separation principle: poles of the law and of the filter.
+    slowest = max([*np.linalg.eigvals(loop.closed.A).real, *filter.rates.real])
+    assert found is not None
+    assert found.verdict == "stable"
+    assert found.pole is not None
+    assert found.pole.real == pytest.approx(slowest, rel=1e-4)
+    # Kinematics do not know of the commands: a filter that is slow beside the law makes the loop grow.
+    slow = certify(gains, observer=design(_observer(5.0, "kinematics", 1e-4), vehicle), forms=["derived"])
+    assert slow.observed is not None
+    assert slow.observed.verdict == "unstable"
+    assert (slow.ok, replace(slow, observed=None).ok) == (False, True)
 
 
 # --- C ----------------------------------------------------------------------------------------------

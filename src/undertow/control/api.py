@@ -14,6 +14,7 @@ from undertow.codegen.export import Report as Written
 from undertow.errors import UndertowError
 from undertow.files import check_folder, make_folder, read_json, together, write_whole
 from undertow.model.vehicle import Vehicle
+from undertow.observer.design import load_observer
 from undertow.typing import Progress
 
 from .conditions.problem import Uncertainty
@@ -42,6 +43,7 @@ def check_gains(
     iota: float | None = None,
     tilt: float = 60.0,
     start: Mapping[str, float] | None = None,
+    observer: str | Path | None = None,
     progress: Progress = lambda done, words: None,
 ) -> Report:
     """Check the conditions on the gains of a control law, without simulating.
@@ -64,6 +66,8 @@ def check_gains(
         Largest roll and pitch that the check covers, degrees.
     start : mapping, optional
         Largest errors by coordinate, m and rad, at rest, that the certified region has to hold.
+    observer : str or Path, optional
+        Observer file: the loop in which the law gets its estimate is linearised, too.
     progress : callable
         Told what share is done, and what is being done.
 
@@ -86,7 +90,8 @@ def check_gains(
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
     uncertainty = Uncertainty(vehicle, confidence, covariance)
     options = {"forms": forms, "iota": iota, "tilt": radians(tilt), "start": start}
-    return certify(chosen, uncertainty, progress=progress, **options)
+    design = None if observer is None else load_observer(observer, vehicle)
+    return certify(chosen, uncertainty, observer=design, progress=progress, **options)
 
 
 def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: int = 0) -> ct.StateSpace:

@@ -28,6 +28,9 @@ and the commands that this asks for, or the poles of vehicle, autopilot and line
 
     undertow gains remus100 remus100-gains.toml --path remus100-survey.toml
 
+With --observer the loop in which the law gets the estimate of a Kalman filter is linearised as well, and has
+to be stable; conditions and region stay those of true states.
+
 The exit code is 0 where all conditions hold, a region is certified (or the axes left alone come to rest) and
 the whole loop is stable; 1 where something fails, is not proved or could not be judged; 2 for a mistake in
 the input.
@@ -77,6 +80,9 @@ _START = typer.Option(
     help='Largest errors that the region has to hold, as "x=0.5 m, psi=20 deg".',
     show_default="the largest of some usual ones",
 )
+_OBSERVER = typer.Option(
+    "--observer", metavar="FILE", help="Also judge the loop that gets the estimate of this observer file."
+)
 _REPAIR = typer.Option("--repair", help="Propose the smallest change of the gains that satisfies these.")
 
 
@@ -89,6 +95,7 @@ def gains(
     confidence: Annotated[float, _CONFIDENCE] = 0.95,
     tilt: Annotated[float, _TILT] = 60.0,
     start: Annotated[str | None, _START] = None,
+    observer: Annotated[Path | None, _OBSERVER] = None,
     repair: Annotated[Literal["literal", "lyapunov", "routh"] | None, _REPAIR] = None,
     json: JsonOption = False,
     effects: EffectsOption = None,
@@ -106,6 +113,11 @@ def gains(
             f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
         )
     if path is not None:
+        if observer is not None:
+            raise UndertowError(
+                f"--observer {observer}: on a mission the loop is judged with true states; leave --path or "
+                "--observer out, or simulate both together"
+            )
         return _on_mission(vehicle, gains, path, tilt, json, effects)
     with progress("checking the gains") as report:
         model = load_vehicle(vehicle, effect_files=effects or [])
@@ -120,6 +132,7 @@ def gains(
             iota=iota,
             tilt=tilt,
             start=_sizes(start) if start is not None else None,
+            observer=observer,
             progress=report,
         )
         problem = Problem(chosen, math.radians(tilt))
@@ -250,8 +263,9 @@ def _headline(report: Report) -> str:
         but.append("no region is certified")
     if report.region.start_held is False:
         but.append("the start box is not held")
-    if report.whole is not None and not report.whole.stable:
-        but.append(f"the whole loop is {report.whole.verdict}")
+    for words, loop in (("the whole loop", report.whole), ("the loop with the observer", report.observed)):
+        if loop is not None and not loop.stable:
+            but.append(f"{words} is {loop.verdict}")
     return "all conditions hold" + (f", but {', and '.join(but)}" if but else "")
 
 
@@ -505,6 +519,11 @@ def _show_rest(report: Report) -> None:
         say(f"  full loop linearised at rest: {_whole(report.whole)}", style)
         if report.whole.simulated:
             say(f"  full loop simulated: {report.whole.simulated}", style)
+    if report.observed is not None:
+        section("With the observer")
+        style = "" if report.observed.stable else _RED
+        say(f"  loop that gets its estimate, linearised at rest: {_whole(report.observed)}", style)
+        say("  conditions and certified region are for true states, not for estimates", "dim")
 
 
 def _whole(whole: WholeLoop) -> str:

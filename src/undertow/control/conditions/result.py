@@ -209,6 +209,8 @@ class Report:
         Where the uncertainty of the parameters is from, and its confidence.
     whole : WholeLoop or None
         The loop with the effects that no condition knows; None where it was not looked at.
+    observed : WholeLoop or None
+        The loop in which the law gets the estimate of an observer, linearised; None without one.
     """
 
     vehicle: str
@@ -224,6 +226,7 @@ class Report:
     left_out: dict[str, str] = field(default_factory=dict)
     uncertainty: str = ""
     whole: WholeLoop | None = None
+    observed: WholeLoop | None = None
 
     @property
     def satisfied(self) -> bool:
@@ -244,11 +247,12 @@ class Report:
 
         Conditions hold, or a quadratic V was found and proved, which those derived from the model need not be
         asked for then; motions from a region come to rest within the limits of the thrusters or, where axes
-        are left alone, those come to rest; and the loop with all effects is stable where there are others.
+        are left alone, those come to rest; and the loop with all effects is stable where there are others,
+        as is the one with an observer, if one was asked for.
         """
         certified = self.alone.stable if self.alone else self.region.kind != "none"
         held = self.conditions_hold or (self.region.quadratic is not None and self._others_hold)
-        whole = self.whole is None or self.whole.stable
+        whole = all(one is None or one.stable for one in (self.whole, self.observed))
         return held and certified and whole and self.region.start_held is not False
 
     @property

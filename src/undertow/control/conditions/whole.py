@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from undertow.control.laws import JUMPING, LAMBDA, LAWS
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
+from undertow.observer.design import Design
 from undertow.typing import Array
 
 from .attitude import ANGLES
@@ -30,12 +31,18 @@ def certify(
     gains: GainSet,
     uncertainty: Uncertainty | None = None,
     *,
+    observer: Design | None = None,
     progress: Progress = no_progress,
     **options: Any,
 ) -> Report:
-    """As `check`, which has the options, with the whole loop where effects or axes are outside conditions."""
+    """As `check`, which has the options, with the whole loop where effects or axes are outside conditions.
+
+    With an observer also the loop in which the law gets its estimate; conditions are for true states.
+    """
     report = check(gains, uncertainty, progress=progress, **options)
     progress(0.9, "the whole loop")
+    if observer is not None:
+        report = replace(report, observed=observed_loop(gains, observer))
     if not (report.alone or report.left_out):
         return report
     return replace(report, whole=whole_loop(gains, report.region))
@@ -64,11 +71,28 @@ def whole_loop(gains: GainSet, region: Region) -> WholeLoop:
     own, dead time as a Padé approximation; the law gets what the sensors report. Then it is simulated from
     starts within the region, or near the set-point where there is none.
     """
-    try:
+
+    def judge() -> WholeLoop:
         loops = [*_loops(gains)]
-        found = [_linear_verdict(case, loop) for case, loop in loops]
-        worst = max(found, key=lambda w: (w.verdict == "unstable", not w.stable, _growth(w)))
+        worst = _worst(loops)
         return _simulated(gains, region, worst, loops[0][1].rest) if worst.stable else worst
+
+    return _judged(judge)
+
+
+def observed_loop(gains: GainSet, observer: Design) -> WholeLoop:
+    """The loop in which a law gets the estimate of an observer, as it settles: linearised as `whole_loop`."""
+    return _judged(lambda: _worst([*_loops(gains, observer)]))
+
+
+def _worst(loops: Sequence[tuple[_Case, LinearLoop]]) -> WholeLoop:
+    found = [_linear_verdict(case, loop) for case, loop in loops]
+    return max(found, key=lambda w: (w.verdict == "unstable", not w.stable, _growth(w)))
+
+
+def _judged(judge: Callable[[], WholeLoop]) -> WholeLoop:
+    try:
+        return judge()
     except UndertowError as error:
         return WholeLoop("not judged", None, f"not judged: {error}")
     except np.linalg.LinAlgError as error:
@@ -95,7 +119,7 @@ class _Case:
         return ", ".join(filter(None, (heading, way)))
 
 
-def _loops(gains: GainSet) -> Iterator[tuple[_Case, LinearLoop]]:
+def _loops(gains: GainSet, observer: Design | None = None) -> Iterator[tuple[_Case, LinearLoop]]:
     from undertow.control.linear.numeric import Numeric, in_direction, reversing
     from undertow.control.linear.systems import LinearLoop, law_for, linear_with_delays
     from undertow.control.linear.trim import find_trim
@@ -108,7 +132,7 @@ def _loops(gains: GainSet) -> Iterator[tuple[_Case, LinearLoop]]:
         law = law_for(smooth, gains.plant.vehicle, direction)
         for held in _rests(gains):
             trim = find_trim(vehicle, held, direction=direction, numeric=numeric)
-            loop = LinearLoop(linear_with_delays(numeric, trim, SETTINGS.pade), law, trim)
+            loop = LinearLoop(linear_with_delays(numeric, trim, SETTINGS.pade), law, trim, observer)
             yield _Case(held, direction, len(gains.unactuated)), loop
 
 
