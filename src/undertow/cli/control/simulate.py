@@ -149,7 +149,7 @@ class ScenarioOptions:
             )
         return load_mission(self.path) if self.path else None
 
-    def scenario(self, lasts: float) -> Scenario:
+    def scenario(self, lasts: float = 240.0) -> Scenario:
         """The same for a closed loop; what cannot be read, or cannot be, is refused."""
         from undertow.control.closed_loop import Scenario
         from undertow.model.symbols import MOTION_UNITS
@@ -198,7 +198,7 @@ def simulate(
         check_folder(figures)
     mission, choices = scenario_options.mission(), schedule.choices()
     if mission is None:
-        scenario = scenario_options.scenario(240.0)
+        scenario = scenario_options.scenario()
     known = left_out(load_vehicle(vehicle, effect_files=effects or []), without or [])
     if mission is None:
         _remark_turns("--to", scenario.pose(scenario.to, known.pose_names, "set-point"), scenario.to)

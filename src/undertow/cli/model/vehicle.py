@@ -179,9 +179,10 @@ def new(
     sides = (length, beam, height)
     if log is not None or tank is not None:
         if any(given is not None for given in (mass, mesh, kind, *sides, tank and log)):
-            raise UndertowError(
-                "--log and --tank have mass and shape already: give one of them, and no other"
+            source = (
+                "--log takes mass and shape from a bundled vehicle" if log else "--tank has mass and shape"
             )
+            raise UndertowError(f"{source}: leave these options out")
         _of_log(log, out, force) if log is not None else _of_tank(tank, name, out, force)
         return
     if mass is None:

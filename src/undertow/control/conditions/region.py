@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
+import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.typing import Array
@@ -223,6 +224,12 @@ def _usual(problem: Problem) -> list[dict[str, float]]:
 
 def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     commands = Commands(problem)
+    if _scales(problem) and not len(commands.limits):
+        return Region(
+            "everywhere",
+            "everywhere: inertia and damping do not depend on speed or attitude",
+            quadratic=found,
+        )
     text = (
         f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
@@ -239,6 +246,14 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         quadratic=found,
     )
     return whole
+
+
+def _scales(problem: Problem) -> bool:
+    """Whether the loop is the same at any size of motion: what falls in a small box falls everywhere."""
+    plant = problem.plant
+    signs = {sm.sign(v): sm.Integer(1) for v in plant.nu}
+    moving = [m.xreplace(signs).free_symbols & set(plant.nu) for m in (plant.M, plant.C, plant.D)]
+    return not any(moving) and not set(problem.coordinates) & set(ANGLES)
 
 
 def _gate(problem: Problem) -> str:

@@ -19,6 +19,7 @@ from undertow.control.gains import GainSet
 from undertow.control.guidance.line_of_sight import LineOfSight
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.reference import TimedReference
+from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -205,7 +206,7 @@ def _pid_row(problem: Problem, mission: Mission) -> MissionRow:
     )  # C is linear in nu, and Q affine: corners are enough
     low, high = max(span[0], 1e-6), min(span[1], 1e6)
     iotas = np.geomspace(low, high, TRACKING.iotas + 2)[1:-1]
-    J_inverse = sm.lambdify(list(problem.plant.eta), problem.plant.J_inverse, "numpy")
+    J_inverse = function_of(list(problem.plant.eta), problem.plant.J_inverse.tolist())
     cases = []
     for angles, _ in places:
         inverse = np.array(J_inverse(*_pose(problem, angles)), dtype=float)
@@ -247,7 +248,7 @@ def _coriolis(problem: Problem, angles: Mapping[str, float], nu: Array) -> Array
     pose, n = _pose(problem, angles), len(plant.nu)
     known = [*plant.eta, *plant.nu]
     J_inverse, J_dot, C = (
-        sm.lambdify(known, m.xreplace(dict(plant.numbers)), "numpy")
+        function_of(known, m.xreplace(dict(plant.numbers)).tolist())
         for m in (plant.J_inverse, plant.J_dot, plant.C)
     )
     M = problem.sets[0].inertia
@@ -276,7 +277,7 @@ def damping_corners(problem: Problem, most: Array) -> tuple[Array, bool]:
         affine = affine and all(
             own.diff(v).applyfunc(sm.expand).free_symbols.isdisjoint(plant.nu) for v in way
         )
-        function = sm.lambdify(list(way), own, "numpy")
+        function = function_of(list(way), own.tolist())
         for share in product((0.0, 1.0), repeat=len(moving)):
             nu = [s * x * most[i] for s, x, i in zip(signs, share, moving, strict=True)]
             found.append(np.array(function(*nu), dtype=float))
@@ -325,7 +326,7 @@ def _command_row(gains: GainSet, reference: TimedReference) -> MissionRow:
 def _on_reference(controller: Controller, poses: Array, rates: Array, t: Array) -> Array:
     """Force that the law asks for where the vehicle is exactly on its reference, shape (k, n)."""
     plant = controller.gains.plant
-    kinematics = sm.lambdify(list(plant.eta), plant.J_inverse, "numpy")
+    kinematics = function_of(list(plant.eta), plant.J_inverse.tolist())
     numbers, gains = controller.mission_numbers, controller.gain_values()
     place = controller.state_names.index("mission_time")
     forces = []
