@@ -113,7 +113,8 @@ def modes(system: ct.StateSpace) -> list[Mode]:
 
     A state that nothing depends on (place, heading) gives a pole at zero exactly.
     """
-    names, kept, found = system.state_labels, list(range(system.nstates)), []
+    names, kept = system.state_labels, list(range(system.nstates))
+    found: list[tuple[complex, tuple[str, ...]]] = []
     a, dt = slopes(system), period(system)
     zero = SETTINGS.rounding / dt if dt else 0.0
     while True:
