@@ -14,8 +14,8 @@ from tests.cli.bad import refusal
 from tests.control.loops import AUV, loop
 from undertow import UndertowError
 from undertow.cli.main import main
-from undertow.codegen import Simulator
-from undertow.control import as_nlsys, close_loop, find_trim, linearize
+from undertow.codegen import Functions, Simulator
+from undertow.control import as_nlsys, close_loop, find_trim, in_direction, linearize
 from undertow.control.closed_loop.sampling import SampledLoop
 from undertow.control.gains import load_gains
 from undertow.control.linear import analysis
@@ -36,12 +36,15 @@ def test_a_held_command_moves_the_sampled_system_as_the_nonlinear_vehicle(auv: V
     assert (system.dt, system.state_labels[-1], system.input_labels[1]) == (0.2, "r", "f2")
     rng = np.random.default_rng(2)
     steps = small * rng.normal(size=(10, 4))
-    simulator, x, linear = Simulator(auv), trim.x, np.zeros(8)
+    functions = Functions(in_direction(auv, trim.direction))
+    t, p = dt * np.arange(11), np.array(functions.values())
+    commands = trim.u + np.vstack([steps, steps[-1:]])
+    ends = Simulator(functions).run(trim.x[None], t, commands[None], p, max_step=0.005)[0]
+    linear = np.zeros(8)
     for step in steps:
-        x = simulator.run(x, (trim.u + step)[None].repeat(2, axis=0), [0.0, dt]).x[-1]
         linear = system.A @ linear + system.B @ step
-    gone = np.array([0.5 * dt * len(steps), *np.zeros(7)])  # the steady motion itself
-    np.testing.assert_allclose(x - trim.x - gone, linear, atol=2e-3 * np.abs(linear).max())
+    gone = np.array([0.5 * t[-1], *np.zeros(7)])  # the steady motion itself
+    np.testing.assert_allclose(ends[-1] - trim.x - gone, linear, atol=1e-4 * np.abs(linear).max())
 
 
 def test_poles_are_exponentials_of_the_continuous_ones(auv: Vehicle) -> None:
@@ -75,8 +78,7 @@ def test_the_sampled_loop_is_the_one_that_simulations_check() -> None:
         trim = find_trim(AUV, direction={"u": way, "w": way})
         closed = close_loop(AUV, load_gains("paper-pd", AUV), trim, dt=0.3).closed
         found = np.log(closed.poles().astype(complex)) / 0.3
-        assert len(found) == len(expected)
-        assert max(min(abs(expected - rate)) for rate in found) < 1e-6
+        assert max(min(abs(expected - rate)) for rate in found) < 1e-6  # besides, it has the gate's
 
 
 def test_margins_of_a_sampled_integrator_are_the_closed_forms() -> None:
@@ -124,8 +126,8 @@ def test_disk_margin_of_all_is_the_scaled_norm() -> None:
     satellite = _satellite()
     found = disk_margin_of_all(satellite)
     # Of two loops the bound is exact: the least norm over the scaling diag(d, 1).
-    omega = np.geomspace(0.1, 1000, 300)
-    scales = np.geomspace(1e-2, 1e2, 400)
+    omega = np.geomspace(0.01, 300, 150)  # the worst is at rest
+    scales = np.geomspace(0.05, 20, 200)
     norms = []
     for w in omega:
         gain = satellite(1j * w)
@@ -141,6 +143,8 @@ def test_disk_margin_of_all_is_the_scaled_norm() -> None:
 def test_all_forces_together_have_no_more_room_than_one(auv: Vehicle) -> None:
     closed = close_loop(auv, load_gains("paper-pd", auv), find_trim(auv))
     assert 0 < closed.disk <= min(m.disk for m in closed.margins.values()) + 1e-6
+    sampled = close_loop(auv, load_gains("paper-pd", auv), find_trim(auv), dt=0.02)
+    assert sampled.disk == pytest.approx(closed.disk, rel=0.02)
     assert close_loop(auv, load_gains("paper-pid", auv), find_trim(auv)).disk == 0.0
 
 

@@ -379,7 +379,8 @@ def frequencies(systems: list[ct.StateSpace]) -> Array:
     sizes = [abs(_rate(complex(p), period(s))) for s in systems for p in s.poles()]
     sizes = [size for size in sizes if 1e-4 < size < inf]
     low, high = min(sizes, default=0.1), max(sizes, default=10.0)
-    half = [np.pi / period(s) for s in systems if period(s)]  # the response repeats from here on
+    # From half the sampling frequency on the response repeats; rounding may not go beyond it.
+    half = [(1 - SETTINGS.rank) * np.pi / period(s) for s in systems if period(s)]
     end = min(half, default=high * 10**SETTINGS.decades)
     return np.geomspace(min(low, end) * 10**-SETTINGS.decades, end, SETTINGS.points)
 

@@ -80,8 +80,9 @@ class Analysis:
         """The closed loop, where there is a law."""
         if self.gains is None:
             return None
-        how = {"pade": self.pade, "dt": self.dt}
-        return close_loop(self.vehicle, self.gains, self.trim, observer=self.observer, **how)
+        return close_loop(
+            self.vehicle, self.gains, self.trim, pade=self.pade, dt=self.dt, observer=self.observer
+        )
 
     @cached_property
     def plant(self) -> ct.StateSpace:
