@@ -94,7 +94,9 @@ def check_gains(
     return certify(chosen, uncertainty, observer=design, progress=progress, **options)
 
 
-def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: int = 0) -> ct.StateSpace:
+def linearize(
+    vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: int = 0, dt: float = 0.0
+) -> ct.StateSpace:
     """The linear system of python-control at a steady motion.
 
     Parameters
@@ -105,6 +107,8 @@ def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: 
         Velocities, attitude, depth or commands that are held, SI; hovering by default.
     pade : int
         Order of the approximation of dead times; 0 leaves them out.
+    dt : float
+        Sampling time, s: commands are held, dead times are whole samples; 0 is continuous time.
 
     Returns
     -------
@@ -127,7 +131,8 @@ def linearize(vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: 
     """
     from .linear import systems  # brings python-control
 
-    return systems.linearize(vehicle, {"u": 0.0, "v": 0.0, "w": 0.0} if at is None else at, pade=pade)
+    held = {"u": 0.0, "v": 0.0, "w": 0.0} if at is None else at
+    return systems.linearize(vehicle, held, pade=pade, dt=dt)
 
 
 # --- bringing up to date what follows from a vehicle ------------------------------------------------

@@ -9,23 +9,17 @@ from itertools import combinations_with_replacement, product
 from math import asin, atan2, isfinite
 from xml.etree import ElementTree as ET
 
-import casadi as ca
 import numpy as np
 
-from undertow.codegen.export import identifier, slug
-from undertow.codegen.functions import Functions
-from undertow.errors import UndertowError
-from undertow.model.effect import Flow, Wrench
-from undertow.model.symbols import DOFS
+from undertow.model.effect import Flow
 from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-# Forward-left-up out of forward-starboard-down, for forces and for velocities: half a turn about x.
-FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
+from .body import FLIP, STATICS, Body, leaves, numbers, point_of_action
+
 _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
 _BODY = ("rigid_body", "rigid_body_coriolis", "added_mass", "added_mass_coupling", "added_mass_coriolis")
-_STATICS = ("restoring", "net_buoyancy")
 
 
 @dataclass(frozen=True)
@@ -88,7 +82,7 @@ class Drag:
         }
 
 
-class Sdf:
+class Sdf(Body):
     """A vehicle as a world for `gz sim`, east-north-up and forward-left-up.
 
     Parameters
@@ -108,14 +102,8 @@ class Sdf:
     """
 
     def __init__(self, vehicle: Vehicle, settings: SdfSettings | None = None) -> None:
-        self.vehicle, self.settings = vehicle, settings or SdfSettings()
-        self._functions = Functions(vehicle)
-        self._values = dict(zip(self._functions.parameter_names, self._functions.values(), strict=True))
-        self._rows = list(vehicle.dof_indices)
-        self.name = identifier(slug(vehicle.name))
-        self.losses: list[str] = []
-        if self._values.get("m", 0.0) <= 0:
-            raise UndertowError(f"vehicle '{vehicle.name}' has no mass m: Gazebo needs one, add rigid_body")
+        super().__init__(vehicle, "Gazebo")
+        self.settings = settings or SdfSettings()
         self._root = self._world()
         self.losses += self._what_is_left()
 
@@ -125,52 +113,17 @@ class Sdf:
         ET.indent(self._root)
         return f'<?xml version="1.0"?>\n{ET.tostring(self._root, encoding="unicode")}\n'
 
-    # --- the model's numbers ------------------------------------------------------------------
-    def _wrench(self, ids: tuple[str, ...], nu: Array, nu_dot: Array) -> Array:
-        """Sum of effects at motions in still water, level and without commands, shape (k, 6)."""
-        f = self._functions
-        total = sum((f.wrenches[i] for i in ids if i in f.wrenches), ca.SX(len(self._rows), 1))
-        evaluate = ca.Function("wrench", [f.x, f.nu_dot, f.actuation, f.p, f.t], [ca.densify(total)])
-        n = f.nu.numel()
-        states = np.zeros((f.x.numel(), len(nu)))
-        states[n : 2 * n] = nu[:, self._rows].T
-        p = np.tile(np.array(f.values())[:, None], len(nu))
-        found = evaluate.map(len(nu))(
-            states,
-            nu_dot[:, self._rows].T,
-            np.zeros((f.actuation.numel(), len(nu))),
-            p,
-            np.zeros((1, len(nu))),
-        )
-        result = np.zeros((len(nu), 6))
-        result[:, self._rows] = np.asarray(found).T
-        return result
-
-    def _mass(self, ids: tuple[str, ...], nu: Array) -> Array:
-        """Minus the force of the effects per acceleration at one velocity, shape (6, 6)."""
-        still = self._wrench(ids, nu[None], np.zeros((1, 6)))
-        return -(self._wrench(ids, np.tile(nu, (6, 1)), np.eye(6)) - still).T
-
-    @cached_property
-    def added_mass(self) -> Array:
-        """Added mass, positive, body frame of undertow, shape (6, 6)."""
-        ids = ("added_mass", "added_mass_coupling")
-        either = [self._mass(ids, np.full(6, way)) for way in (0.1, -0.1)]
-        if not np.allclose(either[0], either[1]):
-            self.losses.append("added mass differs forward and backward: its mean is taken")
-        return np.asarray(sum(either) / 2)
-
     @cached_property
     def drag(self) -> Drag:
         """Damping and lift in the terms of the plugin; what it cannot say is added to the losses."""
         terms = _terms()
         rng = np.random.default_rng(self.settings.seed)
         nu = rng.uniform(-1, 1, (self.settings.points, 6))
-        nu[:, [i for i in range(6) if i not in self._rows]] = 0.0
+        nu[:, [i for i in range(6) if i not in self.rows]] = 0.0
         table = np.array([term(nu) for _, term in terms]).T
         drag = Drag(np.zeros((6, 6)), np.zeros((6, 6, 6)), np.zeros((6, 6, 6)))
-        for effect in self._effects("damping"):
-            force = self._wrench((effect.id,), nu, np.zeros_like(nu))
+        for effect in self.effects("damping"):
+            force = self.wrench((effect.id,), nu, np.zeros_like(nu))
             found = np.linalg.lstsq(table, force, rcond=None)[0]
             largest = self.settings.rounding * max(float(np.abs(force).max()), 1e-300)
             if np.abs(table @ found - force).max() > largest:
@@ -185,58 +138,14 @@ class Sdf:
                     getattr(drag, str(kind))[(..., *place)] += column
         return drag
 
-    def _effects(self, family: str) -> list[Wrench]:
-        return [e for e in self.vehicle.all_effects if isinstance(e, Wrench) and e.family == family]
-
-    @cached_property
-    def centre_of_gravity(self) -> Array:
-        """Centre of gravity, body frame of undertow, m."""
-        return np.array([self._values.get(f"m{a}_g", 0.0) for a in "xyz"]) / self._values["m"]
-
-    @cached_property
-    def inertia(self) -> Array:
-        """Inertia about the centre of gravity, body frame of undertow, shape (3, 3), kg m^2."""
-        v, r = self._values, self.centre_of_gravity
-        known = [v[n] for n in ("I_x", "I_y", "I_z") if n in v]
-        stands = max(known, default=0.4 * v["m"])
-        absent = [n for n in ("I_x", "I_y", "I_z") if n not in v]
-        if absent:
-            self.losses.append(f"{', '.join(absent)} are not in the model: {stands:g} kg m^2 stands for them")
-        about = np.diag([v.get(n, stands) for n in ("I_x", "I_y", "I_z")])
-        for i, j, name in ((0, 1, "I_xy"), (0, 2, "I_xz"), (1, 2, "I_yz")):
-            about[i, j] = about[j, i] = -v.get(name, 0.0)
-        centred = about - v["m"] * (r @ r * np.eye(3) - np.outer(r, r))
-        if np.linalg.eigvalsh(centred).min() <= 0:
-            raise UndertowError(
-                f"inertia of '{self.vehicle.name}' about its centre of gravity is not positive "
-                f"(smallest moment {np.linalg.eigvalsh(centred).min():.3g} kg m^2): check I_x, I_y, I_z, x_g"
-            )
-        return centred
-
-    @cached_property
-    def buoyancy(self) -> tuple[float, Array] | None:
-        """Buoyancy in N and its centre in m, body frame; None where the model has no weight."""
-        v, weight = self._values, self._values["m"] * self.vehicle.environment["g"]
-        present = {e.id for e in self.vehicle.all_effects}
-        if not present & set(_STATICS):
-            return None
-        surplus = v.get("B_net", 0.0) + v.get("B", 0.0) - v.get("W", 0.0)
-        lift = weight + surplus
-        if lift <= 0:
-            raise UndertowError(f"buoyancy of '{self.vehicle.name}' is {lift:g} N: give one above zero")
-        r = self.centre_of_gravity
-        if "restoring" not in present:  # then the difference acts at the body origin
-            return lift, weight * r / lift
-        return lift, (weight * r - np.array([v.get(f"S_{a}", 0.0) for a in "xyz"])) / lift
-
     # --- the file -----------------------------------------------------------------------------
     def _world(self) -> ET.Element:
         root = ET.Element("sdf", {"version": "1.10"})
         root.append(ET.Comment(f" '{self.name}' by undertow {__version__}: ENU, forward-left-up "))
         world = ET.SubElement(root, "world", {"name": "water"})
         physics = ET.SubElement(world, "physics", {"name": "steps", "type": "ode"})
-        _leaves(physics, {"max_step_size": self.settings.step, "real_time_factor": 1})
-        _leaves(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
+        leaves(physics, {"max_step_size": self.settings.step, "real_time_factor": 1})
+        leaves(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
         for system in ("Physics", "UserCommands", "SceneBroadcaster"):
             _plugin(world, system.lower() if system == "Physics" else _snake(system), system, {})
         density = {"uniform_fluid_density": self.vehicle.environment["rho"]}
@@ -256,12 +165,12 @@ class Sdf:
     def _base(self, model: ET.Element) -> None:
         link = ET.SubElement(model, "link", {"name": "base_link"})
         inertial = ET.SubElement(link, "inertial")
-        _leaves(inertial, {"pose": _pose(FLIP[:3] * self.centre_of_gravity), "mass": self._values["m"]})
+        leaves(inertial, {"pose": _pose(FLIP[:3] * self.centre_of_gravity), "mass": self.values["m"]})
         turned = self.inertia * np.outer(FLIP[:3], FLIP[:3])
         names = {
             f"i{'xyz'[i]}{'xyz'[j]}": turned[i, j] for i, j in combinations_with_replacement(range(3), 2)
         }
-        _leaves(ET.SubElement(inertial, "inertia"), names)
+        leaves(ET.SubElement(inertial, "inertia"), names)
         self._added(inertial)
         self._volume(link)
 
@@ -272,7 +181,7 @@ class Sdf:
             return
         letters = "xyzpqr"
         pairs = combinations_with_replacement(range(6), 2)
-        _leaves(
+        leaves(
             ET.SubElement(inertial, "fluid_added_mass"),
             {f"{letters[i]}{letters[j]}": turned[i, j] for i, j in pairs},
         )
@@ -280,50 +189,48 @@ class Sdf:
     def _volume(self, link: ET.Element) -> None:
         """A cube that displaces as much water as the model's buoyancy says."""
         if self.buoyancy is None:
-            _leaves(link, {"gravity": "false"})
+            leaves(link, {"gravity": "false"})
             self.losses.append("the model has no weight and buoyancy: gravity is off for it")
             return
         lift, centre = self.buoyancy
-        edge = (lift / (self.vehicle.environment["rho"] * self.vehicle.environment["g"])) ** (1 / 3)
-        self.losses.append("the collision shape is a cube with the displaced volume, not the hull")
+        edge = self.edge(lift)
         for kind in ("collision", "visual"):
             element = ET.SubElement(link, kind, {"name": kind})
-            _leaves(element, {"pose": _pose(FLIP[:3] * centre)})
+            leaves(element, {"pose": _pose(FLIP[:3] * centre)})
             box = ET.SubElement(ET.SubElement(element, "geometry"), "box")
-            _leaves(box, {"size": " ".join([repr(float(edge))] * 3)})
+            leaves(box, {"size": " ".join([repr(float(edge))] * 3)})
 
     def _thruster(self, model: ET.Element, thruster: Thruster) -> None:
         wrench = FLIP * np.array(thruster.wrench, dtype=float)
         force, moment = wrench[:3], wrench[3:]
-        size = float(np.linalg.norm(force))
+        size, arm = float(np.linalg.norm(force)), point_of_action(force, moment)
         if not size or abs(force @ moment) > 1e-9 * size:
             self.losses.append(f"thruster {thruster.name} is left out: no single force has its wrench")
             return
         if thruster.law is not None:
             self.losses.append(f"thruster {thruster.name}: Gazebo takes newtons, its curve is left out")
-        arm = np.cross(force, moment) / size**2  # the point of the line of thrust next to the origin
         d = force / size
         link, joint = f"{thruster.name}_link", f"{thruster.name}_joint"
         element = ET.SubElement(model, "link", {"name": link})
         angles = (0.0, -asin(max(-1.0, min(1.0, d[2]))), atan2(d[1], d[0]))
-        _leaves(element, {"pose": _pose(arm, angles)})
+        leaves(element, {"pose": _pose(arm, angles)})
         inertial = ET.SubElement(element, "inertial")
         mass = self.settings.propeller_mass
-        _leaves(inertial, {"mass": mass})
+        leaves(inertial, {"mass": mass})
         small = {f"i{a}{a}": mass * 1e-3 for a in "xyz"}
-        _leaves(ET.SubElement(inertial, "inertia"), small)
+        leaves(ET.SubElement(inertial, "inertia"), small)
         hinge = ET.SubElement(model, "joint", {"name": joint, "type": "revolute"})
-        _leaves(hinge, {"parent": "base_link", "child": link})
+        leaves(hinge, {"parent": "base_link", "child": link})
         axis = ET.SubElement(hinge, "axis")
-        _leaves(axis, {"xyz": "1 0 0"})
-        _leaves(ET.SubElement(axis, "limit"), {"lower": -1e16, "upper": 1e16})
+        leaves(axis, {"xyz": "1 0 0"})
+        leaves(ET.SubElement(axis, "limit"), {"lower": -1e16, "upper": 1e16})
         _plugin(model, "thruster", "Thruster", self._limits(thruster, joint, size))
 
     def _limits(self, thruster: Thruster, joint: str, size: float) -> dict[str, object]:
         head: dict[str, object] = {"namespace": self.name, "joint_name": joint, "velocity_control": "true"}
         head |= {"fluid_density": self.vehicle.environment["rho"], "propeller_diameter": 0.1}
         head |= {"thrust_coefficient": 0.02}
-        scale = self._values.get(f"thrust_{thruster.name}", 1.0) * size
+        scale = self.values.get(f"thrust_{thruster.name}", 1.0) * size
         if thruster.limit is None or not isfinite(thruster.limit) or thruster.law is not None:
             return head
         return {**head, "max_thrust_cmd": scale * thruster.limit, "min_thrust_cmd": -scale * thruster.limit}
@@ -331,17 +238,14 @@ class Sdf:
     # --- what is lost --------------------------------------------------------------------------
     def _what_is_left(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
-        locked = [d for d in DOFS if d not in self.vehicle.degrees_of_freedom]
-        if locked:
-            yield f"{', '.join(locked)} are free in Gazebo, without damping: the model has no such motion"
-        said = {*_BODY, *_STATICS, "thrusters", *(e.id for e in self._effects("damping"))}
+        yield from self.free_motions()
+        said = {*_BODY, *STATICS, "thrusters", *(e.id for e in self.effects("damping"))}
         present = {e.id for e in self.vehicle.all_effects}
         if "added_mass" in present and "added_mass_coriolis" not in present:
             yield "added mass brings its Coriolis and Munk forces along in Gazebo; the model has none"
-        for effect in self.vehicle.all_effects:
-            if effect.id not in said:
-                hint = ": publish it on /ocean_current" if isinstance(effect, Flow) else ""
-                yield f"{effect.id} is left out{hint}"
+        for effect in self.unsaid(said):
+            hint = ": publish it on /ocean_current" if isinstance(effect, Flow) else ""
+            yield f"{effect.id} is left out{hint}"
 
 
 def _terms() -> list[tuple[tuple[str | int, ...], Callable[[Array], Array]]]:
@@ -358,19 +262,13 @@ def _terms() -> list[tuple[tuple[str | int, ...], Callable[[Array], Array]]]:
 
 
 # --- XML ------------------------------------------------------------------------------------------
-def _leaves(parent: ET.Element, values: Mapping[str, object]) -> None:
-    for name, value in values.items():
-        shown = value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
-        ET.SubElement(parent, name).text = shown
-
-
 def _pose(position: Array, angles: tuple[float, ...] = (0.0, 0.0, 0.0)) -> str:
-    return " ".join(repr(float(v) + 0.0) for v in (*position, *angles))
+    return numbers(*position, *angles)
 
 
 def _plugin(parent: ET.Element, file: str, system: str, values: Mapping[str, object]) -> None:
     names = {"filename": f"gz-sim-{file}-system", "name": f"gz::sim::systems::{system}"}
-    _leaves(ET.SubElement(parent, "plugin", names), values)
+    leaves(ET.SubElement(parent, "plugin", names), values)
 
 
 def _snake(name: str) -> str:

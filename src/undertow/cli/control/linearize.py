@@ -19,6 +19,11 @@ have parameters of their own and the vehicle is at rest, --direction says which 
 --family 200 draws vehicles from the standard deviations of the vehicle file and the covariance of its last
 fit, adds the corners, and says how many are unstable; pictures show them all. An unstable trim is pointed
 out, and with --require-stable refused.
+
+--dt gives the sampled form: commands are held (zero-order hold), the law runs as its C code does, dead times
+are whole samples, poles and zeros are those in z.
+
+    undertow linearize mini-auv --gains paper-pd --dt 0.1
 """
 
 from __future__ import annotations
@@ -62,6 +67,8 @@ _FAMILY = typer.Option(
     "--family", metavar="N", help="Draw N vehicles as uncertain as this one.", min=1, max=10_000
 )
 _PADE = typer.Option("--pade", metavar="ORDER", help="Approximate dead time to this order.", min=0, max=8)
+_DT = typer.Option("--dt", metavar="TIME", help="Sampled: commands are held for this time, s.")
+_TOGETHER = typer.Option("--together", help="Disk margin of all forces at once (extra slycot).")
 _STABLE = typer.Option("--require-stable", help="Refuse a trim, or a closed loop, that is unstable.")
 _OUT = typer.Option("--out", metavar="FILE.png", help="Where to write the picture.")
 
@@ -80,6 +87,8 @@ def linearize(
     family: Annotated[int | None, _FAMILY] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of the draws.", min=0)] = 0,
     pade: Annotated[int, _PADE] = 0,
+    dt: Annotated[str | None, _DT] = None,
+    together: Annotated[bool, _TOGETHER] = False,
     require_stable: Annotated[bool, _STABLE] = False,
     plot: Annotated[Plot | None, typer.Option("--plot", help="Draw a picture.")] = None,
     out: Annotated[Path | None, _OUT] = None,
@@ -99,6 +108,8 @@ def linearize(
             gains=gains,
             observer=observer,
             pade=pade,
+            dt=_period(dt),
+            together=together,
             sensors=words([sensors]) if sensors else [],
             family_of=family or 0,
             source=vehicle,
@@ -122,6 +133,16 @@ def linearize(
 
         save_png(drawn, out)
         typer.echo(f"wrote {out}", err=json)
+
+
+def _period(text: str | None) -> float:
+    """The sampling time, s; 0 for continuous."""
+    if text is None:
+        return 0.0
+    dt = in_si("--dt", text, "s")
+    if dt <= 0:
+        raise UndertowError(f"--dt {text} is no sampling time: give one above zero, such as 0.1")
+    return dt
 
 
 def _in_current(vehicle: str, current: str | None, effects: Sequence[Path]) -> Vehicle:
@@ -174,11 +195,14 @@ def show(found: Analysis, channels: Sequence[Channel]) -> None:
     for remark in found.trim.remarks:
         say(f"  {remark}", "yellow")
     title = f"Poles of the loop with {found.gains.name}" if found.gains else "Poles"
+    title += f", sampled every {found.dt:g} s" if found.dt else ""
     show_modes(title, found.modes)
     for line in _growth(found):
         say(f"  {line}", "yellow")
-    section("Zeros", _zeros(channels))
+    section("Zeros", _zeros(channels, "z" if found.dt else "rad/s"))
     section(_MARGINS[bool(found.gains)], _margins(found.margins(channels)))
+    if found.disk_of_all is not None:
+        say(f"  all forces at once: disk {found.disk_of_all:.4g}")
     section("What can be moved and seen")
     for line in [*_reached(found.controllability, *_MOVED), *_reached(found.observability, *_SEEN)]:
         say(f"  {line}")
@@ -206,14 +230,16 @@ def show_modes(title: str, modes: Sequence[Mode]) -> None:
     rows = [
         (
             shown(m.pole),
+            *([f"{m.magnitude:.6f}"] if m.dt else []),
             f"{m.frequency:.5g}",
-            f"{m.damping:.6f}" if m.pole else "",
+            f"{m.damping:.6f}" if m.rate else "",
             f"{m.time_constant:.5g}" if isfinite(m.time_constant) else "",
             ", ".join(m.states) + ("" if m.stable else ": grows"),
         )
         for m in modes
     ]
-    head = ("pole, rad/s", "omega_n, rad/s", "damping", "time constant, s", "in")
+    poles = ("pole, z", "magnitude") if modes and modes[0].dt else ("pole, rad/s",)
+    head = (*poles, "omega_n, rad/s", "damping", "time constant, s", "in")
     section(title, table(head, rows))
 
 
@@ -232,9 +258,9 @@ def _growth(found: Analysis) -> list[str]:
     return [f"{what} is unstable in {names}: a small deviation grows"]
 
 
-def _zeros(channels: Sequence[Channel]) -> object:
+def _zeros(channels: Sequence[Channel], unit: str) -> object:
     rows = [(c.name, ", ".join(shown(z) for z in _once(c.zeros)) or "none") for c in channels]
-    return table(("channel", "zeros, rad/s"), rows)
+    return table(("channel", f"zeros, {unit}"), rows)
 
 
 def _once(values: Sequence[complex]) -> list[complex]:

@@ -1,7 +1,8 @@
-"""Write a vehicle for other programs: a functional mock-up unit, a world for Gazebo, a C library.
+"""Write a vehicle for other programs: a functional mock-up unit, Gazebo, MuJoCo, a C library.
 
     undertow export fmu bluerov2 --out bluerov2.fmu
     undertow export sdf bluerov2 --out bluerov2.sdf
+    undertow export mujoco bluerov2 --out bluerov2.xml
     undertow export c mini-auv --controller paper-pid --out mini_auv
 
 What the other program cannot say is listed; docs/export.md has the whole of it.
@@ -97,6 +98,34 @@ def sdf(
     write_whole(target, world.text)
     say(f"wrote {target}: {len(world.drag.elements())} terms of damping and lift")
     _lost(world.losses)
+
+
+@app.command()
+def mujoco(
+    vehicle: VehicleArgument,
+    out: Annotated[Path | None, _out("xml")] = None,
+    force: NewForceOption = False,
+    effects: EffectsOption = None,
+) -> None:
+    """Write a model for MuJoCo (MJCF) with the body of the vehicle, without its fluid forces.
+
+    \b
+    undertow export mujoco bluerov2 --out bluerov2.xml
+    python -m mujoco.viewer --mjcf=bluerov2.xml
+
+    Inertia, weight, buoyancy at its centre and a motor for each thruster, turned into forward-left-up; ctrl
+    is thrust in newtons. What MuJoCo cannot say, added mass and damping above all, is listed as a warning.
+    """
+    from undertow.export.mjcf import Mjcf
+    from undertow.files import write_whole
+    from undertow.model.loading import load_vehicle
+
+    with progress("writing MJCF", None):
+        model = Mjcf(load_vehicle(vehicle, effect_files=effects or []))
+        target = new_file(out or Path(f"{model.name}.xml"), force, [vehicle])
+    write_whole(target, model.text)
+    say(f"wrote {target}: {len(model.vehicle.thrusters)} motors")
+    _lost(model.losses)
 
 
 _CONTROLLER = typer.Option("--controller", metavar="GAINS", help="Gain file or name of a controller.")

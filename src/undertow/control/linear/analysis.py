@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import cmath
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from math import ceil, inf, isfinite, log2
 
 import control as ct
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
 
+from undertow.errors import UndertowError
 from undertow.typing import Array
 
 
@@ -19,6 +23,7 @@ class AnalysisSettings:
     """What counts as zero in linear systems, and what curves show."""
 
     rank: float = 1e-9  # singular values below this part of the largest are rounding
+    rounding: float = 1e-14  # entries of a sampled A less the identity up to this are rounding
     reached: float = 1e-6  # a state with a smaller part in what is reached is not reached at all
     # Part of a state, beside the largest, in a mode or in what is not reached, from which it is named.
     share: float = 0.1
@@ -38,28 +43,69 @@ SETTINGS = AnalysisSettings()
 class Mode:
     """A pole, with how its motion looks."""
 
-    pole: complex  # rad/s; of a pair the one with the positive imaginary part
+    pole: complex  # rad/s, or z if sampled; of a pair the one with the positive imaginary part
     states: tuple[str, ...]  # that take part, the most first
+    dt: float = 0.0  # sampling time, s; 0: continuous
+
+    @property
+    def rate(self) -> complex:
+        """The pole in continuous time, rad/s: itself, or log(z)/dt; minus infinity for a pure delay."""
+        return _rate(self.pole, self.dt)
+
+    @property
+    def magnitude(self) -> float:
+        """Distance of the pole from the origin: of a sampled system, the factor of one sample."""
+        return abs(self.pole)
 
     @property
     def frequency(self) -> float:
         """Natural frequency, rad/s."""
-        return abs(self.pole)
+        return abs(self.rate)
 
     @property
     def damping(self) -> float:
         """Damping ratio: -1 to 1; 0 for a pole at zero."""
-        return -self.pole.real / abs(self.pole) if self.pole else 0.0
+        if not isfinite(self.rate.real):
+            return 1.0
+        return -self.rate.real / abs(self.rate) if self.rate else 0.0
 
     @property
     def time_constant(self) -> float:
         """Time in which the motion falls (or, if negative, rises) by e, s; infinite at zero."""
-        return -1 / self.pole.real if self.pole.real else inf
+        return -1 / self.rate.real if self.rate.real else inf
 
     @property
     def stable(self) -> bool:
-        """Whether it does not grow; a pole at zero is a place or heading that nothing holds."""
-        return self.pole.real <= SETTINGS.at_zero
+        """Whether it does not grow; a pole at zero (z = 1) is a place or heading that nothing holds."""
+        return self.rate.real <= SETTINGS.at_zero
+
+
+def _rate(pole: complex, dt: float) -> complex:
+    if not dt:
+        return pole
+    return cmath.log(pole) / dt if pole else complex(-inf)
+
+
+def period(system: ct.StateSpace) -> float:
+    """Sampling time of a system, s; 0 if it is continuous."""
+    return float(system.dt or 0.0)
+
+
+def slopes(system: ct.StateSpace) -> Array:
+    """A, or (A - 1)/dt of a sampled system, which has the same subspaces, and rates of change."""
+    dt = period(system)
+    return np.asarray((system.A - np.eye(system.nstates)) / dt if dt else system.A)
+
+
+def at_frequencies(system: ct.StateSpace, omega: Array) -> NDArray[np.complex128]:
+    """Where a system is evaluated for frequencies in rad/s: on the axis, or on the unit circle."""
+    dt = period(system)
+    return np.asarray(np.exp(1j * omega * dt) if dt else 1j * omega)
+
+
+def like(system: ct.StateSpace, a: Array, b: Array, c: Array, d: Array) -> ct.StateSpace:
+    """A system with the sampling time of another one."""
+    return ct.ss(a, b, c, d, dt=system.dt)
 
 
 def modes(system: ct.StateSpace) -> list[Mode]:
@@ -67,18 +113,22 @@ def modes(system: ct.StateSpace) -> list[Mode]:
 
     A state that nothing depends on (place, heading) gives a pole at zero exactly.
     """
-    names, kept, found = system.state_labels, list(range(system.nstates)), []
+    names, kept = system.state_labels, list(range(system.nstates))
+    found: list[tuple[complex, tuple[str, ...]]] = []
+    a, dt = slopes(system), period(system)
+    zero = SETTINGS.rounding / dt if dt else 0.0
     while True:
-        idle = [i for i in kept if not np.any(system.A[kept, i])]
+        idle = [i for i in kept if not np.any(np.abs(a[kept, i]) > zero)]
         if not idle:
             break
-        found += [Mode(0j, (names[i],)) for i in idle]
+        found += [(0j, (names[i],)) for i in idle]
         kept = [i for i in kept if i not in idle]
-    found += _modes(system.A[np.ix_(kept, kept)], [names[i] for i in kept])
-    return sorted(found, key=lambda m: (-m.pole.real, m.frequency))
+    found += _modes(a[np.ix_(kept, kept)], [names[i] for i in kept])
+    result = [Mode(1 + pole * dt if dt else pole, own, dt) for pole, own in found]
+    return sorted(result, key=lambda m: (-m.rate.real, m.frequency))
 
 
-def _modes(a: Array, names: list[str]) -> list[Mode]:
+def _modes(a: Array, names: list[str]) -> list[tuple[complex, tuple[str, ...]]]:
     if not names:
         return []
     poles, right = np.linalg.eig(a)
@@ -91,7 +141,7 @@ def _modes(a: Array, names: list[str]) -> list[Mode]:
             continue
         taking = sorted(range(len(names)), key=lambda i: -part[i, k])
         own = tuple(names[i] for i in taking if part[i, k] > SETTINGS.share)
-        result.append(Mode(_clean(complex(pole), scale), own))
+        result.append((_clean(complex(pole), scale), own))
     return result
 
 
@@ -116,21 +166,23 @@ class Reach:
 
 def controllability(system: ct.StateSpace) -> Reach:
     """Which states the inputs can move."""
-    return _reach(system.A, system.B, system.state_labels)
+    return _reach(system, slopes(system), system.B)
 
 
 def observability(system: ct.StateSpace) -> Reach:
     """Which states the outputs show."""
-    return _reach(system.A.T, system.C.T, system.state_labels)
+    return _reach(system, slopes(system).T, system.C.T)
 
 
-def _reach(a: Array, b: Array, names: list[str]) -> Reach:
+def _reach(system: ct.StateSpace, a: Array, b: Array) -> Reach:
+    names, dt = system.state_labels, period(system)
     basis = reached(a, b)
     others = np.eye(len(names)) - basis @ basis.T
     missing = [n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < SETTINGS.reached]
     lost = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
-    horizon = _horizon(a)
-    singular = np.linalg.svd(gramian(a, b, horizon), compute_uv=False)
+    horizon = _horizon(system)
+    moved = sampled_gramian(np.eye(len(a)) + a * dt, b, horizon / dt) if dt else gramian(a, b, horizon)
+    singular = np.linalg.svd(moved, compute_uv=False)
     mixed = tuple(n for n in lost if n not in missing)
     return Reach(basis.shape[1], len(names), tuple(missing), mixed, horizon, tuple(map(float, singular)))
 
@@ -153,9 +205,10 @@ def _independent(columns: Array) -> Array:
     return left[:, singular > SETTINGS.rank]
 
 
-def _horizon(a: Array) -> float:
+def _horizon(system: ct.StateSpace) -> float:
     """The slowest time constant that decays, s."""
-    decaying = [-1 / p.real for p in np.linalg.eigvals(a) if p.real < -1e-6]
+    rates = [_rate(p, period(system)).real for p in np.linalg.eigvals(system.A)]
+    decaying = [-1 / r for r in rates if r < -1e-6]
     return float(max(decaying, default=10.0))
 
 
@@ -175,23 +228,33 @@ def gramian(a: Array, b: Array, horizon: float) -> Array:
     return total
 
 
+def sampled_gramian(a: Array, b: Array, samples: float) -> Array:
+    """Sum of A^k B B' A'^k over so many samples, shape (n, n); by doubling along their binary digits."""
+    total, ahead = np.zeros_like(a), np.eye(len(a))
+    for digit in f"{max(ceil(samples), 1):b}":
+        total, ahead = total + ahead @ total @ ahead.T, ahead @ ahead
+        if digit == "1":
+            total, ahead = a @ total @ a.T + b @ b.T, a @ ahead
+    return total
+
+
 def minimal(system: ct.StateSpace) -> ct.StateSpace:
     """The part of a system that inputs move and outputs show, in other states."""
-    basis = reached(system.A, system.B)
-    a, b, c = basis.T @ system.A @ basis, basis.T @ system.B, system.C @ basis
-    shown = reached(a.T, c.T)
-    return ct.ss(shown.T @ a @ shown, shown.T @ b, c @ shown, system.D)
+    by_rate = slopes(system)
+    basis = reached(by_rate, system.B)
+    shown = basis @ reached(basis.T @ by_rate.T @ basis, basis.T @ system.C.T)
+    return like(system, shown.T @ system.A @ shown, shown.T @ system.B, system.C @ shown, system.D)
 
 
 # --- one channel ------------------------------------------------------------------------------
 def channel(system: ct.StateSpace, output: str, source: str) -> ct.StateSpace:
     """The minimal system from one input to one output."""
     i, j = system.output_labels.index(output), system.input_labels.index(source)
-    return minimal(ct.ss(system.A, system.B[:, [j]], system.C[[i]], system.D[[i]][:, [j]]))
+    return minimal(like(system, system.A, system.B[:, [j]], system.C[[i]], system.D[[i]][:, [j]]))
 
 
 def zeros_of(system: ct.StateSpace) -> list[complex]:
-    """Zeros of a minimal system with one input and one output, rad/s, by real part."""
+    """Zeros of a minimal system with one input and one output, rad/s or z, by real part."""
     if not system.nstates:
         return []
     found = [complex(z) for z in system.zeros() if isfinite(abs(z)) and abs(z) < 1e8]
@@ -217,11 +280,11 @@ _NO_LOOP = Margins(True, inf, inf, inf, 1.0, float("nan"))
 
 
 def margins(loop: ct.StateSpace) -> Margins:
-    """Margins of a loop L(s) that is closed by negative feedback."""
+    """Margins of a loop L(s), or L(z), that is closed by negative feedback."""
     if not loop.nstates or not np.any(loop.B):
         return _NO_LOOP
-    gains, phases, distances, _, crossings, _ = ct.stability_margins(loop, returnall=True)
-    stable = bool(np.all(ct.feedback(loop, 1).poles().real <= SETTINGS.at_zero))
+    gains, phases, distances, crossings = _crossings(loop)
+    stable = _closes_stably(loop)
     low, high = SETTINGS.factors
     factors = [float(g) for g in gains if low < abs(g) < high]
     delays = [np.radians(p % 360.0) / w for p, w in zip(phases, crossings, strict=True) if w > 0]
@@ -236,16 +299,64 @@ def margins(loop: ct.StateSpace) -> Margins:
     )
 
 
+def _crossings(loop: ct.StateSpace) -> tuple[Array, Array, Array, Array]:
+    """Gains, phases and distances where one of them is least, and frequencies of the phases, rad/s."""
+    dt = period(loop)
+    if not dt:
+        gains, phases, distances, _, crossings, _ = ct.stability_margins(loop, returnall=True)
+        return gains, phases, distances, crossings
+    curve = ct.frd(loop, frequencies([loop])[:-1], smooth=True)  # polynomials in z lose their digits
+    gains, phases, distances, _, crossings, _ = ct.stability_margins(curve, returnall=True)
+    end = float(np.real(np.squeeze(loop(-1.0 + 0j))))  # real at half the sampling frequency
+    if end < 0:
+        gains = np.append(gains, -1 / end)
+    return gains, phases, np.append(distances, abs(1 + end)), crossings
+
+
+def _closes_stably(loop: ct.StateSpace) -> bool:
+    closed = ct.feedback(loop, np.eye(loop.noutputs))
+    return all(_rate(complex(p), period(loop)).real <= SETTINGS.at_zero for p in closed.poles())
+
+
+def disk_margin_of_all(loop: ct.StateSpace) -> float:
+    """Disk margin without skew of all loops at once: each may vary within a disk of this size by itself.
+
+    python-control takes the upper bound of the structured singular value from SLICOT. Zero where the closed
+    loop is unstable.
+
+    Raises
+    ------
+    UndertowError
+        If slycot is not installed.
+    """
+    if not loop.issiso() and find_spec("slycot") is None:
+        raise UndertowError(
+            f"the disk margin of {loop.ninputs} loops at once needs slycot: pip install 'undertow[slycot]'"
+        )
+    if not _closes_stably(loop):
+        return 0.0
+    return _least(loop, lambda omega: float(ct.disk_margins(loop, np.array([omega]))[0]))
+
+
 def _disk_margin(loop: ct.StateSpace) -> float:
     """Least 2 |1 + L| / |1 - L| over all frequencies.
 
     Seiler, Packard, Gahinet (2020), An introduction to disk margins: 1/max |S - T|/2 for zero skew.
     """
-    omega = frequencies([loop])
+
+    def at(omega: float) -> float:
+        gain = complex(np.squeeze(loop(at_frequencies(loop, np.array(omega)))))
+        return float(2 * abs(1 + gain) / max(abs(1 - gain), 1e-300))
+
+    return _least(loop, at)
+
+
+def _least(loop: ct.StateSpace, disk: Callable[[float], float]) -> float:
+    """The least disk over all frequencies; far beyond the last one it is 2."""
+    omega = frequencies([loop, ct.feedback(loop, np.eye(loop.noutputs))])  # crossovers are at its poles
 
     def at(logarithm: float) -> float:
-        gain = complex(np.squeeze(loop(1j * np.exp(logarithm))))
-        return float(2 * abs(1 + gain) / max(abs(1 - gain), 1e-300))
+        return disk(float(np.exp(logarithm)))
 
     values = [at(w) for w in np.log(omega)]
     k = int(np.clip(np.argmin(values), 1, len(omega) - 2))
@@ -265,31 +376,37 @@ class Line:
 
 def frequencies(systems: list[ct.StateSpace]) -> Array:
     """Frequencies around the poles of systems, rad/s, shape (n,)."""
-    sizes = [abs(p) for s in systems for p in s.poles() if abs(p) > 1e-4]
+    sizes = [abs(_rate(complex(p), period(s))) for s in systems for p in s.poles()]
+    sizes = [size for size in sizes if 1e-4 < size < inf]
     low, high = min(sizes, default=0.1), max(sizes, default=10.0)
-    return np.geomspace(low * 10**-SETTINGS.decades, high * 10**SETTINGS.decades, SETTINGS.points)
+    # From half the sampling frequency on the response repeats; rounding may not go beyond it.
+    half = [(1 - SETTINGS.rank) * np.pi / period(s) for s in systems if period(s)]
+    end = min(half, default=high * 10**SETTINGS.decades)
+    return np.geomspace(min(low, end) * 10**-SETTINGS.decades, end, SETTINGS.points)
 
 
 def response(name: str, system: ct.StateSpace, omega: Array) -> Line:
     """The frequency response of a system with one input and one output."""
-    return Line(name, omega, np.asarray(system(1j * omega)).ravel())
+    return Line(name, omega, np.asarray(system(at_frequencies(system, omega))).ravel())
 
 
 def singular_values(system: ct.StateSpace, omega: Array) -> Array:
     """Singular values of the frequency response, largest first, shape (min(outputs, inputs), n)."""
-    matrices = np.moveaxis(np.asarray(system(1j * omega, squeeze=False)), -1, 0)
+    matrices = np.moveaxis(np.asarray(system(at_frequencies(system, omega), squeeze=False)), -1, 0)
     return np.asarray(np.linalg.svd(matrices, compute_uv=False).T)
 
 
 def duration(systems: list[ct.StateSpace]) -> float:
     """How long a step is worth looking at: some of the slowest time constants, s."""
-    reals = [abs(m.pole.real) for s in systems for m in modes(s) if abs(m.pole.real) > 1e-6]
+    reals = [abs(m.rate.real) for s in systems for m in modes(s) if 1e-6 < abs(m.rate.real) < inf]
     return float(min(SETTINGS.time_constants / min(reals, default=1.0), SETTINGS.longest))
 
 
 def step(name: str, system: ct.StateSpace, seconds: float) -> Line:
     """The answer of a system with one input and one output to a step of one."""
-    t, y = ct.step_response(system, np.linspace(0.0, seconds, SETTINGS.points), squeeze=True)
+    dt = period(system)
+    times = np.arange(ceil(seconds / dt) + 1) * dt if dt else np.linspace(0.0, seconds, SETTINGS.points)
+    t, y = ct.step_response(system, times, squeeze=True)
     return Line(name, np.asarray(t), np.asarray(y).ravel())
 
 

@@ -43,6 +43,7 @@ def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
 def _title(found: Analysis, what: str) -> str:
     values = {**found.trim.states, **found.trim.commands}
     held = [f"{n} = {values[n]:.4g}" for n in found.trim.wanted.given if values[n]]
+    what += f", sampled every {found.dt:g} s" if found.dt else ""
     law = f", {found.gains.name}" if found.gains else ""
     return plain(f"{found.vehicle.name}{law} ({', '.join(held) or 'hovering'}): {what}", 110)
 
@@ -182,7 +183,7 @@ def _steps(found: Analysis, channels: Sequence[Channel]) -> Figure:
             line = step("", member, seconds)
             axis.plot(line.x, line.y.real, color=colour, alpha=0.15, linewidth=0.7)
         line = step(c.name, c.system, seconds)
-        axis.plot(line.x, line.y.real, color=colour)
+        axis.plot(line.x, line.y.real, color=colour, drawstyle="steps-post" if found.dt else "default")
         if found.loop:
             axis.axhline(1.0, color=FAINT, linewidth=0.8, linestyle=":")
         unit, below = unit_text(found.units[c.output]), unit_text(found.units[c.source])
@@ -216,8 +217,9 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
                 markersize=7,
                 label=f"zeros, {plain(c.name)}",
             )
-    _stretch(axis, own)
-    _plane(axis)
+    if not found.dt:
+        _stretch(axis, own)
+    _plane(axis, found.dt)
     axis.set_title(_title(found, "poles of the loop" if found.loop else "poles"))
     axis.legend()
     _grids(axes)
@@ -238,7 +240,15 @@ def _stretch(axis: Any, poles: Any) -> None:
         axis.set_yscale("symlog", linthresh=least)
 
 
-def _plane(axis: Any) -> None:
+def _plane(axis: Any, dt: float = 0.0) -> None:
+    """The border of stability: the imaginary axis, or the unit circle of z."""
+    if dt:
+        turn = np.linspace(0.0, 2 * np.pi, 400)
+        axis.plot(np.cos(turn), np.sin(turn), color=INK, linewidth=0.8, zorder=0)
+        axis.axhline(0.0, color=FAINT, linewidth=0.6)
+        axis.set_aspect("equal", adjustable="datalim")
+        axis.set(xlabel=f"real part of z (samples of {dt:g} s)", ylabel="imaginary part of z")
+        return
     axis.axvline(0.0, color=INK, linewidth=0.8)
     axis.axhline(0.0, color=FAINT, linewidth=0.6)
     low, high = axis.get_xlim()
@@ -262,8 +272,11 @@ def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
         now = _closed_poles(system)
         words = "gain 1 (the law as it is)" if found.loop else "gain 1"
         axis.plot(now.real, now.imag, "s", color=BEFORE, markersize=5, label=words)
-        _frame(axis, now)
-        _plane(axis)
+        if found.dt:
+            axis.set(xlim=(-1.6, 1.6), ylim=(-1.15, 1.15))
+        else:
+            _frame(axis, now)
+        _plane(axis, found.dt)
         axis.set_title(plain(name, 90))
         axis.legend()
     shown.suptitle(_title(found, f"root locus, {what}"), x=0.01, ha="left", fontsize=10)

@@ -27,6 +27,7 @@ from .analysis import (
     Reach,
     channel,
     controllability,
+    like,
     margins,
     minimal,
     modes,
@@ -71,18 +72,24 @@ class Analysis:
     sensors: Sequence[str] = ()  # outputs that are measured; all if empty
     family: Family | None = None
     observer: Design | None = None  # gives the law an estimate
+    dt: float = 0.0  # sampling time, s; 0: continuous
+    together_too: bool = False  # whether the disk margin of all forces at once is asked for
 
     @cached_property
     def loop(self) -> LinearLoop | None:
         """The closed loop, where there is a law."""
         if self.gains is None:
             return None
-        return close_loop(self.vehicle, self.gains, self.trim, pade=self.pade, observer=self.observer)
+        return close_loop(
+            self.vehicle, self.gains, self.trim, pade=self.pade, dt=self.dt, observer=self.observer
+        )
 
     @cached_property
     def plant(self) -> ct.StateSpace:
         """Commands to pose and velocity."""
-        return self.loop.plant if self.loop else linearize(self.vehicle, self.trim, pade=self.pade)
+        if self.loop:
+            return self.loop.plant
+        return linearize(self.vehicle, self.trim, pade=self.pade, dt=self.dt)
 
     @cached_property
     def system(self) -> ct.StateSpace:
@@ -124,7 +131,7 @@ class Analysis:
             what = f"the loop with '{self.gains.name}'" if self.gains else "this steady motion"
             raise UndertowError(
                 f"{what} of '{self.vehicle.name}' is unstable: a mode in {', '.join(mode.states)} grows with "
-                f"{mode.pole.real:.4g} 1/s; {remedy}"
+                f"{mode.rate.real:.4g} 1/s; {remedy}"
             )
 
     # --- channels -----------------------------------------------------------------------------
@@ -166,7 +173,7 @@ class Analysis:
         columns = [self._wide.input_labels.index(n) for n in sources]
         rows = [self._wide.output_labels.index(n) for n in outputs]
         w = self._wide
-        found = minimal(ct.ss(w.A, w.B[:, columns], w.C[rows], w.D[rows][:, columns]))
+        found = minimal(like(w, w.A, w.B[:, columns], w.C[rows], w.D[rows][:, columns]))
         states = [f"state_{k}" for k in range(found.nstates)]
         return named(found, states, sources, outputs, "together")
 
@@ -199,6 +206,11 @@ class Analysis:
             return self.loop.margins
         return {c.name: margins(c.system) for c in channels}
 
+    @cached_property
+    def disk_of_all(self) -> float | None:
+        """Disk margin of the loops of all forces at once, where it is asked for."""
+        return self.loop.disk if self.loop and self.together_too else None
+
     # --- what can be moved and seen -----------------------------------------------------------
     @cached_property
     def controllability(self) -> Reach:
@@ -212,7 +224,7 @@ class Analysis:
         for sensor in self.sensors:
             _require_output("sensor ", sensor, plant.output_labels)
         rows = [plant.output_labels.index(n) for n in self.sensors or plant.output_labels]
-        seen = ct.ss(plant.A, plant.B, plant.C[rows], plant.D[rows])
+        seen = like(plant, plant.A, plant.B, plant.C[rows], plant.D[rows])
         names = [plant.output_labels[i] for i in rows]
         return observability(named(seen, plant.state_labels, plant.input_labels, names, "seen"))
 
@@ -229,10 +241,12 @@ class Analysis:
                     for name in ("states", "commands", "direction", "turning", "remarks")
                 },
                 "units": self.units,
+                "dt": self.dt or None,
                 "stable": not self.growing,
                 "modes": [_mode(m) for m in self.modes],
                 "zeros": {c.name: c.zeros for c in channels},
                 "margins": {n: vars(m) for n, m in self.margins(channels).items()},
+                "disk_of_all_forces": self.disk_of_all,
                 "controllability": vars(self.controllability),
                 "observability": vars(self.observability),
                 "family": self.family and _family(self.family),
@@ -253,7 +267,8 @@ def _short(source: str) -> tuple[str, str]:
 
 def _mode(mode: Mode) -> dict[str, Any]:
     numbers = {name: getattr(mode, name) for name in ("frequency", "damping", "time_constant")}
-    return {"pole": mode.pole, **numbers, "states": mode.states}
+    sampled = {"magnitude": mode.magnitude} if mode.dt else {}
+    return {"pole": mode.pole, **sampled, **numbers, "states": mode.states}
 
 
 def _family(found: Family) -> dict[str, Any]:
@@ -288,6 +303,8 @@ def analyse(
     gains: str | None = None,
     observer: str | Path | None = None,
     pade: int = 0,
+    dt: float = 0.0,
+    together: bool = False,
     sensors: Sequence[str] = (),
     family_of: int = 0,
     source: str | Path = "",
@@ -306,8 +323,10 @@ def analyse(
         Gain file, or name of a bundled one: the closed loop.
     observer : str or Path, optional
         Observer file: the law gets its estimate.
-    pade, sensors
-        As for `Analysis`.
+    pade, dt, sensors
+        As for `Analysis`; a family is of continuous systems, and stands without `dt`.
+    together : bool
+        Whether the disk margin of all forces at once is asked for.
     family_of, source, seed : int, str or Path, int
         How many vehicles to draw from the uncertainty of this one, the file it is from, and the seed.
     progress : callable
@@ -316,8 +335,13 @@ def analyse(
     law = load_gains(gains, vehicle) if gains else None
     if observer is not None and law is None:
         raise UndertowError(f"observer {observer} is for a law: give one with --gains")
+    if together and law is None:
+        raise UndertowError("--together is for the loops of a law: give one with --gains")
+    if dt and family_of:
+        raise UndertowError(f"--family draws continuous systems: leave out --dt {dt:g}, or the family")
     progress(0.1, "finding the trim")
     found = Analysis(vehicle, find_trim(vehicle, at, free=free, direction=direction), law, pade, sensors)
+    found.dt, found.together_too = dt, together
     found.observer = None if observer is None else load_observer(observer, vehicle)
     if family_of:
         progress(0.3, "drawing vehicles")

@@ -6,10 +6,12 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from math import isfinite
 
 import casadi as ca
 import control as ct
 import numpy as np
+from scipy.signal import cont2discrete
 
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
@@ -22,14 +24,21 @@ from undertow.observer.design import Design
 from undertow.observer.process import process_of
 from undertow.typing import Array
 
-from .analysis import Margins, margins, minimal
+from .analysis import Margins, disk_margin_of_all, like, margins, minimal, period
 from .numeric import Numeric, in_direction
 from .trim import Trim, find_trim
 
 _log = logging.getLogger(__name__)
 
 
-def linearize(vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int = 0) -> ct.StateSpace:
+def linearize(
+    vehicle: Vehicle,
+    trim: Trim | Mapping[str, float],
+    *,
+    pade: int = 0,
+    dt: float = 0.0,
+    units: bool = False,
+) -> ct.StateSpace:
     """The vehicle near a steady motion, as a linear system with names.
 
     States are deviations from the trim: pose (m, rad, NED), velocity (m/s, rad/s, body), then states of the
@@ -44,11 +53,16 @@ def linearize(vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int =
         The steady motion, or what it holds (see `find_trim`).
     pade : int
         Order of the approximation of dead times between command and thrust and of reports; 0 leaves them out.
+    dt : float
+        Sampling time, s: the system from commands that are held for it (zero-order hold) to samples of what
+        is reported, exact but for dead times, which are rounded to whole samples. 0 is continuous time.
+    units : bool
+        Whether labels are "u [m/s]" instead of "u".
 
     Raises
     ------
     UndertowError
-        If there is no such steady motion, or the trim is of another vehicle.
+        If there is no such steady motion, the trim is of another vehicle, or dt is no time.
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     numeric = Numeric(in_direction(vehicle, found.direction))
@@ -56,16 +70,19 @@ def linearize(vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int =
         raise UndertowError(
             f"the trim is of another vehicle than '{vehicle.name}': find it again for this one"
         )
-    return linear_with_delays(numeric, found, pade)
+    system = linear_with_delays(numeric, found, pade, dt)
+    return with_units(system, numeric.units) if units else system
 
 
-def linear_with_delays(numeric: Numeric, trim: Trim, pade: int) -> ct.StateSpace:
-    """The linear system at a trim with Padé approximations of its dead times, of order zero without them."""
+def linear_with_delays(numeric: Numeric, trim: Trim, pade: int, dt: float = 0.0) -> ct.StateSpace:
+    """The linear system at a trim, sampled with its dead times in whole samples, or with Padé's."""
+    _check_sampling(dt, pade)
     system = linear_at(numeric, trim)
+    system = _held(system, dt) if dt else system
     late = {n: s for n, s in numeric.report_delays.items() if n in system.output_labels}
     if not numeric.dead_time and not late:
         return system
-    if not pade:
+    if not (pade or dt):
         _log.warning(
             "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
             ", ".join(_delays_in_words(numeric.dead_time, late)),
@@ -74,21 +91,63 @@ def linear_with_delays(numeric: Numeric, trim: Trim, pade: int) -> ct.StateSpace
         return system
     inputs, outputs = system.input_labels, system.output_labels
     if numeric.dead_time:
-        delays, own = _delays(inputs, dict.fromkeys(inputs, numeric.dead_time), pade)
+        delays, own = _delays(inputs, dict.fromkeys(inputs, numeric.dead_time), pade, dt)
         system = named(system * delays, (*own, *system.state_labels), inputs, outputs, system.name)
     if late:
-        delays, own = _delays(outputs, late, pade)
+        delays, own = _delays(outputs, late, pade, dt)
         system = named(delays * system, (*system.state_labels, *own), inputs, outputs, system.name)
     return system
 
 
 def _delays(
-    names: Sequence[str], seconds: Mapping[str, float], order: int
+    names: Sequence[str], seconds: Mapping[str, float], order: int, dt: float
 ) -> tuple[ct.StateSpace, list[str]]:
-    """Padé approximations of the delays of signals, those without one straight through, and their states."""
-    straight = ct.ss([], [], [], 1.0)
-    each = [ct.ss(ct.tf(*ct.pade(seconds[n], order))) if n in seconds else straight for n in names]
-    return ct.append(*each), [f"late_{n}_{k}" for n in names if n in seconds for k in range(order)]
+    """Delays of signals, whole samples or Padé's, those without one straight through, and their states."""
+    straight = ct.ss([], [], [], 1.0, dt=dt)
+    made = {n: _shift(s, dt) if dt else ct.ss(ct.tf(*ct.pade(s, order))) for n, s in seconds.items()}
+    each = [made.get(n, straight) for n in names]
+    states = [f"late_{n}_{k}" for n, own in zip(names, each, strict=True) for k in range(own.nstates)]
+    return ct.append(*each), states
+
+
+def _shift(seconds: float, dt: float) -> ct.StateSpace:
+    """A delay of the whole samples that are nearest."""
+    k = round(seconds / dt)
+    if abs(k * dt - seconds) > 1e-9 * seconds:
+        _log.warning("a dead time of %g s is taken as %d samples of %g s", seconds, k, dt)
+    if not k:
+        return ct.ss([], [], [], 1.0, dt=dt)
+    first, last = np.eye(k)[:, [0]], np.eye(k)[[-1]]
+    return ct.ss(np.eye(k, k=-1), first, last, 0.0, dt=dt)
+
+
+def _check_sampling(dt: float, pade: int) -> None:
+    if not (isfinite(dt) and dt >= 0):
+        raise UndertowError(f"sampling time dt = {dt:g} s cannot be: give a time above zero")
+    if dt and pade:
+        raise UndertowError(
+            f"dt = {dt:g} s takes dead times as whole samples, and pade = {pade} would approximate them: "
+            "leave out one of the two"
+        )
+
+
+def _held(system: ct.StateSpace, dt: float) -> ct.StateSpace:
+    """A continuous system sampled behind a zero-order hold."""
+    a, b, c, d, _ = cont2discrete((system.A, system.B, system.C, system.D), dt)
+    labels = system.state_labels, system.input_labels, system.output_labels
+    return named(ct.ss(a, b, c, d, dt=dt), *labels, system.name)
+
+
+def with_units(system: ct.InputOutputSystem, units: Mapping[str, str]) -> ct.InputOutputSystem:
+    """The same system, whose labels say units, as in "u [m/s]"; what has no unit keeps its name."""
+    system.set_states([_labelled(n, units) for n in system.state_labels])
+    system.set_inputs([_labelled(n, units) for n in system.input_labels])
+    system.set_outputs([_labelled(n, units) for n in system.output_labels])
+    return system
+
+
+def _labelled(name: str, units: Mapping[str, str]) -> str:
+    return f"{name} [{units[name]}]" if name in units else name
 
 
 def linear_at(numeric: Numeric, trim: Trim, p: Array | None = None) -> ct.StateSpace:
@@ -110,7 +169,9 @@ def linear_at(numeric: Numeric, trim: Trim, p: Array | None = None) -> ct.StateS
     )
 
 
-def as_nlsys(vehicle: Vehicle, *, direction: Mapping[str, int] | None = None) -> ct.NonlinearIOSystem:
+def as_nlsys(
+    vehicle: Vehicle, *, direction: Mapping[str, int] | None = None, units: bool = False
+) -> ct.NonlinearIOSystem:
     """The vehicle as a nonlinear system that calls the compiled equations of motion.
 
     States, inputs and outputs are those of `linearize`, but the values themselves and not deviations. The
@@ -122,6 +183,8 @@ def as_nlsys(vehicle: Vehicle, *, direction: Mapping[str, int] | None = None) ->
         The model.
     direction : mapping, optional
         1 or -1 by velocity: one set of parameters for both ways, so that the equations are smooth there.
+    units : bool
+        Whether labels are "u [m/s]" instead of "u", which `as_controller` connects by.
     """
     numeric = Numeric(in_direction(vehicle, direction or {}))
     if numeric.dead_time:
@@ -135,7 +198,7 @@ def as_nlsys(vehicle: Vehicle, *, direction: Mapping[str, int] | None = None) ->
     def report(t: float, x: Array, u: Array, params: Mapping[str, Array]) -> Array:
         return numeric.report(t, x, u, params.get("p"))
 
-    return ct.nlsys(
+    system = ct.nlsys(
         rate,
         report,
         states=list(numeric.states),
@@ -143,6 +206,7 @@ def as_nlsys(vehicle: Vehicle, *, direction: Mapping[str, int] | None = None) ->
         outputs=list(numeric.outputs),
         name=_name(vehicle),
     )
+    return with_units(system, numeric.units) if units else system
 
 
 def _name(vehicle: Vehicle) -> str:
@@ -161,7 +225,7 @@ def named(
 ) -> ct.StateSpace:
     """The same system with these names."""
     labels = {"states": list(states), "inputs": list(inputs), "outputs": list(outputs)}
-    return ct.ss(system.A, system.B, system.C, system.D, name=name, **labels)
+    return ct.ss(system.A, system.B, system.C, system.D, dt=system.dt, name=name, **labels)
 
 
 _GATE_PASSED = 1.0
@@ -303,6 +367,7 @@ def close_loop(
     trim: Trim | Mapping[str, float] | None = None,
     *,
     pade: int = 0,
+    dt: float = 0.0,
     nominal: Vehicle | None = None,
     observer: Design | None = None,
 ) -> LinearLoop:
@@ -318,6 +383,8 @@ def close_loop(
         The steady motion, or what it holds (see `find_trim`).
     pade : int
         Order of the approximation of a dead time between command and thrust.
+    dt : float
+        Sampling time, s: the law runs as its C code does, its commands are held; 0 is continuous time.
     nominal : Vehicle, optional
         What the law takes for the vehicle.
     observer : Design, optional
@@ -326,15 +393,19 @@ def close_loop(
     Raises
     ------
     UndertowError
-        If there is no such trim, or the law has no linear form there.
+        If there is no such trim, or the law has no linear form there, or a filter is to be sampled.
     """
+    if dt and observer is not None:
+        raise UndertowError(
+            f"the filter of an observer has no sampled form here (dt = {dt:g} s): leave out one of the two"
+        )
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     law = law_for(gains, nominal or vehicle, found.direction)
-    plant = linearize(vehicle, found, pade=pade)
+    plant = linearize(vehicle, found, pade=pade, dt=dt)
     places = [plant.input_labels.index(n) for n in Plant(vehicle).vehicle.command_names]
     if len(places) < plant.ninputs:
         b, d, names = plant.B[:, places], plant.D[:, places], [plant.input_labels[i] for i in places]
-        system = ct.ss(plant.A, b, plant.C, d)
+        system = like(plant, plant.A, b, plant.C, d)
         plant = named(system, plant.state_labels, names, plant.output_labels, plant.name)
     return LinearLoop(plant, law, found, observer)
 
@@ -355,7 +426,7 @@ class LinearLoop:
         self, plant: ct.StateSpace, system: LawSystem, trim: Trim, observer: Design | None = None
     ) -> None:
         self.plant, self._system, self.trim = plant, system, trim
-        self.law = system.linear(trim)
+        self.law = _sampled(system.linear(trim), period(plant))
         if observer is not None:
             self.law = _behind(self.law, system, SettledObserver(observer, trim))
 
@@ -391,7 +462,7 @@ class LinearLoop:
     def closed(self) -> ct.StateSpace:
         """References to pose, velocity and commands."""
         to_commands = self._system.share
-        law = ct.ss(self.law.A, self.law.B, to_commands @ self.law.C, to_commands @ self.law.D)
+        law = like(self.law, self.law.A, self.law.B, to_commands @ self.law.C, to_commands @ self.law.D)
         whole = _closed(self.plant, law)
         names = (*self.plant.state_labels, *self.law.state_labels)
         outputs = [*self.plant.output_labels, *self.plant.input_labels]
@@ -402,8 +473,8 @@ class LinearLoop:
         """The loop cut at the forces: forces to minus the forces that the law answers with."""
         n = len(self._system.references)
         plant, by_force, names = self.plant, self._system.share, self._system.forces
-        pushed = ct.ss(plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
-        answer = ct.ss(self.law.A, self.law.B[:, n:], -self.law.C, -self.law.D[:, n:]) * pushed
+        pushed = like(plant, plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
+        answer = like(self.law, self.law.A, self.law.B[:, n:], -self.law.C, -self.law.D[:, n:]) * pushed
         return named(answer, answer.state_labels, names, names, "opened")
 
     def cut(self, force: str) -> ct.StateSpace:
@@ -412,7 +483,14 @@ class LinearLoop:
         others = np.eye(len(self._system.forces))
         others[i, i] = 0.0
         rest = ct.feedback(self.opened, ct.ss([], [], [], others))
-        return minimal(ct.ss(rest.A, rest.B[:, [i]], rest.C[[i]], rest.D[[i]][:, [i]]))
+        return minimal(like(rest, rest.A, rest.B[:, [i]], rest.C[[i]], rest.D[[i]][:, [i]]))
+
+    @cached_property
+    def disk(self) -> float:
+        """Disk margin of the loops of all forces at once, which `disk_margin_of_all` describes."""
+        places, whole = list(self._system.acting), self.opened
+        acting = like(whole, whole.A, whole.B[:, places], whole.C[places], whole.D[np.ix_(places, places)])
+        return disk_margin_of_all(minimal(acting))
 
     @cached_property
     def margins(self) -> dict[str, Margins]:
@@ -470,6 +548,14 @@ class SettledObserver:
         return np.asarray(np.linalg.eigvals(self.a - self.gain @ self.c))
 
 
+def _sampled(law: ct.StateSpace, dt: float) -> ct.StateSpace:
+    """A law as its C code runs it: an integral advances by dt times its rate (Euler)."""
+    if not dt:
+        return law
+    a, names = np.eye(law.nstates) + dt * law.A, (law.state_labels, law.input_labels, law.output_labels)
+    return named(ct.ss(a, dt * law.B, law.C, law.D, dt=dt), *names, law.name)
+
+
 def _behind(law: ct.StateSpace, system: LawSystem, filter: SettledObserver) -> ct.StateSpace:
     """A law that gets the estimate: references and reports to forces, the estimate among the states."""
     n, names, measured = len(system.references), filter.names, system.measured
@@ -498,7 +584,7 @@ def _closed(plant: ct.StateSpace, law: ct.StateSpace) -> ct.StateSpace:
     b = np.vstack([plant.B @ d_ref, b_ref])
     c = np.block([[plant.C, np.zeros((ny, law.nstates))], [d_y @ plant.C, law.C]])
     d = np.vstack([np.zeros((ny, n)), d_ref])
-    return ct.ss(a, b, c, d)
+    return like(plant, a, b, c, d)
 
 
 def with_forces(
@@ -509,4 +595,5 @@ def with_forces(
     b, d = plant.B @ by_force, plant.D @ by_force
     if commands:
         b, d, names = np.hstack([plant.B, b]), np.hstack([plant.D, d]), [*plant.input_labels, *names]
-    return named(ct.ss(plant.A, b, plant.C, d), plant.state_labels, names, plant.output_labels, plant.name)
+    system = like(plant, plant.A, b, plant.C, d)
+    return named(system, plant.state_labels, names, plant.output_labels, plant.name)

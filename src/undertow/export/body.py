@@ -1,0 +1,167 @@
+"""The numbers of a vehicle's body for programs that build it from parts: inertia, buoyancy, added mass."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from functools import cached_property
+from xml.etree import ElementTree as ET
+
+import casadi as ca
+import numpy as np
+
+from undertow.codegen.export import identifier, slug
+from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
+from undertow.model.effect import Effect, Wrench
+from undertow.model.symbols import DOFS
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
+
+# Forward-left-up out of forward-starboard-down, for forces and for velocities: half a turn about x.
+FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
+STATICS = ("restoring", "net_buoyancy")
+
+
+class Body:
+    """A vehicle as a rigid body with what water adds to it, and the list of what is lost on the way.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The model; it needs a mass.
+    program : str
+        Name of the program that it is for.
+
+    Raises
+    ------
+    UndertowError
+        If the vehicle has no mass.
+    """
+
+    def __init__(self, vehicle: Vehicle, program: str) -> None:
+        self.vehicle, self.program = vehicle, program
+        self.functions = Functions(vehicle)
+        self.values = dict(zip(self.functions.parameter_names, self.functions.values(), strict=True))
+        self.rows = list(vehicle.dof_indices)
+        self.name = identifier(slug(vehicle.name))
+        self.losses: list[str] = []
+        if self.values.get("m", 0.0) <= 0:
+            raise UndertowError(
+                f"vehicle '{vehicle.name}' has no mass m: {program} needs one, add rigid_body"
+            )
+
+    # --- the model's numbers ------------------------------------------------------------------
+    def wrench(self, ids: tuple[str, ...], nu: Array, nu_dot: Array) -> Array:
+        """Sum of effects at motions in still water, level and without commands, shape (k, 6)."""
+        f = self.functions
+        total = sum((f.wrenches[i] for i in ids if i in f.wrenches), ca.SX(len(self.rows), 1))
+        evaluate = ca.Function("wrench", [f.x, f.nu_dot, f.actuation, f.p, f.t], [ca.densify(total)])
+        n = f.nu.numel()
+        states = np.zeros((f.x.numel(), len(nu)))
+        states[n : 2 * n] = nu[:, self.rows].T
+        p = np.tile(np.array(f.values())[:, None], len(nu))
+        found = evaluate.map(len(nu))(
+            states,
+            nu_dot[:, self.rows].T,
+            np.zeros((f.actuation.numel(), len(nu))),
+            p,
+            np.zeros((1, len(nu))),
+        )
+        result = np.zeros((len(nu), 6))
+        result[:, self.rows] = np.asarray(found).T
+        return result
+
+    def _mass(self, ids: tuple[str, ...], nu: Array) -> Array:
+        """Minus the force of the effects per acceleration at one velocity, shape (6, 6)."""
+        still = self.wrench(ids, nu[None], np.zeros((1, 6)))
+        return -(self.wrench(ids, np.tile(nu, (6, 1)), np.eye(6)) - still).T
+
+    @cached_property
+    def added_mass(self) -> Array:
+        """Added mass, positive, body frame of undertow, shape (6, 6)."""
+        ids = ("added_mass", "added_mass_coupling")
+        either = [self._mass(ids, np.full(6, way)) for way in (0.1, -0.1)]
+        if not np.allclose(either[0], either[1]):
+            self.losses.append("added mass differs forward and backward: its mean is taken")
+        return np.asarray(sum(either) / 2)
+
+    def effects(self, family: str) -> list[Wrench]:
+        """Effects of one family that give a force."""
+        return [e for e in self.vehicle.all_effects if isinstance(e, Wrench) and e.family == family]
+
+    @cached_property
+    def centre_of_gravity(self) -> Array:
+        """Centre of gravity, body frame of undertow, m."""
+        return np.array([self.values.get(f"m{a}_g", 0.0) for a in "xyz"]) / self.values["m"]
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Inertia about the centre of gravity, body frame of undertow, shape (3, 3), kg m^2."""
+        v, r = self.values, self.centre_of_gravity
+        known = [v[n] for n in ("I_x", "I_y", "I_z") if n in v]
+        stands = max(known, default=0.4 * v["m"])
+        absent = [n for n in ("I_x", "I_y", "I_z") if n not in v]
+        if absent:
+            self.losses.append(f"{', '.join(absent)} are not in the model: {stands:g} kg m^2 stands for them")
+        about = np.diag([v.get(n, stands) for n in ("I_x", "I_y", "I_z")])
+        for i, j, name in ((0, 1, "I_xy"), (0, 2, "I_xz"), (1, 2, "I_yz")):
+            about[i, j] = about[j, i] = -v.get(name, 0.0)
+        centred = about - v["m"] * (r @ r * np.eye(3) - np.outer(r, r))
+        if np.linalg.eigvalsh(centred).min() <= 0:
+            raise UndertowError(
+                f"inertia of '{self.vehicle.name}' about its centre of gravity is not positive "
+                f"(smallest moment {np.linalg.eigvalsh(centred).min():.3g} kg m^2): check I_x, I_y, I_z, x_g"
+            )
+        return centred
+
+    @cached_property
+    def buoyancy(self) -> tuple[float, Array] | None:
+        """Buoyancy in N and its centre in m, body frame; None where the model has no weight."""
+        v, weight = self.values, self.values["m"] * self.vehicle.environment["g"]
+        present = {e.id for e in self.vehicle.all_effects}
+        if not present & set(STATICS):
+            return None
+        surplus = v.get("B_net", 0.0) + v.get("B", 0.0) - v.get("W", 0.0)
+        lift = weight + surplus
+        if lift <= 0:
+            raise UndertowError(f"buoyancy of '{self.vehicle.name}' is {lift:g} N: give one above zero")
+        r = self.centre_of_gravity
+        if "restoring" not in present:  # then the difference acts at the body origin
+            return lift, weight * r / lift
+        return lift, (weight * r - np.array([v.get(f"S_{a}", 0.0) for a in "xyz"])) / lift
+
+    def edge(self, lift: float) -> float:
+        """Edge of the cube that displaces as much water as buoyancy needs, m; it stands for the hull."""
+        self.losses.append("the collision shape is a cube with the displaced volume, not the hull")
+        return float((lift / (self.vehicle.environment["rho"] * self.vehicle.environment["g"])) ** (1 / 3))
+
+    # --- what is lost --------------------------------------------------------------------------
+    def free_motions(self) -> Iterator[str]:
+        """A line on the motions that only the other program has."""
+        locked = [d for d in DOFS if d not in self.vehicle.degrees_of_freedom]
+        if locked:
+            names = ", ".join(locked)
+            yield f"{names} are free in {self.program}, without damping: the model has no such motion"
+
+    def unsaid(self, said: Collection[str]) -> list[Effect]:
+        """The effects that no part of the file stands for."""
+        return [e for e in self.vehicle.all_effects if e.id not in said]
+
+
+def point_of_action(force: Array, moment: Array) -> Array:
+    """The point next to the origin on the line of a force with this moment, m; the origin for a couple."""
+    size = float(force @ force)
+    return np.cross(force, moment) / size if size else np.zeros(3)
+
+
+# --- XML ------------------------------------------------------------------------------------------
+def leaves(parent: ET.Element, values: Mapping[str, object]) -> None:
+    """Append elements with a text or number each."""
+    for name, value in values.items():
+        shown = value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
+        ET.SubElement(parent, name).text = shown
+
+
+def numbers(*values: float) -> str:
+    """Numbers with blanks between them, without a minus before zero."""
+    return " ".join(repr(float(v) + 0.0) for v in values)
