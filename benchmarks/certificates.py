@@ -376,7 +376,7 @@ def boxes(wish: argparse.Namespace) -> int:
             continue
         rows.append(_boxed(gains, wish.box, rng))
         print(folder, *rows[-1], flush=True)
-    page = _page(rows, wish.box, k)
+    page = _page(rows, wish.box, wish.seed, k)
     print(page)
     if wish.page:
         wish.page.write_text(page)
@@ -400,7 +400,8 @@ def _boxed(gains: GainSet, share: float, rng: np.random.Generator) -> tuple[int,
 
 PAGE = """# Certificates of PID loops
 
-Written by `python -m benchmarks.certificates --cases 2000 --box {share:g} --page docs/certificates.md`,
+Written by
+`python -m benchmarks.certificates --cases 2000 --seed {seed} --box {share:g} --page docs/certificates.md`,
 stopped after {cases} random cases; {loops} of them are PID loops in which every axis is pushed.
 
 The stated start box is {share:g} of the vehicle's length in every translation and {share:g} rad in every
@@ -418,9 +419,9 @@ the gains tell x, y and z apart.
 |---|---|---|---|---|---|---|"""
 
 
-def _page(rows: list[tuple[int, str, str, str, float]], share: float, cases: int) -> str:
+def _page(rows: list[tuple[int, str, str, str, float]], share: float, seed: int, cases: int) -> str:
     """The table of the counts."""
-    lines = [PAGE.format(share=share, cases=cases, loops=len(rows), longest=LONGEST)]
+    lines = [PAGE.format(share=share, seed=seed, cases=cases, loops=len(rows), longest=LONGEST)]
     for key in sorted({r[:2] for r in rows}):
         own = [r for r in rows if r[:2] == key]
         yes, broken = (sum(r[i] == w for r in own) for i, w in ((2, "certified"), (3, "BROKEN")))
