@@ -177,6 +177,67 @@ def test_six_motions_are_looked_at_together() -> None:
     np.testing.assert_allclose(step, (1 - 1e-3) / 2, atol=1e-5)
 
 
+# --- the inertia of slow motion ---------------------------------------------------------------------------
+def _slow_inertia(vehicle: Vehicle) -> float:
+    """Force over acceleration in surge at one cycle in 1000 s, of the linearised equations of motion."""
+    f = Functions(vehicle)
+    rates = ca.Function("rates", [f.x, f.u, f.p, f.t], [ca.jacobian(f.x_dot, f.x), ca.jacobian(f.x_dot, f.u)])
+    nothing = np.zeros(f.x.numel()), np.zeros(f.u.numel()), np.array(f.values()), 0.0
+    A, B = (np.asarray(each.full()) for each in rates(*nothing))
+    omega = 2e-3 * np.pi
+    response = np.linalg.solve(1j * omega * np.eye(len(A)) - A, B[:, 0])
+    return float((1.0 / response[f.state_names.index("u")]).imag / omega)
+
+
+def _surge_with(effect: str, **values: float) -> Vehicle:
+    table = {
+        "schema": "undertow/vehicle/1",
+        "name": "one",
+        "degrees_of_freedom": ["surge"],
+        "signs": "sname",
+        "generalised_forces": ["tau_X"],
+        "effects": {
+            "rigid_body": {"m": 10.0},
+            "added_mass": {"X_udot": {"value": -2.0, "estimate": True}},
+            "linear_damping": {"X_u": -4.0},
+            effect: {n: {"value": v, "estimate": True} for n, v in values.items()},
+        },
+    }
+    return vehicle_from_table(VehicleTable.model_validate(table), catalogue())
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "added"),
+    [
+        ("radiation_memory", {"X_memu": -3.0, "T_memory": 0.5}, 2.0 - 3.0 * 0.5**2),
+        ("radiation_memory", {"X_memu": 1.5, "T_memory": 0.8}, 2.0 + 1.5 * 0.8**2),
+        ("radiation_memory", {"X_memu": -3.0, "T_memory": 2.0}, 2.0 - 3.0 * 2.0**2),
+        ("slosh", {"m_slosh": 3.0, "slosh_frequency": 2.0, "slosh_damping": 0.1}, 2.0 + 3.0),
+    ],
+)
+def test_the_water_takes_no_more_inertia_from_slow_motion_than_it_has(
+    effect: str, values: dict[str, float], added: float
+) -> None:
+    """A(0) is positive: kinetic energy of the flow about the body and its image in the still surface."""
+    vehicle = _surge_with(effect, **values)
+    assert _slow_inertia(vehicle) == pytest.approx(10.0 + added, rel=1e-3, abs=1e-2)
+    functions = Functions(vehicle)
+    impossible = Limits(functions, [functions.parameter_names.index(n) for n in values]).impossible(
+        np.array(functions.values())
+    )
+    assert ("added mass at frequency zero A(0) >= 0 (surge)" in impossible) == (added < 0.0)
+
+
+def test_a_spring_is_no_memory_of_the_water() -> None:
+    """The nearest memory that the water can have is found from a start beyond it."""
+    model = WeakModel(
+        Functions(_surge_with("radiation_memory", X_memu=-3.0, T_memory=2.0)), ("X_memu", "T_memory")
+    )
+    p = physical(model, np.array(model.functions.values()), bounds_of(model))
+    values = dict(zip(model.functions.parameter_names, p, strict=True))
+    assert values["X_memu"] * values["T_memory"] ** 2 == pytest.approx(-2.0, abs=1e-3)
+
+
 # --- damping ----------------------------------------------------------------------------------------------
 
 

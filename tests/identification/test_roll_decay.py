@@ -51,6 +51,8 @@ def _with_arm(share: float) -> Vehicle:
 def test_a_righting_arm_too_short_in_the_file_is_found_and_no_memory_of_the_water(share: float) -> None:
     found = diagnose(_with_arm(share), [_decay(0.15, 1), _decay(0.1, 2)], [_decay(0.12, 3)]).diagnosis
     assert found.effects == ["trim_offset"]
+    # A memory that takes no more inertia from slow motion than the water has is no spring.
+    assert not any("radiation_memory" in group.effects for group in found.indistinguishable)
     before, after = (max(step.ahead.values()) for step in (found.steps[0], found.steps[-1]))
     assert before > 0.4
     assert after < 0.06

@@ -236,7 +236,9 @@ class Cut:
 class Limits:
     """Which parameters a model can have together: matrices that have to be positive.
 
-    Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
+    At frequency zero the free surface is a rigid wall and the added mass that of the body and its image, the
+    kinetic energy of the water twice over: no memory of the flow takes more from it than there is. A memory
+    that did would be a spring. Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
     hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
 
@@ -248,6 +250,8 @@ class Limits:
             _Matrix("mass matrix M > 0", m, free, functions, stated, SETTINGS.least_mass)
             for m in _masses(functions)
         ]
+        if (slow := _added_mass_at_zero_frequency(functions)) is not None:
+            found.append(_Matrix("added mass at frequency zero A(0) >= 0", slow, free, functions, stated, 0.0))
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
         self._all, self._matrices = found, [matrix for matrix in found if matrix.varies]
@@ -330,6 +334,25 @@ def _masses(functions: Functions) -> list[ca.SX]:
     rest = ca.vertcat(f.eta, f.memory, f.actuation, f.t)
     still = ca.substitute(ca.densify(mass), rest, others)
     return [ca.substitute(still, f.nu, sign * ca.SX.ones(f.nu.shape)) for sign in (1.0, -1.0)]
+
+
+def _added_mass_at_zero_frequency(functions: Functions) -> ca.SX | None:
+    """Added mass of slow motion, with what the states of effects add to it; None where they add nothing.
+
+    With z' = A z + B nu at rest, slow motion has z = -A^-1 B nu - A^-2 B nu', so that a force C z is one of
+    the damping -C A^-1 B and of the inertia C A^-2 B.
+    """
+    f = functions
+    rates = ca.jacobian(f.memory_rates, f.nu)
+    if not f.memory.numel() or not rates.nnz():
+        return None
+    own = ca.densify(ca.jacobian(f.memory_rates, f.memory))
+    slow = ca.solve(own, ca.solve(own, ca.densify(rates)))
+    weighed = {e.id for e in f.vehicle.all_effects if e.weighed}
+    water = sum((w for i, w in f.wrenches.items() if i not in weighed), ca.SX(len(f.vehicle.dof_indices), 1))
+    inertia = ca.jacobian(f.residual, f.memory) @ slow - ca.jacobian(water, f.nu_dot)
+    around = ca.vertcat(f.eta, f.nu, f.nu_dot, f.memory, f.actuation, f.t)
+    return ca.substitute(ca.densify(inertia), around, ca.SX.zeros(around.shape))
 
 
 def _linear_damping(functions: Functions) -> ca.SX | None:

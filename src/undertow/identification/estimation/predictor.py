@@ -228,7 +228,8 @@ def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
     right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
     good = np.isfinite(right).all(axis=1) & np.isfinite(gram).all(axis=(1, 2))
     step = np.zeros_like(moved)
-    step[good] = np.linalg.solve(gram[good], right[good][:, :, None])[:, :, 0]
+    # Where reports depend on the start beyond all measure, the prior drowns in rounding: no step along that.
+    step[good] = (np.linalg.pinv(gram[good], hermitian=True) @ right[good][:, :, None])[:, :, 0]
     return step
 
 
