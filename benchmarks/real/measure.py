@@ -111,6 +111,8 @@ def measured(given: Material, horizons: Sequence[float]) -> tuple[Record, Diagno
     }  # fmt: skip
     windows = cut_all(given.vehicle, outcome.test, horizons)
     models = {"stated": given.vehicle, "refitted": outcome.before, "found": outcome.after}
+    if not given.right and outcome.helped is not None:
+        models["helped"] = outcome.helped
     errors = {name: ahead(vehicle, outcome.test, windows) for name, vehicle in models.items()}
     if given.right:
         errors["true"], facts["not_added"] = with_truth(given, outcome, windows)

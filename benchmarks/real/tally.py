@@ -18,7 +18,12 @@ BESIDE = 1
 #: Ours over the best grey box.
 AS_GOOD = 0.95
 #: Models of ours in a record of the log as it is, as the page has them.
-STAGES = {"stated": "as stated", "refitted": "refitted", "found": "with what was found"}
+STAGES = {
+    "stated": "as stated",
+    "refitted": "refitted",
+    "found": "with what was named",
+    "helped": "with all that helps to predict",
+}
 
 
 def answer(record: Record) -> Answer:
@@ -139,8 +144,8 @@ class Predicted:
 
     @property
     def error(self) -> float:
-        """Error of the model that the diagnosis ends with."""
-        return _least([self.ours.get("found")])
+        """Error of the model with all that helps to predict; older records have that with what was named."""
+        return _least([self.ours.get("helped", self.ours.get("found"))])
 
     def over(self, others: dict[str, float | None]) -> float:
         """Our error over the best of others; NaN where either is not there."""

@@ -12,7 +12,7 @@ from benchmarks.trust.measure import Record
 
 from .measure import REFUSED
 from .page import errors
-from .tally import answer, causes
+from .tally import STAGES, answer, causes
 
 #: Of each vehicle what is known from elsewhere, and what would tell more: by hand.
 KNOWN = Path(__file__).with_name("unsaid.toml")
@@ -72,8 +72,7 @@ def first_sentence(record: Record) -> str:
 def _ahead(record: Record) -> list[str]:
     found = record.get("errors", {})
     horizons = " / ".join(f"{h:g}" for h in record["horizons"])
-    stages = (("as stated", "stated"), ("refitted", "refitted"), ("with what was found", "found"))
-    each = ", ".join(f"{words} {errors(found[key])}" for words, key in stages if key in found)
+    each = ", ".join(f"{words} {errors(found[key])}" for key, words in STAGES.items() if key in found)
     return [f"Error of velocities {horizons} s ahead: {each}."] if each else []
 
 

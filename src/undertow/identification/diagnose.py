@@ -107,8 +107,9 @@ class ResultBuilder:
         """The verdict with its reasons."""
         noise, residual_is_noise = self.bench.noise_level, self._residual_is_noise
         scores = self.bench.judge(self._weak[0]), self.bench.judge(self._weak[-1])
-        if self._selection is not None and not residual_is_noise:
-            return judge_selection(self.found, scores, noise, self._selection)
+        selection = self._selection
+        if selection is not None and not (residual_is_noise and selection.all_but_one_established):
+            return judge_selection(self.found, scores, noise, selection)
         left = Remainder(
             residual_is_noise=residual_is_noise,
             confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),

@@ -327,6 +327,11 @@ class Selection:
         doubted = next((i for i, g in enumerate(self.graded) if g.doubt), len(self.graded))
         return self.graded[:doubted]
 
+    @property
+    def all_but_one_established(self) -> bool:
+        """Whether no effect was added beside one in doubt."""
+        return len(self.graded) - len(self.established) <= 1
+
 
 def select(
     found: Search,
@@ -356,32 +361,30 @@ class _Selector:
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
             self._share = len(graded) / self._settings.most_effects
-            current, best = self._step([g.chosen for g in graded], rounds)
+            current, best = self._step(graded, rounds)
             rounds.append(current)
             if best is None:
                 break
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
-            if best.doubt:
-                break
         return Selection(graded, rounds, self._reasons, self._worth)
 
     def _report(self, done: float, words: str) -> None:
         self._said(self._share + done / self._settings.most_effects, words)
 
-    def _step(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
+    def _step(self, graded: Sequence[Graded], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
 
         Under a noise model with room for a disturbance a slow force is a part of that. Where nothing at all
         is found, candidates are tried under the noise of the sensors alone: by chance an effect looks as good
         in whole blocks of the logs as rarely as before.
         """
-        current = self._round(chosen, rounds)
-        best = self._best(current, first=not chosen)
-        if best is not None or chosen or not np.any(current.bench.base.disturbance):
+        current = self._round([g.chosen for g in graded], rounds)
+        best = self._best(current, graded)
+        if best is not None or graded or not np.any(current.bench.base.disturbance):
             return current, best
         slow = try_all(current.bench.without_disturbance(), self._known, self._report)
-        best = self._best(slow, first=True)
+        best = self._best(slow, graded)
         if best is not None:
             return slow, best
         seen = {f.id for f in _beyond_chance(current)}
@@ -401,8 +404,11 @@ class _Selector:
         base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
         return try_all(replace(bench, base=base), self._known, self._report)
 
-    def _best(self, current: Round, *, first: bool) -> Graded | None:
-        """The best candidate that is worth adding, with what does as well; an established one leads."""
+    def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
+        """The best candidate that is worth adding, with what does as well; an established one leads.
+
+        Beside an effect that is in doubt none is established: it may only make up for that.
+        """
         bench, least = current.bench, self._settings.worth
         found = {f.id: f for f in self._screened(current)}
         before, *after = self._ahead([bench.base, *(f.trial.fit for f in found.values())])
@@ -412,8 +418,11 @@ class _Selector:
             [f for i, f in found.items() if worth[i].something(least)], ahead, bench
         )
         worthy = [f for f in leading if worth[f.id].enough(least)]
+        doubtful = next((g.chosen.id for g in graded if g.doubt), "")
+        if worthy and doubtful:
+            return Graded(worthy[0], [], worth[worthy[0].id], f"neither is {doubtful}, beside which it was found")
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
-        if first:
+        if not graded:
             self._worth |= worth
             reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
             shown = (f.id for f in _beyond_chance(current))
