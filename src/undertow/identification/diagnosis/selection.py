@@ -420,7 +420,9 @@ class _Selector:
         worthy = [f for f in leading if worth[f.id].enough(least)]
         doubtful = next((g.chosen.id for g in graded if g.doubt), "")
         if worthy and doubtful:
-            return Graded(worthy[0], [], worth[worthy[0].id], f"neither is {doubtful}, beside which it was found")
+            return Graded(
+                worthy[0], [], worth[worthy[0].id], f"neither is {doubtful}, beside which it was found"
+            )
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
         if not graded:
             self._worth |= worth

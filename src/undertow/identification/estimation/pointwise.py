@@ -238,7 +238,9 @@ class Limits:
 
     At frequency zero the free surface is a rigid wall and the added mass that of the body and its image, the
     kinetic energy of the water twice over: no memory of the flow takes more from it than there is. A memory
-    that did would be a spring. Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
+    that did would be a spring.
+
+    Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
     hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
 
@@ -251,7 +253,9 @@ class Limits:
             for m in _masses(functions)
         ]
         if (slow := _added_mass_at_zero_frequency(functions)) is not None:
-            found.append(_Matrix("added mass at frequency zero A(0) >= 0", slow, free, functions, stated, 0.0))
+            found.append(
+                _Matrix("added mass at frequency zero A(0) >= 0", slow, free, functions, stated, 0.0)
+            )
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
         self._all, self._matrices = found, [matrix for matrix in found if matrix.varies]

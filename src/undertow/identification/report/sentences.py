@@ -124,14 +124,14 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     left = f"the refitted model has {errors_now} {judged}" if errors_now else "the refitted model fails"
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
     helping = listed(diagnosis.helps)
-    beside = f"; {helping} beside it {_help(diagnosis.helps)} to predict and {_are(diagnosis.helps)} not established as a cause" if helping else ""
+    beside = f"; beside it {helping} to predict, not established as a cause" if helping else ""
     said: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
         "missing_effect": f"{change}{beside}.",
         "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same: record the run that tells "
         "them apart before one of them is taken for the cause.",
-        "helps_prediction": f"{change}, but {_are(diagnosis.helps)} not established as the cause: take "
-        f"{_them(diagnosis.helps)} to predict, not to explain.",
+        "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "
+        "explain.",
         "not_identifiable": f"Something is missing and these logs do not say what: {left}; record a run with "
         "other motions.",
     }
@@ -171,18 +171,6 @@ def _made_of_what_remains(line: CommandLine) -> str:
 def _judged_on(diagnosis: Diagnosis) -> str:
     whole = any(run.role == "holdout" for run in diagnosis.runs)
     return "validation runs" if whole else "stretches of the logs that were not fitted"
-
-
-def _are(effects: Sequence[str]) -> str:
-    return "is" if len(effects) == 1 else "are"
-
-
-def _help(effects: Sequence[str]) -> str:
-    return "helps" if len(effects) == 1 else "help"
-
-
-def _them(effects: Sequence[str]) -> str:
-    return "it" if len(effects) == 1 else "them"
 
 
 def _taken(diagnosis: Diagnosis) -> list[str]:
