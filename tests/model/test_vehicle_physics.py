@@ -531,8 +531,8 @@ def test_lever_arm_is_the_velocity_of_the_sensors_place() -> None:
 
 
 def test_fluid_memory_settles_at_speed_times_time_constant() -> None:
-    values = {"X_memu": -4.0, "T_memory": 2.0, "m": 1.0}
-    vehicle = vehicle_with(values, "rigid_body", "radiation_memory", dofs=("surge",))
+    values = {"X_memu": -4.0, "T_memory": 2.0, "m": 1.0, "X_udot": -20.0}
+    vehicle = vehicle_with(values, "rigid_body", "added_mass", "radiation_memory", dofs=("surge",))
     ((state, rate),) = vehicle.composition.wrench_states.items()
     assert sm.solve(rate, state) == [symbol("T_memory") * symbol("u")]
     assert vehicle.residual.jacobian([state])[0] == symbol("X_memu")

@@ -12,12 +12,14 @@ from undertow.model.symbols import VELOCITY, Signals
 class RadiationMemory(Wrench):
     """Force from the flow that the vehicle has set going earlier, one exponential kernel for each motion.
 
-    The convolution of the velocity with exp(-t/T_memory) is carried by one state for each motion.
+    The convolution of the velocity with exp(-t/T_memory) is carried by one state for each motion. In Cummins'
+    equation it comes on top of the added mass at infinite frequency, which no body in water is without.
     """
 
     id = "radiation_memory"
     family = "memory"
     reference = "Cummins (1962) impulse-response equation with a one-state kernel; Fossen (2021), chapter 5"
+    requires = ("added_mass",)
     signature = "after a stop or a reversal the force depends on how the vehicle moved before"
     coefficients = DerivativeMatrix(
         "{F}_mem{m}", ("m", "rad"), DIAGONAL, "{force} per remembered {motion} displacement"
