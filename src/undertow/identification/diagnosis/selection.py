@@ -418,11 +418,12 @@ class _Selector:
             [f for i, f in found.items() if worth[i].something(least)], ahead, bench
         )
         worthy = [f for f in leading if worth[f.id].enough(least)]
+        # What has run into a bound is not what it is called: to predict, too, others come first.
+        worthy.sort(key=lambda f: bool(_undetermined(f, self._settings)))
         doubtful = next((g.chosen.id for g in graded if g.doubt), "")
         if worthy and doubtful:
-            return Graded(
-                worthy[0], [], worth[worthy[0].id], f"neither is {doubtful}, beside which it was found"
-            )
+            best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
+            return Graded(best, [], worth[best.id], doubt)
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
         if not graded:
             self._worth |= worth
