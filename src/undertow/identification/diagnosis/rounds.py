@@ -85,7 +85,7 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
     by_chance = null_distribution([s.linear for s in screened], settings)
-    worth = [s for s in screened if bench.base.cost - s.cost > settings.worth_a_fit][: settings.full_fits]
+    worth = _worth_a_fit(screened, bench)
     trials = _tried(worth, bench, report)
     chances = {c.id: p_value(_fall(bench.base_score, t.score), by_chance) for c, t in trials}
     able = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.removable]
@@ -119,6 +119,15 @@ def _screened(listed: Sequence[Candidate], bench: Bench, report: Progress) -> li
         if look is not None:
             found.append(_Look(listed[i], *look))
     return sorted(found, key=lambda entry: entry.cost)
+
+
+def _worth_a_fit(screened: Sequence[_Look], bench: Bench) -> list[_Look]:
+    """The candidates that are fitted, of those that come in order of what they promise."""
+    settings = bench.settings
+    falls = [bench.base.cost - s.cost for s in screened]
+    enough = settings.near_best * max(falls, default=0.0)
+    count = max(settings.full_fits, min(settings.most_fits, sum(fall > enough for fall in falls)))
+    return [s for s, fall in zip(screened[:count], falls, strict=False) if fall > settings.worth_a_fit]
 
 
 def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, PackedTrial]]:

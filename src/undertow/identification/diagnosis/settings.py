@@ -147,7 +147,14 @@ class Settings:
     worth_a_fit: float = _number(
         20.0, "predicted fall of the sum of squares from which a candidate is fitted", _TIME, off=_ALWAYS
     )
-    full_fits: int = _number(10, "candidates of a round that are fitted", _TIME, off=_NO_LIMIT)
+    full_fits: int = _number(10, "candidates of a round that are fitted in any case", _TIME, off=_NO_LIMIT)
+    most_fits: int = _number(20, "candidates of a round that are fitted at the most", _TIME, off=_NO_LIMIT)
+    near_best: float = _number(
+        0.1,
+        "share of the best predicted fall from which a candidate is fitted, up to the most",
+        "where much is missing, many promise something, and simulation sees what the residual does not",
+        off=0.0,
+    )
     finalists: int = _number(6, "those fitted anew under the best one's noise model", _TIME, off=_NO_LIMIT)
     leader_rounds: int = _number(
         2, "times that another leader sets the noise model", "a disturbance that fed on a poor fit", off=1
