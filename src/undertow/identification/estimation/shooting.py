@@ -375,7 +375,8 @@ class Shooting:
             moved = p.copy()
             moved[place] = value
             ends.append(of(moved))
-        return np.asarray((ends[0] - ends[1]) / (high - low))
+        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is refused by its cost
+            return np.asarray((ends[0] - ends[1]) / (high - low))
 
     def _part(self, rows: slice, p: Array, start: Array, drive: Drive, finite: dict[int, Array]) -> Products:
         t, simulator = self.windows.t[rows], self.predictor.simulator
