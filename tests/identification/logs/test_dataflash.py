@@ -40,14 +40,9 @@ SMALL = FIELD / "small.BIN"
 FLOAT32 = 2.0**-23
 
 
-@pytest.fixture(scope="module")
-def log_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bin(tmp_path_factory.mktemp("bin") / "dive.bin")
-
-
-@pytest.fixture(scope="module")
-def log(log_path: Path) -> FieldLog:
-    return read_field_log(log_path)
+def written(folder: Path) -> Path:
+    """The dive, for the fixtures `log_path` and `log`."""
+    return write_bin(folder / "dive.bin")
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +236,7 @@ def test_the_trim_of_an_output_is_where_its_motor_rests(tmp_path: Path) -> None:
     vehicle = vehicle_for(tmp_path)[1]
     (run,) = read_logs([write_bin(tmp_path / "trim.bin", changes)], vehicle)
     np.testing.assert_allclose(run.channels["f1"][:-1] * FULL, dive().thrust[:-1, 0], atol=1e-9)
-    assert f"motor 1 rests at 1520 µs, the trim of output {output}" in run.notes
+    assert f"motor 1 rests at 1520 µs, the trim of output {output}" in run.reader_notes
 
 
 def test_a_reversal_is_heeded_where_the_autopilot_heeds_it(tmp_path: Path) -> None:
@@ -252,7 +247,7 @@ def test_a_reversal_is_heeded_where_the_autopilot_heeds_it(tmp_path: Path) -> No
     for path, sign, told in ((sub, 1.0, "does not heed"), (other, -1.0, "is turned")):
         (run,) = read_logs([path], vehicle)
         np.testing.assert_allclose(run.channels["f3"][:-1] * FULL, sign * dive().thrust[:-1, 2], atol=1e-9)
-        assert any("REVERSED" in note and told in note for note in run.notes)
+        assert any("REVERSED" in note and told in note for note in run.reader_notes)
 
 
 # --- the vehicle ----------------------------------------------------------------------------------
@@ -315,7 +310,7 @@ def test_curves_of_the_t200_have_the_published_ends() -> None:
 
 def test_outputs_that_are_taken_for_newtons_are_told(log_path: Path) -> None:
     (run,) = read_logs([log_path], load_vehicle("bluerov2"))
-    assert any("the vehicle takes them for newtons" in note for note in run.notes)
+    assert any("the vehicle takes them for newtons" in note for note in run.reader_notes)
 
 
 # --- damage ---------------------------------------------------------------------------------------

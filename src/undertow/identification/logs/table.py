@@ -25,6 +25,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.files import sha256_of
 
 from .mapping import LogMapping
 
@@ -246,12 +247,10 @@ class NotTextError(UndertowError):
 
 def file_hash(path: Path) -> str:
     """SHA-256 of the bytes of a file, or of all files of a folder in the order of their names."""
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    digest = hashlib.sha256()
-    for file in files:
-        with file.open("rb") as stream:
-            digest.update(hashlib.file_digest(stream, "sha256").digest())
-    return digest.hexdigest()
+    if not path.is_dir():
+        return sha256_of(path)
+    hashes = (sha256_of(file) for file in sorted(path.rglob("*")) if file.is_file())
+    return hashlib.sha256(b"".join(map(bytes.fromhex, hashes))).hexdigest()
 
 
 def read_table(

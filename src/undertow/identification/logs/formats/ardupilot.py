@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,11 @@ class AutopilotSettings:
 
 
 SETTINGS = AutopilotSettings()
+
+
+def by_name(names: Sequence[str], values: Array) -> Parameters:
+    """Settings by name; of several values the last."""
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 # --- motors ---------------------------------------------------------------------------------------

@@ -17,6 +17,8 @@ from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.typing import Array, Flags
 
 Places = NDArray[np.intp]
+Window = tuple[float | None, float | None]
+"""First and last time of what is used, s; None for no limit."""
 
 TIME, STRETCH = "t", "stretch"
 """Columns of the table of a log: its time, s, and the number of the stretch that a row belongs to."""
@@ -33,6 +35,11 @@ class UnionSettings:
     # two and the last two: farther ones are damaged.
     jump: float = 1.0
     pause: float = 3600.0
+    # Rows times columns of a table that are held at once: 8 bytes each, three times over while they are put
+    # together. Ten hours of ArduSub have as many.
+    cells: int = 50_000_000
+    # s that are read on either side of a part of a log: what is held there was sent before it begins.
+    margin: float = 10.0
 
 
 SETTINGS = UnionSettings()
@@ -124,13 +131,15 @@ class FieldLog:
             if c in found
         }
 
-    def table(self, columns: Iterable[str]) -> pl.DataFrame:
+    def table(self, columns: Iterable[str], window: Window = (None, None)) -> pl.DataFrame:
         """The series of some columns side by side: a row for every time, blank where a series has no sample.
 
         Parameters
         ----------
         columns : iterable of str
             Names ``series.column``.
+        window : (float or None, float or None)
+            Part that is used, s: of a table too large for memory no other is held.
 
         Returns
         -------
@@ -140,7 +149,7 @@ class FieldLog:
         Raises
         ------
         UndertowError
-            If the log has no such column.
+            If the log has no such column, or the table is too large.
         """
         asked: dict[str, list[str]] = {}
         for name in dict.fromkeys(columns):
@@ -151,7 +160,7 @@ class FieldLog:
                 f"log {self.path}: none of its series is known to be a motion; undertow import {self.path} "
                 "--list shows what it has: say what it means in a mapping file (--map)"
             )
-        kept = {name: rising(self.series[name].t) for name in asked}
+        kept = self._within({name: rising(self.series[name].t) for name in asked}, asked, window)
         times = [self.series[name].t[rows] for name, rows in kept.items()]
         t, places = union(times)
         table = {TIME: t, **self._numbers(len(t), times, places)}
@@ -161,6 +170,30 @@ class FieldLog:
                 cells[place] = self.series[name].columns[column][kept[name]]
                 table[f"{name}.{column}"] = cells
         return pl.DataFrame(table, nan_to_null=True)
+
+    def _within(
+        self, kept: dict[str, Places], asked: Mapping[str, Sequence[str]], window: Window
+    ) -> dict[str, Places]:
+        """The samples that are put into a table; those of a part of the log where all are too many."""
+        low, high = (e if w is None else w for w, e in zip(window, (-np.inf, np.inf), strict=True))
+        width = 2 + sum(map(len, asked.values()))
+        for edge in (np.inf, SETTINGS.margin):
+            inside = {
+                name: rows[
+                    np.abs(np.clip(self.series[name].t[rows], low, high) - self.series[name].t[rows]) <= edge
+                ]
+                for name, rows in kept.items()
+            }
+            rows = sum(map(len, inside.values()))
+            if 0 < rows * width <= SETTINGS.cells:
+                return inside
+        if not rows:
+            raise UndertowError(f"log {self.path} has no sample in the time window {low:g} to {high:g} s")
+        raise UndertowError(
+            f"log {self.path} makes a table of up to {rows} rows of {width} columns, at most "
+            f"{SETTINGS.cells // width} such rows are held: take a part of it with --from and --to, or leave "
+            "columns out of a mapping file (--map; undertow import writes one)"
+        )
 
     def _numbers(self, rows: int, times: Sequence[Array], places: Sequence[Places]) -> dict[str, Array]:
         """The stretch of each row: that of the latest of its samples which is in one."""
