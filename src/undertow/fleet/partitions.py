@@ -128,10 +128,11 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     said = key if key is not None else head.get("day")
     if isinstance(said, date):
         return said.date() if isinstance(said, datetime) else said
-    match = _DATE.search(str(said) if said is not None else path.stem)
+    time = head.get("time")
+    texts = [str(said)] if said is not None else [path.stem, *([time] if isinstance(time, str) else [])]
+    match = next((found for text in texts if (found := _DATE.search(text))), None)
     if match:
         return _date(path, match)
-    time = head.get("time")
     if said is None and isinstance(time, datetime):
         return time.date()
     if said is None and isinstance(time, int | float) and time > _EPOCH:

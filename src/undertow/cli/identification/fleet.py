@@ -146,7 +146,7 @@ def diagnose(
         job = Job(
             seen or str(Path(vehicle).absolute()),
             options.files,
-            _readable_in_parts(options).model_dump_json(),
+            options.mapping.model_dump_json(),
             daily=DAILY if daily is None else tuple(daily),
             fill=options.fill,
             trust_log=options.trust_log,
@@ -169,17 +169,6 @@ def _seen(vehicle: str) -> str | None:
     if PLACE in vehicle:
         return None
     return str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
-
-
-def _readable_in_parts(options: FleetOptions) -> LogMapping:
-    """The mapping, if logs can be read in parts with it."""
-    mapping = options.mapping
-    if mapping.time.unit == "iso" or mapping.time.every > 1 or any(c.fresh for c in mapping.columns.values()):
-        raise UndertowError(
-            f"mapping {options.map}: dates in words, `every` and `fresh` need whole logs, which a fleet does "
-            "not read: give the time as a number, and leave out the others"
-        )
-    return mapping
 
 
 @app.command()

@@ -42,6 +42,11 @@ def by_name(names: Sequence[str], values: Array) -> Parameters:
     return dict(zip(names, values.tolist(), strict=True))
 
 
+def shorter_by_pymavlink(suffix: str) -> str:
+    """How a log is made smaller by a program that comes with pymavlink."""
+    return f"mavlogdump.py -q -p --nottypes KIND,KIND -o LESS{suffix} LOG (of pymavlink) leaves messages out"
+
+
 # --- motors ---------------------------------------------------------------------------------------
 # SERVOn_FUNCTION of motors 1 … 8 and 9 … 12.
 _MOTORS = {**{33 + k: k + 1 for k in range(8)}, **{82 + k: k + 9 for k in range(4)}}

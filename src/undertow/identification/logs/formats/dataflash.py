@@ -23,7 +23,7 @@ import numpy as np
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array, Flags
 
-from .ardupilot import SETTINGS, Parameters, actuators, by_name
+from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
 from .dataflash_records import FMT, HEAD, Columns, Records, open_records
 from .fieldlog import FieldLog, Format, outputs_of
 from .stretches import armed_stretches, runs_of, used_stretches
@@ -306,4 +306,4 @@ def _accepts(path: Path, head: bytes) -> bool:
     return begins or (path.suffix.lower() == ".bin" and bytes(HEAD) in head)
 
 
-FORMAT = Format("ArduPilot DataFlash", (".bin",), _accepts, _read)
+FORMAT = Format("ArduPilot DataFlash", (".bin",), _accepts, _read, shorter=shorter_by_pymavlink(".bin"))

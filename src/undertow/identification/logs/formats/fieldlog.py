@@ -160,9 +160,8 @@ class FieldLog:
                 f"log {self.path}: none of its series is known to be a motion; undertow import {self.path} "
                 "--list shows what it has: say what it means in a mapping file (--map)"
             )
-        kept = self._within({name: rising(self.series[name].t) for name in asked}, asked, window)
+        kept, t, places = self._rows(asked, window)
         times = [self.series[name].t[rows] for name, rows in kept.items()]
-        t, places = union(times)
         table = {TIME: t, **self._numbers(len(t), times, places)}
         for (name, fields), place in zip(asked.items(), places, strict=True):
             for column in fields:
@@ -171,29 +170,28 @@ class FieldLog:
                 table[f"{name}.{column}"] = cells
         return pl.DataFrame(table, nan_to_null=True)
 
-    def _within(
-        self, kept: dict[str, Places], asked: Mapping[str, Sequence[str]], window: Window
-    ) -> dict[str, Places]:
-        """The samples that are put into a table; those of a part of the log where all are too many."""
+    def _rows(
+        self, asked: Mapping[str, Sequence[str]], window: Window
+    ) -> tuple[dict[str, Places], Array, list[Places]]:
+        """Samples that go into a table, its times, and their rows; of a part only where all are too many."""
         low, high = (e if w is None else w for w, e in zip(window, (-np.inf, np.inf), strict=True))
+        every = {name: rising(self.series[name].t) for name in asked}
         width = 2 + sum(map(len, asked.values()))
-        for edge in (np.inf, SETTINGS.margin):
-            inside = {
-                name: rows[
-                    np.abs(np.clip(self.series[name].t[rows], low, high) - self.series[name].t[rows]) <= edge
-                ]
-                for name, rows in kept.items()
-            }
-            rows = sum(map(len, inside.values()))
-            if 0 < rows * width <= SETTINGS.cells:
-                return inside
-        if not rows:
-            raise UndertowError(f"log {self.path} has no sample in the time window {low:g} to {high:g} s")
-        raise UndertowError(
-            f"log {self.path} makes a table of up to {rows} rows of {width} columns, at most "
-            f"{SETTINGS.cells // width} such rows are held: take a part of it with --from and --to, or leave "
-            "columns out of a mapping file (--map; undertow import writes one)"
-        )
+        t, places = union([self.series[name].t[rows] for name, rows in every.items()])
+        if len(t) * width <= SETTINGS.cells:
+            return every, t, places
+        low, high = low - SETTINGS.margin, high + SETTINGS.margin
+        inside = {name: rows[_between(self.series[name].t[rows], low, high)] for name, rows in every.items()}
+        t, places = union([self.series[name].t[rows] for name, rows in inside.items()])
+        if not len(t):
+            raise UndertowError(f"log {self.path} has no sample in the time window: give another one")
+        if len(t) * width > SETTINGS.cells:
+            raise UndertowError(
+                f"log {self.path} makes a table of {len(t)} rows of {width} columns, at most "
+                f"{SETTINGS.cells // width} such rows are held: take a part of it with --from and --to, or "
+                "leave columns out of a mapping file (--map; undertow import writes one)"
+            )
+        return inside, t, places
 
     def _numbers(self, rows: int, times: Sequence[Array], places: Sequence[Places]) -> dict[str, Array]:
         """The stretch of each row: that of the latest of its samples which is in one."""
@@ -217,6 +215,10 @@ class FieldLog:
     def drive(self) -> tuple[Array, Array] | None:
         """Times, s, (n,), and commands, (n, motors), of motors."""
         return outputs_of(self.series, self.actuators)
+
+
+def _between(t: Array, low: float, high: float) -> Flags:
+    return (t >= low) & (t <= high)
 
 
 def outputs_of(
@@ -245,12 +247,18 @@ class Format:
         Whether a file of this path, which begins with these bytes (b"" for a folder), is of the format.
     read : callable
         The log at a path. The second argument is the folder with definitions of messages, or None.
+    largest : int
+        Bytes of a file that can be read in 1.5 GB of memory; a larger one is refused unread.
+    shorter : str
+        How a file is made smaller.
     """
 
     name: str
     suffixes: tuple[str, ...]
     accepts: Callable[[Path, bytes], bool]
     read: Callable[[Path, Path | None], FieldLog]
+    largest: int = 400_000_000
+    shorter: str = "save it in shorter files, or with fewer variables"
 
 
 def library(name: str, what: str, extra: str = "field") -> ModuleType:

@@ -54,6 +54,12 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
     found = format_of(path)
     if found is None:
         return None
+    size = path.stat().st_size if path.is_file() else 0
+    if size > found.largest:
+        raise UndertowError(
+            f"log {path} has {size / 1e6:.0f} MB, at most {found.largest / 1e6:.0f} MB of {found.name} are "
+            f"read: {found.shorter}"
+        )
     try:
         return found.read(path, messages)
     except (UndertowError, MemoryError):

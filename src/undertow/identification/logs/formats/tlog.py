@@ -27,7 +27,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .ardupilot import SETTINGS, Parameters, actuators, by_name
+from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
 from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
 from .position import north_east
 from .stretches import armed_stretches, runs_of, used_stretches
@@ -432,4 +432,4 @@ def _looks(head: bytes) -> bool:
     return True
 
 
-FORMAT = Format("MAVLink telemetry", (".tlog",), _accepts, _read)
+FORMAT = Format("MAVLink telemetry", (".tlog",), _accepts, _read, 120_000_000, shorter_by_pymavlink(".tlog"))
