@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
-from undertow.files import write_whole
 from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.saving import save_vehicle
@@ -43,6 +42,7 @@ from .logs.formats.registry import format_of
 from .logs.mapping import LogMapping, read_mapping
 from .logs.reading import read_log as read
 from .logs.run import Run
+from .logs.saving import save_log as save_log
 from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
@@ -420,18 +420,6 @@ def read_log(
         if len(parts) == 1 and beyond_memory(parts):
             return read_in_parts(parts[0])
     return read(path, meaning, commands, window=window)
-
-
-def save_log(run: Run, out: Path) -> None:
-    """Write a run as CSV with the channel names and SI units of undertow, so that it needs no mapping file.
-
-    What was derived from other channels is left out: whoever reads the file derives it again.
-    """
-    import polars as pl
-
-    measured = {name: data for name, data in run.channels.items() if name not in run.derived}
-    table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)
-    write_whole(out, table.write_csv())
 
 
 def fit(

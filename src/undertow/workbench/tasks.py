@@ -420,6 +420,7 @@ def write_logs(job: Job) -> Result:
     for role in ("train", "judge"):
         for i, run in enumerate(job.runs(role), start=1):
             out = job.place.folder / f"{role}-{i}.csv"
+            out.with_suffix(".toml").unlink(missing_ok=True)
             save_log(run, out)
             written.append(str(out))
     return {"written": written, "logs": written}
