@@ -251,6 +251,8 @@ class Format:
         Bytes of a file that can be read in 1.5 GB of memory; a larger one is refused unread.
     shorter : str
         How a file is made smaller.
+    hangs : bool
+        Whether its library hangs or breaks down with some damaged files, so that another process tries first.
     """
 
     name: str
@@ -259,6 +261,7 @@ class Format:
     read: Callable[[Path, Path | None], FieldLog]
     largest: int = 400_000_000
     shorter: str = "save it in shorter files, or with fewer variables"
+    hangs: bool = False
 
 
 def library(name: str, what: str, extra: str = "field") -> ModuleType:
