@@ -178,14 +178,14 @@ class LogJob:
 
     vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
     effects: tuple[str, ...] = ()  # paths of files with effects of the user
-    mapping: str = "{}"  # the mapping file's content as JSON
+    mapping: str = "{}"  # the mapping file's content as JSON; an empty one for none
     fill: CommandPolicy | None = None  # what to do where a command has no sample
     trust_log: bool = False  # whether physically impossible logs count
 
     @cached_property
-    def log_mapping(self) -> LogMapping:
+    def log_mapping(self) -> LogMapping | None:
         """What the columns of the logs mean."""
-        return LogMapping.model_validate_json(self.mapping)
+        return LogMapping.model_validate_json(self.mapping) if json.loads(self.mapping) else None
 
 
 @dataclass(frozen=True)

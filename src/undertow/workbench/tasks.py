@@ -238,6 +238,7 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
         "about": ranked.about,
         "family": ranked.family,
         "equations": [f"{e.left} = {e.plain}" for e in description.equations],
+        "typeset": [e.latex for e in description.equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],
         "errors": {FORCE: ranked.error_after, **_finite(job.judges.ahead(fit))},
         "explained": ranked.explained,

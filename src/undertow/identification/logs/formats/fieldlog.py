@@ -122,8 +122,13 @@ class FieldLog:
         return self.mapping.model_copy(update={"time": time, "columns": known, "missing_commands": policy})
 
     def _called(self, commands: Sequence[str]) -> dict[str, Column]:
-        """Columns that have the names of commands."""
-        found = {c: f"{s.name}.{c}" for s in self.series.values() for c in s.columns if c in commands}
+        """Columns that have the names of commands, and those of series with a single one that have."""
+        found = {
+            s.name: f"{s.name}.{next(iter(s.columns))}"
+            for s in self.series.values()
+            if s.name in commands and len(s.columns) == 1
+        }
+        found |= {c: f"{s.name}.{c}" for s in self.series.values() for c in s.columns if c in commands}
         known = dict(self.actuators)
         return {
             found[c]: known.get(found[c], Column(channel=c)).model_copy(update={"channel": c})

@@ -129,6 +129,11 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
         If it is of no format that is known, too.
     """
     found = open_field_log(path, messages)
+    if found is None and path.suffix in (".csv", ".gz", ".parquet"):
+        raise UndertowError(
+            f"log {path} is a table, which every command reads as it is; undertow map new {path} begins the "
+            "mapping file that says what its columns mean"
+        )
     if found is None:
         raise UndertowError(f"log {path} is of no format that is known: {readable()}")
     return found
