@@ -17,9 +17,10 @@ from pathlib import Path
 from shutil import rmtree
 
 from undertow.cli.main import main as undertow
-from undertow.files import write_whole
+from undertow.files import read_toml, write_whole
+from undertow.identification.logs.mapping import read_mapping
 
-from .made import KINDS, Kind, vehicle_for
+from .made import FIELD, KINDS, Kind, vehicle_for
 
 RESULTS = Path(__file__).with_name("results.json")
 BEGIN, END = "<!-- made by python -m benchmarks.formats -->\n", "<!-- end of what is made -->\n"
@@ -61,12 +62,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--command", action="append", metavar="WORD", help="try some commands anew")
     options = parser.parse_args(arguments)
     options.folder.mkdir(parents=True, exist_ok=True)
+    os.environ["COLUMNS"] = "1000"
     known = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     for kind in (k for k in KINDS if not options.only or k.name in options.only):
         asked = [c for c in COMMANDS if not options.command or set(options.command) & set(c.words.split())]
         known[kind.name] = known.get(kind.name, {}) | _tried(kind, options.folder.absolute(), asked)
         write_whole(RESULTS, json.dumps(known, indent=1, ensure_ascii=False) + "\n")
-    text = table(known)
+    if not options.only or "real" in options.only:
+        with chdir(options.folder):
+            real = {
+                f"{name}: {words}": _answer(name, words) for name, words in REAL if (FIELD / name).exists()
+            }
+        known["real"] = real or known.get("real", {})
+        write_whole(RESULTS, json.dumps(known, indent=1, ensure_ascii=False) + "\n")
+    text = table(known) + real_table(known.get("real", {}))
     if options.out is None:
         print(text)
         return 0
@@ -74,6 +83,52 @@ def main(arguments: list[str] | None = None) -> int:
     before, rest = page.split(BEGIN)
     write_whole(options.out, f"{before}{BEGIN}{text}{END}{rest.split(END)[1]}")
     return 0
+
+
+REAL = (
+    ("small.BIN", "import LOG --list"),
+    ("small.BIN", "vehicle new --log LOG --out real.toml --force"),
+    ("small.BIN", "doctor real.toml LOG"),
+    ("small.tlog", "import LOG --list"),
+    ("small.tlog", "vehicle new --log LOG --out real.toml --force"),
+    ("small.tlog", "doctor real.toml LOG"),
+    ("px4/sample_log_small.ulg", "import LOG --list"),
+    ("px4/sample_log_small.ulg", "import LOG --out real.parquet --force"),
+    ("ros2/wbag", "import LOG --list"),
+    ("ros2/cdr_test", "import LOG --list"),
+    ("glider/amadeus-2014-204-05-000.dbd", "import LOG --out real.parquet --force"),
+    ("glider/amadeus-2014-204-05-000.dbd", "doctor glider LOG"),
+    ("glider/amadeus-2014-204-05-000.ebd", "import LOG --out real.parquet --force"),
+)
+"""Files of public repositories, under the folder of `FIELD`, and the words that a command gets."""
+
+
+def _answer(name: str, words: str) -> str:
+    """What a command says of a real file: its refusal, or how many lines and the last of them."""
+    out, error, log = StringIO(), StringIO(), str(FIELD / name)
+    with redirect_stdout(out), redirect_stderr(error):
+        code = undertow([log if word == "LOG" else word for word in words.split()])
+    print(code, name, words, flush=True)
+    said = [" ".join(line.split()) for line in (out if code in (0, 1) else error).getvalue().splitlines()]
+    lines = [line.replace(log, "LOG") for line in said if line]
+    if "--list" in words:
+        rows = [line for line in lines if (cells := line.split())[1:] and cells[1].isdigit()]
+        return f"{len(rows)} series"
+    if words.startswith("import"):
+        channels = (column.channel for column in read_mapping("real.toml").columns.values())
+        return f"read: {', '.join(channels)}"
+    if words.startswith("vehicle"):
+        return str(read_toml("real.toml", "vehicle file")["description"])
+    return lines[-1].removeprefix("error: ")
+
+
+def real_table(real: dict[str, str]) -> str:
+    """What commands say of real files."""
+    rows = ["", "| real file | command | what comes of it |", "|---|---|---|"]
+    for asked, said in real.items():
+        name, words = asked.split(": ", 1)
+        rows.append(f"| {name} | `{words}` | {said.replace('|', '/')} |")
+    return "\n".join([*rows, ""]) if real else ""
 
 
 def _tried(kind: Kind, folder: Path, commands: Sequence[Command]) -> dict[str, str]:
@@ -84,7 +139,6 @@ def _tried(kind: Kind, folder: Path, commands: Sequence[Command]) -> dict[str, s
     log = kind.write(place / kind.name)
     if not log.exists():
         return {}
-    os.environ["COLUMNS"] = "1000"
     named = {
         "log": str(log),
         "vehicle": vehicle_for(kind, folder, '"surge", "sway", "yaw"'),
