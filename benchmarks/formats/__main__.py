@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 from collections.abc import Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -85,6 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
+LONGEST = 300  # characters of a line with which a command refuses
 REAL = (
     ("small.BIN", "import LOG --list"),
     ("small.BIN", "vehicle new --log LOG --out real.toml --force"),
@@ -157,7 +159,8 @@ def _said(words: list[str], named: dict[str, str]) -> str:
         return ""
     line = error.getvalue().strip().splitlines()[-1]
     for what, path in named.items():
-        line = line.replace(path, "LOG" if what == "log" else "VEHICLE")
+        if "/" in path:
+            line = line.replace(path, "LOG" if what == "log" else "VEHICLE")
     return line.removeprefix("error: ")
 
 
@@ -167,11 +170,22 @@ def table(known: dict[str, dict[str, str]]) -> str:
     lines: dict[str, int] = {}
     rows = ["| | " + " | ".join(k.title for k in kinds) + " |", "|---" * (len(kinds) + 1) + "|"]
     for command in COMMANDS:
-        said = [known[kind.name].get(command.title, "") for kind in kinds]
+        said = [_without_names(known[kind.name].get(command.title, "")) for kind in kinds]
         cells = [f"[{lines.setdefault(line, len(lines) + 1)}]" if line else "yes" for line in said]
         rows.append(f"| {command.title} | " + " | ".join(cells) + " |")
-    notes = [f"{number}. {line}" for line, number in lines.items()]
+    notes = [f"{number}. {_cut(line)}" for line, number in lines.items()]
     return "\n".join([*rows, "", *notes, ""])
+
+
+def _without_names(line: str) -> str:
+    """A line that says the same of several formats."""
+    return re.sub(r"is one of .*? and no table", "is one of FORMAT and no table", line)
+
+
+def _cut(line: str) -> str:
+    """The beginning of a long line, as Markdown takes it."""
+    short = line if len(line) <= LONGEST else f"{line[:LONGEST].rsplit(' ', 1)[0]} …"
+    return short.replace("<", "&lt;").replace("*", r"\*")
 
 
 if __name__ == "__main__":

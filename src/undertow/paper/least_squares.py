@@ -423,8 +423,8 @@ def identify_in_parts(
     trust_log: bool = False,
 ) -> Identified:
     """The same from logs that are read in parts, each given once."""
-    paths = [log.path.resolve() for log in logs]
-    twice = [path for path in paths if paths.count(path) > 1]
+    parts = [(log.path.resolve(), log.stretch) for log in logs]
+    twice = [path for path, stretch in parts if parts.count((path, stretch)) > 1]
     if twice:
         raise UndertowError(f"log {twice[0]} is given twice: give each once")
     found = estimate_streaming(
