@@ -1,4 +1,4 @@
-"""The table of commands and formats in docs/field-logs.md: it stands there as it was made, and still holds."""
+"""The table of commands and formats in docs/field-logs.md: it stands there as made, and still holds."""
 
 from __future__ import annotations
 

@@ -210,6 +210,7 @@ class ReadOptions:
                 return Loaded(model, runs, chosen.judges, chosen)
             if choosing.beyond_memory(long):
                 runs = choosing.short_parts(model, long)
+                _say_notes({run.source: run.reader_notes for run in runs})
                 return Loaded(model, runs[: len(work)], runs[len(work) :])
         return None
 
