@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from benchmarks.fleet.made import fouling, run
 from undertow.errors import UndertowError
 from undertow.fleet.changes import Prior, days_of, selection, solve
-from undertow.fleet.reduction import Job, Panel, reduce_log, reduce_runs, with_fingerprint
+from undertow.fleet.reduction import Job, Panel, reduce_log, reduce_runs, runs_of, with_fingerprint
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -79,6 +82,36 @@ def test_one_linear_step_agrees_with_a_fit(panel: Panel, fleet: Path, day: Run) 
     )
     for name, step, error in zip(panel.free, found.theta, found.errors, strict=True):
         assert panel.vehicle.value_of(name).value + step == pytest.approx(fit.values[name], abs=1.5 * error)
+
+
+def test_thinned_rows_dates_and_reports_now_and_then_count_as_in_any_log(
+    panel: Panel, fleet: Path, tmp_path: Path
+) -> None:
+    rows = pl.read_parquet(next((fleet / "logs").rglob("*.parquet"))).head(600)
+    number = pl.int_range(pl.len())
+    now_and_then = pl.when(number % 3 == 0).then(pl.col("u"))
+    kept = rows.with_columns(now_and_then.forward_fill(), new=(number % 3 == 0).cast(pl.Int8))
+    dated = pl.datetime(2026, 2, 3) + pl.duration(microseconds=1e6 * pl.col("t"))
+    numbered = rows.with_columns(leg=pl.when(number != 300).then(number // 301))
+    fresh = {"columns": {"u": {"channel": "u", "fresh": "new"}}}
+    in_words = rows.with_columns(dated.dt.to_string("%FT%T%.6f").alias("t"))
+    cases = (
+        ([rows.gather_every(2)], rows, {"time": {"every": 2}}),
+        ([rows.with_columns(now_and_then)], kept, {**fresh, "ignore": ["new"]}),
+        ([rows], in_words, {"time": {"unit": "iso"}}),
+        ([rows.head(300), rows.slice(301)], numbered, {"time": {"stretch": "leg"}}),
+    )
+
+    def read(table: pl.DataFrame, mapping: dict[str, object]) -> Iterator[Run]:
+        table.write_parquet(tmp_path / "log.parquet")
+        job = Job("", mapping=LogMapping.model_validate(mapping).model_dump_json())
+        return runs_of(job, str(tmp_path / "log.parquet"), panel.vehicle.command_names)
+
+    for plain, table, mapping in cases:
+        wanted = reduce_runs([run for one in plain for run in read(one, {})], panel, "log").factor
+        found = reduce_runs(read(table, mapping), panel, "log").factor
+        size = np.linalg.norm(wanted, axis=0)
+        np.testing.assert_allclose(found.T @ found, wanted.T @ wanted, atol=1e-5 * np.outer(size, size).max())
 
 
 def test_a_vehicle_with_nothing_to_estimate_is_refused(fleet: Path, tmp_path: Path) -> None:

@@ -89,16 +89,12 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
         (["craft.toml", "logs", "--daily", "lag"], "'lag' is not an effect"),
         (["craft.toml", "logs", "--out", "craft.toml"], "is not a folder"),
         (["craft.toml", "logs", "--map", "none.toml"], "none.toml"),
-        (["craft.toml", "logs", "--map", "fresh.toml"], "`fresh` need whole logs"),
         (["{vehicle}.toml", "outside"], "'../craft' is not a valid file name"),
     ],
 )
 def test_mistakes_are_told_in_one_line(
     small: Path, capsys: Capture, words: list[str], complaint: str
 ) -> None:
-    Path("fresh.toml").write_text(
-        'schema = "undertow/mapping/1"\n[columns]\nu = { channel = "u", fresh = "new" }\n'
-    )
     outside = Path("outside/vehicle=..%2Fcraft/2026-02-03.parquet")
     outside.parent.mkdir(parents=True)
     shutil.copy(next(Path("logs").rglob("*.parquet")), outside)

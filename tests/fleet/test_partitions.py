@@ -32,6 +32,7 @@ def written(path: Path, **more: object) -> Path:
         ("rov7/log_2026-02-03.parquet", {}, "rov7", date(2026, 2, 3)),
         ("rov7/x.parquet", {"t": [1770076800.0, 1770076801.0]}, "rov7", date(2026, 2, 3)),
         ("rov7/x.parquet", {"t": [datetime(2026, 2, 3, 4)] * 2}, "rov7", date(2026, 2, 3)),
+        ("rov7/x.parquet", {"t": ["2026-02-03T04:00:00Z"] * 2}, "rov7", date(2026, 2, 3)),
     ],
 )
 def test_folders_columns_names_and_clocks(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import polars as pl
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.mapping import LogMapping
-from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.mapping import LogMapping, read_mapping
+from undertow.identification.logs.reading import read_log, stated_disturbance
+from undertow.identification.logs.saving import save_log
 
 RATE, PERIOD = 6.0, 1.0  # rows a second; seconds between reports
 
@@ -84,3 +88,29 @@ def test_rpm_become_newton_with_their_sign(tmp_path):
 def test_without_a_flag_a_value_that_changes_is_new(slow_log):
     flagged, itself = (read_log(slow_log[0], mapping(fresh=f)) for f in ("new", "dvl"))
     np.testing.assert_array_equal(itself.channels["u"], flagged.channels["u"])
+
+
+def test_a_saved_log_reads_back_with_its_reports_and_the_noise_that_was_stated(tmp_path: Path) -> None:
+    t = np.arange(400) / 20
+    table = {
+        "t": t,
+        "heading": np.degrees(np.sin(t)),
+        "u": np.where(np.arange(400) % 5 == 0, np.cos(t), np.nan),
+    }
+    pl.DataFrame({**table, "f1": np.ones(400)}, nan_to_null=True).write_csv(tmp_path / "log.csv")
+    mapping = LogMapping.model_validate(
+        {
+            "columns": {"heading": {"channel": "psi", "unit": "deg", "noise": "0.2 deg"}},
+            "disturbance": {"X": "2 N"},
+        }
+    )
+    run = read_log(tmp_path / "log.csv", mapping, ["f1"])
+    beside = save_log(run.slice(2.0, 12.0), tmp_path / "part.csv")
+    assert beside == tmp_path / "part.toml"
+    again = read_log(tmp_path / "part.csv", read_mapping(beside), ["f1"])
+    assert again.sigma["psi"] == pytest.approx(np.radians(0.2))
+    assert stated_disturbance(again.mapping) == {"X": 2.0}
+    assert np.array_equal(again.reports("u"), run.slice(2.0, 12.0).reports("u"), equal_nan=True)
+    assert np.count_nonzero(np.isfinite(again.reports("u"))) == 41
+    assert save_log(read_log(tmp_path / "log.csv"), tmp_path / "plain.csv") is None
+    assert not (tmp_path / "plain.toml").exists()

@@ -14,10 +14,16 @@ from tests.identification.surge import surge_vehicle
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import Triangle
-from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.chunks import LongLog, long_logs
 from undertow.identification.logs.mapping import LogMapping
-from undertow.identification.logs.reading import read_log
-from undertow.paper.least_squares import estimate, estimate_streaming, experiments
+from undertow.identification.logs.reading import read_log, read_logs
+from undertow.paper.least_squares import (
+    estimate,
+    estimate_streaming,
+    experiments,
+    identify,
+    identify_in_parts,
+)
 from undertow.paper.regression import CASES
 
 VEHICLE = surge_vehicle()
@@ -226,3 +232,18 @@ def test_rows_out_of_order_between_parts_are_left_out_or_refused(tmp_path: Path)
 def test_a_log_that_is_not_there_is_told(tmp_path: Path) -> None:
     with pytest.raises(UndertowError, match="does not exist"):
         estimate_streaming(VEHICLE, [LongLog(tmp_path / "no.csv", LogMapping(), ())], [CASES["2"]])
+
+
+def test_stretches_of_a_log_are_taken_apart_in_parts_too(tmp_path: Path) -> None:
+    table = long_log(6_000).with_row_index("leg").with_columns(pl.col("leg") // 3_000)
+    path, mapping = (
+        written(table, tmp_path / "long.parquet"),
+        LogMapping.model_validate({"time": {"stretch": "leg"}}),
+    )
+    logs = long_logs(path, mapping, ("tau_X",))
+    ((experiment, streamed),) = identify_in_parts(VEHICLE, logs, "2").found
+    assert [run.name for run in experiment.runs] == ["long-1", "long-2"]
+    (whole,) = identify(VEHICLE, read_logs([path], VEHICLE, mapping, one_motion=True), "2").found[0][1]
+    np.testing.assert_allclose(streamed[0].theta, whole.theta, rtol=1e-10)
+    with pytest.raises(UndertowError, match="is given twice"):
+        identify_in_parts(VEHICLE, [*logs, logs[0]], "2")

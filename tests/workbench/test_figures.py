@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from base64 import b64decode
 
 import numpy as np
 import pytest
+from matplotlib.mathtext import MathTextParser
 
 from undertow.identification.logs.run import Run
-from undertow.workbench.figures import SETTINGS, channels, escaped, thinned, waterfall
+from undertow.model.catalogue import catalogue
+from undertow.model.describe import describe
+from undertow.workbench.figures import SETTINGS, channels, escaped, thinned, typeset, waterfall
 
 
 def test_a_million_samples_keep_every_peak_in_two_points_a_pixel() -> None:
@@ -72,3 +76,20 @@ def test_names_out_of_files_are_no_tags(name: str) -> None:
     assert "<script" not in drawn
     assert "<img" not in drawn
     assert "<" not in escaped(name)
+
+
+@pytest.mark.slow
+def test_all_equations_of_the_catalogue_can_be_typeset() -> None:
+    parser = MathTextParser("path")
+    for effect in catalogue().values():
+        for equation in describe(effect).equations:
+            parser.parse(f"${equation.latex}$")
+
+
+def test_an_equation_is_a_picture_in_the_page_and_stays_text_where_it_cannot_be() -> None:
+    address = typeset(describe(catalogue()["quadratic_damping"]).equations[0].latex)
+    assert address is not None
+    kind, _, content = address.partition(",")
+    assert kind == "data:image/svg+xml;base64"
+    assert b"<svg" in b64decode(content)
+    assert typeset(r"\frac{a") is None

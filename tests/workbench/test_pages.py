@@ -151,6 +151,14 @@ def test_what_is_missing_lists_candidates_and_draws_the_one_pointed_at(place: Wo
         assert "No other effect does as well on these logs." in said
         names = {trace["name"] for trace in _figure(user, "simulation")["data"]}
         assert names == {"measured", "model refitted", "with ocean_current"}
+        (details,) = user.find(marker="details-ocean_current").elements
+        assert isinstance(details, ui.expansion)
+        with user:
+            details.set_value(True)
+        await user.should_see(marker="equation")
+        drawn = [e.content for e in user.find(marker="equation").elements if isinstance(e, ui.html)]
+        assert all('src="data:image/svg+xml;base64,' in picture for picture in drawn)
+        assert any('alt="water north = V_N"' in picture for picture in drawn)
         (select,) = user.find(marker="measure").elements
         assert isinstance(select, ui.select)
         assert next(iter(select.options)) == "force"

@@ -17,6 +17,7 @@ from tests.workbench.demo_session import DEMO, session_of
 from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.api import read_log
+from undertow.identification.logs.mapping import LogMapping, mapping_text
 from undertow.model.loading import load_vehicle
 from undertow.workbench import tasks
 from undertow.workbench.bench import Bench
@@ -167,6 +168,15 @@ def test_stretches_are_written_as_logs_of_their_own(place: Workspace, job: Make)
     inside = (whole.t < 20.0) | (whole.t >= 30.0)
     assert np.array_equal(np.concatenate([p.t for p in parts]), whole.t[inside])
     assert np.array_equal(np.concatenate([p.channels["u"] for p in parts]), whole.channels["u"][inside])
+    assert "--map" not in place.line().options
+    noisy = LogMapping.model_validate({"columns": {"u": {"channel": "u", "noise": "1 cm/s"}}})
+    (place.folder / "noise.toml").write_text(mapping_text(noisy), encoding="utf-8")
+    place.session.mapping = str(place.folder / "noise.toml")
+    place.session.written = tasks.write_logs(job())["logs"]
+    option, beside = place.line().options[:2]
+    assert (option, Path(beside).name) == ("--map", "train-1.toml")
+    part = read_log(place.session.written[0], place.folder / "train-1.toml", commands=["f1"])
+    assert part.sigma == {"u": pytest.approx(0.01)}
 
 
 def test_stretches_of_one_log_may_train_and_judge(place: Workspace, job: Make) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -16,13 +16,16 @@ from ._terminal import progress, say
 
 if TYPE_CHECKING:
     from undertow.identification.logs.chunks import LongLog
+    from undertow.identification.logs.formats.fieldlog import FieldLog
     from undertow.identification.logs.mapping import LogMapping
+    from undertow.identification.logs.opening import FieldLogs
     from undertow.identification.logs.run import Run
     from undertow.identification.long_logs.choosing import Budget, Chosen
     from undertow.identification.long_logs.result import LongLogs
     from undertow.identification.report.sentences import CommandLine
     from undertow.model.effect import Effect
     from undertow.model.vehicle import Vehicle
+    from undertow.typing import Progress
 
 Fill = Literal["refuse", "hold", "gap"]
 VehicleArgument = Annotated[
@@ -73,6 +76,7 @@ class Loaded(NamedTuple):
     runs: list[Run]
     holdout: list[Run]
     chosen: Chosen | None = None  # where the logs were too long, which stretches of them these are
+    field_logs: Sequence[FieldLog] = ()  # those that are as a vehicle wrote them
 
     def checked(self, models: Mapping[str, Vehicle] | None = None) -> LongLogs | None:
         """What was done with logs that were too long, with the errors of models over the rest of them."""
@@ -82,6 +86,13 @@ class Loaded(NamedTuple):
 
         with progress("checking the rest of the logs") as report:
             return checked(self.chosen, models, progress=report)
+
+
+def _say_notes(notes: Mapping[str, Iterable[str]]) -> None:
+    """Print what the readers of vehicles' own logs said, by the path of the log."""
+    for source, lines in notes.items():
+        for line in lines:
+            say(f"{source}: {line}", "dim")
 
 
 def say_long(found: LongLogs | None) -> None:
@@ -138,17 +149,18 @@ class ReadOptions:
         that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank).
         With a `budget`, the stretches that tell most are taken of logs that are too long.
         """
-        from undertow.identification.logs.reading import format_notes, read_logs
+        from undertow.identification.logs.reading import read_logs
         from undertow.model.loading import load_vehicle
 
         with progress("reading the vehicle", None):
             model = load_vehicle(vehicle, effect_files=self.effects or ())
+        opened: FieldLogs = {}
         if budget is not None:
             taken = self._of_any_length(
-                model, logs, holdout or (), budget, to_fit=to_fit, in_any_order=in_any_order
+                model, logs, holdout or (), budget, opened, to_fit=to_fit, in_any_order=in_any_order
             )
             if taken is not None:
-                return taken
+                return taken._replace(field_logs=tuple(opened.values()))
         paths = [*logs, *(holdout or ())]
         with progress("reading logs", total=len(paths)) as report:
             runs = read_logs(
@@ -160,13 +172,12 @@ class ReadOptions:
                 to_fit=to_fit,
                 one_motion=one_motion,
                 in_any_order=in_any_order,
+                field_logs=opened,
                 progress=report,
             )
-        for source, notes in {run.source: format_notes(run) for run in runs}.items():
-            for note in notes:
-                say(f"{source}: {note}", "dim")
+        _say_notes({run.source: run.reader_notes for run in runs})
         first = sum(run.source in set(map(str, logs)) for run in runs)
-        return Loaded(model, runs[:first], runs[first:])
+        return Loaded(model, runs[:first], runs[first:], field_logs=tuple(opened.values()))
 
     def _of_any_length(
         self,
@@ -174,48 +185,64 @@ class ReadOptions:
         logs: Sequence[Path],
         holdout: Sequence[Path],
         budget: Budget,
+        opened: FieldLogs,
         *,
         to_fit: bool,
         in_any_order: bool,
     ) -> Loaded | None:
-        """Stretches of logs that are too long; None where they are not, or are no tables of one stretch."""
-        from undertow.identification.logs.chunks import LongLog
-        from undertow.identification.logs.mapping import LogMapping
-        from undertow.identification.logs.reading import in_any_order as dropping
+        """Stretches of logs that are too long; None where they are not. Vehicles' own logs are `opened`."""
         from undertow.identification.long_logs import choosing
 
-        mapping = self.mapping or LogMapping()
-        mapping = dropping(mapping) if in_any_order else mapping
-        if not choosing.in_parts([*logs, *holdout], mapping):
-            return None
-        window = (self.since, self.until)
-        long = [
-            LongLog(path, mapping, model.command_names, window, self.fill, required=True)
-            for path in (*logs, *holdout)
-        ]
+        with progress("reading logs", total=len(logs) + len(holdout)) as report:
+            work, judges = (
+                self.in_parts(model, paths, opened, report, in_any_order=in_any_order, required=True)
+                for paths in (logs, holdout)
+            )
+        long = [*work, *judges]
         most = choosing.MEASURABLE.samples
         if not to_fit:
             most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
         with progress("reading logs") as report:
             if choosing.too_long(long, most):
-                chosen = choosing.choose(model, long[: len(logs)], long[len(logs) :], budget, report)
+                _say_notes({str(log.path): log.reader_notes for log in long})
+                chosen = choosing.choose(model, work, judges, budget, report)
                 runs = choosing.at_full_rate(chosen, long) if budget.raw else chosen.runs
                 return Loaded(model, runs, chosen.judges, chosen)
             if choosing.beyond_memory(long):
                 runs = choosing.short_parts(model, long)
-                return Loaded(model, runs[: len(logs)], runs[len(logs) :])
+                _say_notes({run.source: run.reader_notes for run in runs})
+                return Loaded(model, runs[: len(work)], runs[len(work) :])
         return None
 
-    def load_in_parts(self, vehicle: str, logs: Sequence[Path]) -> tuple[Vehicle, list[LongLog]]:
-        """The vehicle, and logs that are read in parts, later."""
-        from undertow.identification.logs.chunks import LongLog
-        from undertow.identification.logs.mapping import LogMapping
-        from undertow.model.loading import load_vehicle
+    def in_parts(
+        self,
+        model: Vehicle,
+        logs: Sequence[Path],
+        opened: FieldLogs | None = None,
+        report: Progress = lambda done, words: None,
+        *,
+        in_any_order: bool = False,
+        required: bool = False,
+    ) -> list[LongLog]:
+        """Logs, each of their stretches by itself, that are read in parts, later."""
+        from undertow.identification.logs.chunks import long_logs
+        from undertow.identification.logs.opening import dropping_disorder
 
-        model = load_vehicle(vehicle, effect_files=self.effects or ())
-        mapping = self.mapping or LogMapping()
-        window = (self.since, self.until)
-        return model, [LongLog(path, mapping, model.command_names, window, self.fill) for path in logs]
+        found: list[LongLog] = []
+        for done, path in enumerate(logs):
+            report(done, f"reading {path.name}")
+            found += long_logs(
+                path,
+                self.mapping,
+                model.command_names,
+                (self.since, self.until),
+                self.fill,
+                required=required,
+                field_logs=opened,
+            )
+        if not in_any_order:
+            return found
+        return [replace(log, mapping=dropping_disorder(log.mapping)) for log in found]
 
 
 @dataclass(frozen=True)

@@ -76,11 +76,14 @@ def partition_of(path: Path, mapping: LogMapping) -> Partition:
     The path says so (`vehicle=V/day=D/part.parquet`), or columns `vehicle` and `day` do, or the folder (the
     vehicle) with a date in the file's name or a time that counts from 1970 (the day).
     """
+    from undertow.identification.logs.formats.registry import format_of
     from undertow.identification.logs.table import is_parquet
 
     with path.open("rb") as stream:
         if not is_parquet(stream.read(4)):
-            raise UndertowError(f"{path} is not a Parquet file: write the table as Parquet")
+            own = format_of(path) is not None
+            remedy = f"undertow import {path} --out NEW.parquet" if own else "write the table as Parquet"
+            raise UndertowError(f"{path} is not a Parquet file: {remedy}")
     keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
     head = {} if len(keys) == 2 else _said_inside(path, mapping)
     vehicle = keys.get("vehicle", head.get("vehicle", path.parent.name))
@@ -128,10 +131,11 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     said = key if key is not None else head.get("day")
     if isinstance(said, date):
         return said.date() if isinstance(said, datetime) else said
-    match = _DATE.search(str(said) if said is not None else path.stem)
+    time = head.get("time")
+    texts = [str(said)] if said is not None else [path.stem, *([time] if isinstance(time, str) else [])]
+    match = next((found for text in texts if (found := _DATE.search(text))), None)
     if match:
         return _date(path, match)
-    time = head.get("time")
     if said is None and isinstance(time, datetime):
         return time.date()
     if said is None and isinstance(time, int | float) and time > _EPOCH:

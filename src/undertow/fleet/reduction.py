@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from undertow.identification.estimation.weak_form import (
     start_fit,
     with_process_noise,
 )
-from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.chunks import long_logs
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
@@ -178,14 +178,14 @@ class LogJob:
 
     vehicle: str  # path of the vehicle file as workers see it, or name of a bundled vehicle
     effects: tuple[str, ...] = ()  # paths of files with effects of the user
-    mapping: str = "{}"  # the mapping file's content as JSON
+    mapping: str = "{}"  # the mapping file's content as JSON; an empty one for none
     fill: CommandPolicy | None = None  # what to do where a command has no sample
     trust_log: bool = False  # whether physically impossible logs count
 
     @cached_property
-    def log_mapping(self) -> LogMapping:
+    def log_mapping(self) -> LogMapping | None:
         """What the columns of the logs mean."""
-        return LogMapping.model_validate_json(self.mapping)
+        return LogMapping.model_validate_json(self.mapping) if json.loads(self.mapping) else None
 
 
 @dataclass(frozen=True)
@@ -270,14 +270,20 @@ def identify_log(path: str, mapping: str) -> tuple[Partition, str]:
     return partition_of(Path(path), LogMapping.model_validate_json(mapping)), sha256
 
 
+def runs_of(job: Job, path: str, commands: Sequence[str]) -> Iterator[Run]:
+    """Parts of a log as a job reads it, of one stretch after the other."""
+    for log in long_logs(Path(path), job.log_mapping, commands, missing_commands=job.fill):
+        yield from (part.run for part in log.parts(job.rows, 0))
+
+
 def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
     """Reduce a log, some rows at a time.
 
     `sha256`: of its bytes, where it is known.
     """
     panel = panel_of(job)
-    log = LongLog(Path(path), job.log_mapping, panel.vehicle.command_names, (None, None), job.fill)
-    reduced = reduce_runs((part.run for part in log.parts(job.rows, 0)), panel, path, trust_log=job.trust_log)
+    runs = runs_of(job, path, panel.vehicle.command_names)
+    reduced = reduce_runs(runs, panel, path, trust_log=job.trust_log)
     if sha256 and sha256_of(path) != sha256:  # after it was read: it may still be written to
         raise UndertowError(f"{path} was changed while it was read, or is another for this worker: run again")
     return reduced

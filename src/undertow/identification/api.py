@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
-from undertow.files import write_whole
 from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.saving import save_vehicle
@@ -38,11 +37,13 @@ from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
 from .estimation.windows import Prediction, cut, horizons, prediction_error
 from .logs.checks import check_fit
-from .logs.chunks import LongLog
+from .logs.chunks import long_logs
+from .logs.formats.registry import format_of
 from .logs.mapping import LogMapping, read_mapping
 from .logs.reading import read_log as read
 from .logs.run import Run
-from .long_logs.choosing import beyond_memory, in_parts, read_in_parts
+from .logs.saving import save_log as save_log
+from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
@@ -414,23 +415,11 @@ def read_log(
     (1200,)
     """
     meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
-    if Path(path).is_file() and in_parts([Path(path)], meaning or LogMapping()):
-        log = LongLog(Path(path), meaning or LogMapping(), tuple(commands), window, required=True)
-        if beyond_memory([log]):
-            return read_in_parts(log)
+    if Path(path).is_file() and format_of(Path(path)) is None:
+        parts = long_logs(Path(path), meaning, tuple(commands), window, required=True)
+        if len(parts) == 1 and beyond_memory(parts):
+            return read_in_parts(parts[0])
     return read(path, meaning, commands, window=window)
-
-
-def save_log(run: Run, out: Path) -> None:
-    """Write a run as CSV with the channel names and SI units of undertow, so that it needs no mapping file.
-
-    What was derived from other channels is left out: whoever reads the file derives it again.
-    """
-    import polars as pl
-
-    measured = {name: data for name, data in run.channels.items() if name not in run.derived}
-    table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)
-    write_whole(out, table.write_csv())
 
 
 def fit(

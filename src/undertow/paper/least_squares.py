@@ -15,7 +15,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from undertow.errors import UndertowError
-from undertow.files import sha256_of
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.fitted import Triangle, base_parameters, undetermined
 from undertow.identification.estimation.step import estimated
@@ -292,7 +291,7 @@ def _outlined(log: LongLog, rows: int, progress: Progress) -> Run:
     parts = (part.run for part in log.parts(rows, 0))
     first = next(parts, None)
     whole = parts if first is None else chain([first], parts)
-    return outline(whole, log.path.name.split(".")[0], sha256_of(log.path))
+    return outline(whole, log.name, log.sha256)
 
 
 def _overlap(cases: Sequence[Case], edges: Edges) -> int:
@@ -424,8 +423,8 @@ def identify_in_parts(
     trust_log: bool = False,
 ) -> Identified:
     """The same from logs that are read in parts, each given once."""
-    paths = [log.path.resolve() for log in logs]
-    twice = [path for path in paths if paths.count(path) > 1]
+    parts = [(log.path.resolve(), log.stretch) for log in logs]
+    twice = [path for path, stretch in parts if parts.count((path, stretch)) > 1]
     if twice:
         raise UndertowError(f"log {twice[0]} is given twice: give each once")
     found = estimate_streaming(

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import html
 import math
+from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -41,6 +44,22 @@ _WITH_ZOOM = {
     "displayModeBar": True,
     "modeBarButtonsToRemove": ["lasso2d", "autoScale2d", "toImage", "zoomIn2d", "zoomOut2d"],
 }
+
+
+@lru_cache(maxsize=1000)
+def typeset(latex: str) -> str | None:
+    """An equation as the address of a picture in the page itself; None for what cannot be typeset.
+
+    `latex` is that of the page of the catalogue; it takes a twentieth of a second.
+    """
+    from matplotlib.mathtext import math_to_image
+
+    stream = BytesIO()
+    try:
+        math_to_image(f"${latex}$", stream, dpi=72, format="svg", color=_MEASURED)
+    except ValueError:
+        return None
+    return f"data:image/svg+xml;base64,{b64encode(stream.getvalue()).decode()}"
 
 
 def thinned(t: Array, y: Array, pixels: int = SETTINGS.pixels) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence, Set
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from undertow.model.units import short_unit
 
 from . import figures
 from .session import FORCE, ModelStep, Workspace, near
-from .view import View, action, heading, lines, measures, shown, stale, words_of
+from .view import View, action, equation, heading, lines, measures, shown, stale, words_of
 
 _VERDICTS = {
     "adequate": "Nothing is missing that these logs could show",
@@ -153,9 +154,11 @@ def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | N
 def _details(view: View, c: Mapping[str, Any]) -> None:
     from nicegui import ui
 
-    with ui.expansion("equation, what it is confused with").props("dense").classes("w-full text-sm"):
+    details = ui.expansion("equation, what it is confused with").mark(f"details-{c['effect']}")
+    with details.props("dense").classes("w-full text-sm"):
         ui.label(c["about"]).classes("text-sm")
-        lines("\n".join(c["equations"]))
+        place = ui.column().classes("w-full gap-1")
+        details.on_value_change(lambda: _equations(place, c))
         if c["not_named"]:
             ui.label(f"not named: {c['effect']} {c['not_named']}").classes("text-sm")
         ui.label(
@@ -171,6 +174,15 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
         between = ",".join([c["effect"], *c["confused"]])
         line = view.bench.place.line()
         lines(line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv"))
+
+
+def _equations(place: Any, c: Mapping[str, Any]) -> None:
+    """The equations of a candidate, typeset when they are first looked at; as text where they cannot be."""
+    if place.default_slot.children:
+        return
+    with place:
+        for plain, latex in zip_longest(c["equations"], c.get("typeset", ())):
+            equation(plain, None if latex is None else figures.typeset(latex))
 
 
 def _chance(p: float | None) -> str:

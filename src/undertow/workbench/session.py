@@ -307,7 +307,10 @@ class Workspace:
     def line(self, vehicle: str | None = None, own: Sequence[str] = ()) -> CommandLine:
         """The words of a command line for the vehicle, the logs and how they are read, with effects `own`."""
         s, mapping = self.session, self.mapping_file
-        options = ["--map", near(mapping)] if mapping and not s.written else []
+        if s.written:
+            beside = Path(s.written[0]).with_suffix(".toml")
+            mapping = beside if beside.exists() else None
+        options = ["--map", near(mapping)] if mapping else []
         given = [near(path) for path in s.effects if Path(path).parent != self.folder.absolute()]
         options += [word for path in (*given, *own) for word in ("--effects", path)]
         options += ["--fill", s.fill] if s.fill and not s.written else []

@@ -238,6 +238,7 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
         "about": ranked.about,
         "family": ranked.family,
         "equations": [f"{e.left} = {e.plain}" for e in description.equations],
+        "typeset": [e.latex for e in description.equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],
         "errors": {FORCE: ranked.error_after, **_finite(job.judges.ahead(fit))},
         "explained": ranked.explained,
@@ -420,6 +421,7 @@ def write_logs(job: Job) -> Result:
     for role in ("train", "judge"):
         for i, run in enumerate(job.runs(role), start=1):
             out = job.place.folder / f"{role}-{i}.csv"
+            out.with_suffix(".toml").unlink(missing_ok=True)
             save_log(run, out)
             written.append(str(out))
     return {"written": written, "logs": written}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -90,6 +91,19 @@ def lines(text: str) -> None:
 
     style = "white-space: pre-wrap; overflow-wrap: anywhere; background: #f5f5f5; border-radius: 4px"
     ui.label(text).classes("font-mono text-xs px-2 py-1 w-full").style(style)
+
+
+def equation(plain: str, picture: str | None) -> None:
+    """An equation by the address of its picture, with its text for those who cannot see it; else the text."""
+    from nicegui import ui
+
+    if picture is None:
+        lines(plain)
+        return
+    text = html.escape(plain, quote=True)
+    ui.html(f'<img src="{picture}" alt="{text}" title="{text}" style="max-width: none">').style(
+        "overflow-x: auto; width: 100%"
+    ).mark("equation")
 
 
 def action(text: str, view: View, task: str, *, flat: bool = False, **args: Any) -> Any:

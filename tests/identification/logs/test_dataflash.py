@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from undertow.errors import UndertowError
 from undertow.identification.diagnose import diagnose
 from undertow.identification.logs.formats.ardupilot import vehicle_text
 from undertow.identification.logs.formats.fieldlog import FieldLog
+from undertow.identification.logs.formats.frames import FRAMES
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.identification.logs.run import Run
@@ -40,14 +42,9 @@ SMALL = FIELD / "small.BIN"
 FLOAT32 = 2.0**-23
 
 
-@pytest.fixture(scope="module")
-def log_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bin(tmp_path_factory.mktemp("bin") / "dive.bin")
-
-
-@pytest.fixture(scope="module")
-def log(log_path: Path) -> FieldLog:
-    return read_field_log(log_path)
+def written(folder: Path) -> Path:
+    """The dive, for the fixtures `log_path` and `log`."""
+    return write_bin(folder / "dive.bin")
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +238,7 @@ def test_the_trim_of_an_output_is_where_its_motor_rests(tmp_path: Path) -> None:
     vehicle = vehicle_for(tmp_path)[1]
     (run,) = read_logs([write_bin(tmp_path / "trim.bin", changes)], vehicle)
     np.testing.assert_allclose(run.channels["f1"][:-1] * FULL, dive().thrust[:-1, 0], atol=1e-9)
-    assert f"motor 1 rests at 1520 µs, the trim of output {output}" in run.notes
+    assert f"motor 1 rests at 1520 µs, the trim of output {output}" in run.reader_notes
 
 
 def test_a_reversal_is_heeded_where_the_autopilot_heeds_it(tmp_path: Path) -> None:
@@ -252,7 +249,7 @@ def test_a_reversal_is_heeded_where_the_autopilot_heeds_it(tmp_path: Path) -> No
     for path, sign, told in ((sub, 1.0, "does not heed"), (other, -1.0, "is turned")):
         (run,) = read_logs([path], vehicle)
         np.testing.assert_allclose(run.channels["f3"][:-1] * FULL, sign * dive().thrust[:-1, 2], atol=1e-9)
-        assert any("REVERSED" in note and told in note for note in run.notes)
+        assert any("REVERSED" in note and told in note for note in run.reader_notes)
 
 
 # --- the vehicle ----------------------------------------------------------------------------------
@@ -290,11 +287,32 @@ def test_the_frame_with_six_thrusters_is_its_own_vehicle(tmp_path: Path) -> None
         np.testing.assert_allclose(ours.wrench, theirs.wrench, atol=1e-12)
 
 
-@pytest.mark.parametrize("frame", [0.0, 5.0])
-def test_a_frame_that_is_not_known_is_refused(frame: float, tmp_path: Path) -> None:
-    log = read_field_log(write_bin(tmp_path / "frame.bin", _with(FRAME_CONFIG=frame)))
-    with pytest.raises(UndertowError, match=rf"states FRAME_CONFIG {frame:g}, and thrusters are known for 1"):
-        vehicle_text(log, "made")
+@pytest.mark.parametrize(("frame", "told"), [(7.0, r"7 \(Custom\)"), (9.0, "9")])
+def test_a_frame_that_is_not_known_is_refused(log: FieldLog, frame: float, told: str) -> None:
+    other = replace(log, parameters={**log.parameters, "FRAME_CONFIG": frame})
+    with pytest.raises(
+        UndertowError, match=rf"states FRAME_CONFIG {told}, and motors are known for 0 BlueROV1"
+    ):
+        vehicle_text(other, "made")
+
+
+@pytest.mark.parametrize("number", sorted(FRAMES))
+def test_thrusters_of_a_frame_do_what_its_firmware_means_them_to(
+    log: FieldLog, tmp_path: Path, number: int
+) -> None:
+    """A demand, mixed by the factors, moves the vehicle that way: the moments have the signs of the mixer."""
+    ways = {f"MOT_{k}_DIRECTION": 1.0 for k in range(1, 9)}
+    made = _written(replace(log, parameters={**log.parameters, **ways, "FRAME_CONFIG": number}), tmp_path)
+    frame = FRAMES[number]
+    assert len(made.thrusters) == len(frame.motors)
+    for thruster, factors in zip(made.thrusters, frame.motors, strict=True):
+        force, moment = np.split(np.array(thruster.wrench, dtype=float), 2)
+        assert np.linalg.norm(force) == pytest.approx(1.0)
+        np.testing.assert_array_equal(
+            np.sign(force.round(9)), np.sign([factors.forward, factors.lateral, -factors.throttle])
+        )
+        asked = np.array(factors[:3], dtype=float)
+        assert all(np.sign(moment[asked != 0]) == np.sign(asked[asked != 0])), (frame.name, thruster.name)
 
 
 def test_curves_of_the_t200_have_the_published_ends() -> None:
@@ -315,7 +333,7 @@ def test_curves_of_the_t200_have_the_published_ends() -> None:
 
 def test_outputs_that_are_taken_for_newtons_are_told(log_path: Path) -> None:
     (run,) = read_logs([log_path], load_vehicle("bluerov2"))
-    assert any("the vehicle takes them for newtons" in note for note in run.notes)
+    assert any("the vehicle takes them for newtons" in note for note in run.reader_notes)
 
 
 # --- damage ---------------------------------------------------------------------------------------

@@ -11,9 +11,11 @@ import pytest
 
 import undertow as ut
 from undertow.errors import UndertowError
+from undertow.identification.logs.formats import registry
 from undertow.identification.logs.formats.fieldlog import FieldLog, Series, rising, union
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.formats.stretches import cut_at
+from undertow.identification.logs.helper import Helper
 from undertow.identification.logs.mapping import Column, LogMapping, mapping_text, read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
@@ -139,3 +141,29 @@ def test_a_library_that_is_not_installed_is_one_line_with_the_command_for_it(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(UndertowError, match=rf'{library.split(".")[0]}: pip install "undertow\[field\]"'):
         read_log(tmp_path / name)
+
+
+def test_a_question_that_ends_its_process_does_not_end_ours() -> None:
+    program = """
+import json, signal, sys
+for line in sys.stdin:
+    signal.setitimer(signal.ITIMER_PROF, 0.2)
+    while json.loads(line) == "hang":
+        pass
+    print(json.dumps("answered"), flush=True)
+"""
+    helper = Helper(program)
+    asked = [helper.answer(question, "no helper", "ended") for question in ("go", "hang", "go")]
+    helper.close()
+    assert asked == ["answered", "ended", "answered"]
+
+
+def test_a_file_with_which_its_reader_hangs_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    helper = Helper("import sys; sys.stdin.readline()")  # it ends with the first question
+    monkeypatch.setattr(registry, "_TRIES", helper)
+    (tmp_path / "dive.nc").write_bytes(b"CDF\x01" + bytes(60))
+    with pytest.raises(UndertowError, match=r"dive.nc cannot be read as NetCDF: its reader .* 20 s: copy it"):
+        read_log(tmp_path / "dive.nc")
+    helper.close()

@@ -129,6 +129,22 @@ def test_a_glider_without_dbdreader_is_one_line(tmp_path: Path, monkeypatch: pyt
         read_log(path)
 
 
+def test_the_depth_of_a_science_file_is_that_of_its_pressure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "unit.ebd"
+    path.write_bytes(b"dbd_label:    DBD(dinkum_binary_data)file\n")
+    bar = np.array([0.0, 2.0, np.nan, 5.0])
+    found = np.arange(4.0), {"sci_water_pressure": bar}, {"sci_water_pressure": "bar"}
+    monkeypatch.setattr(glider, "find_spec", lambda name: True)
+    monkeypatch.setattr(glider, "_sensors", lambda path, messages: found)
+    run = read_log(path)
+    assert run.channels["z"] == pytest.approx(bar * 1e5 / (1025.0 * 9.81), nan_ok=True)
+    assert any("sci_water_pressure in bar, with 1025 kg/m^3" in note for note in run.reader_notes)
+    found[1]["m_depth"] = np.ones(4)
+    assert read_log(path).channels["z"] == pytest.approx(1.0)
+
+
 def test_dbdreader_is_never_imported() -> None:
     import subprocess
     import sys
@@ -150,6 +166,8 @@ def test_the_sample_of_dbdreader_is_read(tmp_path: Path) -> None:
     alone.write_bytes(whole)
     with pytest.raises(UndertowError, match=r"alone\.dbd .*\.cac.* --messages FOLDER"):
         read_log(alone)
+    deep = [read_log(_REAL.with_suffix(end)).channels["z"] for end in (".dbd", ".ebd")]
+    assert np.nanmax(deep[1]) == pytest.approx(np.nanmax(deep[0]), rel=0.03)  # CTD and glider's own sensor
     cut = read_field_log(alone, _REAL.parent / "cac")
     assert np.array_equal(cut.series["dbd"].t, log.series["dbd"].t)
     for share in (0.001, 0.3, 0.9):

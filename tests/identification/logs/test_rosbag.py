@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import examine
+from undertow.identification.logs.formats import rosbag
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
@@ -30,6 +32,16 @@ def test_the_dive_comes_back(tmp_path: Path, name: str) -> None:
     assert_the_dive(run, dive(), 1e-9)
     assert run.mapping is not None
     assert (run.mapping.frames.position, run.mapping.frames.body) == ("ENU", "FLU")
+
+
+def test_messages_are_decoded_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = bag(tmp_path / "dive.mcap", dive())
+    monkeypatch.setattr(rosbag, "SETTINGS", replace(rosbag.SETTINGS, together=7))
+    (run,) = read_logs([path], load_vehicle("bluerov2"))
+    assert_the_dive(run, dive(), 1e-9)
+    monkeypatch.setattr(rosbag, "SETTINGS", replace(rosbag.SETTINGS, kept=100_000))
+    with pytest.raises(UndertowError, match=r"more than 0.1 MB of messages .* rosbags-convert --src"):
+        read_field_log(path)
 
 
 def test_a_folder_of_rosbag2_is_one_log(tmp_path: Path) -> None:

@@ -26,14 +26,9 @@ FLOAT32 = 2.0**-23
 pytest.importorskip("pymavlink")
 
 
-@pytest.fixture(scope="module")
-def log_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_tlog(tmp_path_factory.mktemp("tlog") / "dive.tlog")
-
-
-@pytest.fixture(scope="module")
-def log(log_path: Path) -> FieldLog:
-    return read_field_log(log_path)
+def written(folder: Path) -> Path:
+    """The dive, for the fixtures `log_path` and `log`."""
+    return write_tlog(folder / "dive.tlog")
 
 
 def _in_dive(log: FieldLog, name: str, columns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:

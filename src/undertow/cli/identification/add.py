@@ -71,7 +71,7 @@ def add(
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, picture, json, inputs=[*read, *([] if in_place else [vehicle])])
     loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT)
-    model, train, test, _ = loaded
+    model, train, test, _, _ = loaded
     with progress("fitting the model as it is") as report:
         ground, addition = try_effect(
             model, effect, train, test, known=known, keep_all=all, report=report, trust_log=options.trust_log

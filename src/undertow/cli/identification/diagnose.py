@@ -82,7 +82,7 @@ def diagnose(
     settings = Settings(false_alarm_rate=false_alarms, worth=worth)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
     loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=SEARCH)
-    model, train, test, _ = loaded
+    model, train, test, _, _ = loaded
     with progress("looking for what is missing") as bar:
         outcome = run(
             model,

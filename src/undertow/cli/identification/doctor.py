@@ -76,11 +76,10 @@ def doctor(
 
     def draw(path: Path) -> None:
         from undertow.figures import save_png
-        from undertow.identification.logs.formats.registry import open_field_log
         from undertow.identification.report.pictures import rates_picture
 
-        own = map(open_field_log, logs if options.map is None else ())
-        save_png(rates_picture(examined, model, [log for log in own if log is not None]), path)
+        own = () if options.map else loaded.field_logs
+        save_png(rates_picture(examined, model, own), path)
 
     write_files(
         (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),

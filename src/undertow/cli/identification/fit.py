@@ -93,7 +93,7 @@ def fit(
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
     loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT)
-    model, train, test, _ = loaded
+    model, train, test, _, _ = loaded
     with progress("fitting") as report:
         done = refit(
             model,

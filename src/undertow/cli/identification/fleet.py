@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from undertow.fleet.engine import Engine
     from undertow.fleet.rollouts import Band
     from undertow.fleet.verdicts import FleetReport, Parameter, Period, VehicleReport
-    from undertow.identification.logs.mapping import LogMapping
 
 app = typer.Typer(add_completion=False)
 
@@ -92,11 +91,11 @@ class FleetOptions:
         return tuple(str(f.absolute()) for f in self.effects or ())
 
     @property
-    def mapping(self) -> LogMapping:
+    def mapping(self) -> str:
         """What the columns of the logs mean."""
-        from undertow.identification.logs.mapping import LogMapping, read_mapping
+        from undertow.identification.logs.mapping import read_mapping
 
-        return LogMapping() if self.map is None else read_mapping(self.map)
+        return "{}" if self.map is None else read_mapping(self.map).model_dump_json()
 
 
 @app.callback()
@@ -146,7 +145,7 @@ def diagnose(
         job = Job(
             seen or str(Path(vehicle).absolute()),
             options.files,
-            _readable_in_parts(options).model_dump_json(),
+            options.mapping,
             daily=DAILY if daily is None else tuple(daily),
             fill=options.fill,
             trust_log=options.trust_log,
@@ -169,17 +168,6 @@ def _seen(vehicle: str) -> str | None:
     if PLACE in vehicle:
         return None
     return str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
-
-
-def _readable_in_parts(options: FleetOptions) -> LogMapping:
-    """The mapping, if logs can be read in parts with it."""
-    mapping = options.mapping
-    if mapping.time.unit == "iso" or mapping.time.every > 1 or any(c.fresh for c in mapping.columns.values()):
-        raise UndertowError(
-            f"mapping {options.map}: dates in words, `every` and `fresh` need whole logs, which a fleet does "
-            "not read: give the time as a number, and leave out the others"
-        )
-    return mapping
 
 
 @app.command()
@@ -228,7 +216,7 @@ def rollouts(
         if missing is not None:
             raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
         seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
-        mapping = options.mapping.model_dump_json()
+        mapping = options.mapping
         job = RolloutJob(
             seen, options.files, mapping, options.fill, options.trust_log, horizon, coverage, seed
         )

@@ -128,12 +128,14 @@ def _identified(
     """Estimates; from parts of the logs where that is asked for or they are long."""
     from undertow.identification.logs.chunks import NeedsWhole
     from undertow.identification.logs.table import size_of
+    from undertow.model.loading import load_vehicle
     from undertow.paper.least_squares import identify, identify_in_parts
 
     if stream or sum(map(size_of, logs)) > _LONG:
         try:
             with progress("reading logs") as report:
-                model, long = options.load_in_parts(vehicle, logs)
+                model = load_vehicle(vehicle, effect_files=options.effects or ())
+                long = options.in_parts(model, logs)
                 return identify_in_parts(
                     model, long, cases, edges, progress=report, trust_log=options.trust_log
                 )

@@ -92,7 +92,7 @@ def _write(log: FieldLog, meaning: LogMapping, out: Path, beside: Path) -> None:
     """Write the columns that a mapping reads as a table, and the mapping beside it."""
     from undertow.files import write_whole
     from undertow.identification.logs.mapping import mapping_text
-    from undertow.identification.logs.reading import columns_read
+    from undertow.identification.logs.opening import columns_read
 
     rows, cells = log.table(columns_read(meaning)), BytesIO()
     if out.suffix == ".csv":

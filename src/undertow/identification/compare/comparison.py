@@ -454,7 +454,7 @@ def _compared(run: Run) -> ComparedRun:
         sha256=run.sha256,
         samples=len(run.t),
         duration=float(run.t[-1] - run.t[0]),
-        notes=list(run.notes),
+        notes=[*run.notes, *run.reader_notes],
     )
 
 

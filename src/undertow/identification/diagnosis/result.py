@@ -45,7 +45,7 @@ def run_info(run: Run, role: Role) -> RunInfo:
         role=role,
         samples=len(run.t),
         duration=float(run.t[-1] - run.t[0]),
-        notes=list(run.notes),
+        notes=[*run.notes, *run.reader_notes],
     )
 
 

@@ -4,29 +4,41 @@ from __future__ import annotations
 
 import gzip
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.units import scale_offset
 
 from .checks import empty, in_order
+from .formats.fieldlog import Window
 from .mapping import CommandPolicy, LogMapping
-from .reading import must_have, run_of_table
+from .opening import (
+    FieldLogs,
+    field_log,
+    must_have,
+    nothing_numbered,
+    opened_field_log,
+    opened_table,
+    stretches_of,
+)
+from .reading import run_of_table
 from .run import Run
 from .table import (
     DAMAGED,
     WHOLE,
     Origin,
     elapsed,
+    file_hash,
     flat_table,
     is_dates,
     is_gzip,
@@ -39,9 +51,6 @@ from .table import (
     size_of,
 )
 
-if TYPE_CHECKING:
-    import polars as pl
-
 # Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
 _GLANCE = 1 << 18
 _MOST_SKIPPED = 100
@@ -52,7 +61,7 @@ class NeedsWhole(UndertowError):
 
 
 class LogPart(NamedTuple):
-    """LogPart of a long log."""
+    """Part of a long log."""
 
     run: Run  # its samples within the window
     # Time in the middle of the rows that it shares with the part after it, s; by the rows of the file,
@@ -62,14 +71,33 @@ class LogPart(NamedTuple):
 
 @dataclass(frozen=True)
 class LongLog:
-    """A log that is read in parts."""
+    """A log, or one of its stretches, that is read in parts."""
 
-    path: Path  # CSV, CSV.gz or Parquet file
+    path: Path  # the file
     mapping: LogMapping
     commands: tuple[str, ...]  # names of commands that are read where the log has them
-    window: tuple[float | None, float | None] = (None, None)  # part that is used, s; None: no limit
+    window: Window = (None, None)  # part that is used, s; None: no limit
     missing_commands: CommandPolicy | None = None  # what to do where a command has no sample
     required: bool = False  # whether a log without one of the commands is refused
+    # Its rows, where they are not those of the file: a stretch, or what a vehicle's own log was turned into.
+    table: pl.LazyFrame | None = None
+    stretch: int = 0  # which stretch it is, counted from one; 0 for a whole log
+    reader_notes: tuple[str, ...] = ()  # as of a run: empty for a table
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.path.name.split(".")[0] + (f"-{self.stretch}" if self.stretch else "")
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the bytes of the file."""
+        return file_hash(self.path)
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether its rows are held already: a vehicle's own log is read as a whole."""
+        return bool(self.reader_notes)
 
     @property
     def _where(self) -> str:
@@ -104,6 +132,9 @@ class LongLog:
         No more of the log is read than its first lines or last bytes.
         """
         self._refuse()
+        if self.table is not None:
+            count = self.table.select(pl.len()).collect(engine="streaming").item()
+            return int(count), len(self.table.collect_schema())
         begin = self._begin
         if is_parquet(begin):
             rows, kinds = parquet_size(self.path, self._where)
@@ -131,7 +162,7 @@ class LongLog:
                 continue
 
     def _glanced(self, count: int, rows: int) -> Iterator[pl.DataFrame]:
-        if is_parquet(self._begin):
+        if self._sliced:
             for first in np.unique(np.linspace(0, max(self.size[0] - rows, 0), count).astype(int)):
                 yield read_rows(self._flat, int(first), rows, self._where)
             return
@@ -171,7 +202,9 @@ class LongLog:
         needed, also = (self.commands, ()) if self.required else ((), self.commands)
         fill = self.missing_commands
         run = run_of_table(table, self.path, mapping, needed, self.window, fill, also, origin, before)
-        run = replace(run, mapping=self.mapping)
+        if self.stretch:
+            run = replace(run, name=self.name, part_of=run.name)
+        run = replace(run, mapping=self.mapping, reader_notes=self.reader_notes)
         return run.with_notes(f"one row in {every} used") if every > 1 else run
 
     def _dated(self, table: pl.DataFrame) -> bool:
@@ -187,7 +220,7 @@ class LongLog:
         return elapsed(table.head(1), self.mapping, scale, self._where)[1]
 
     def _refuse(self) -> None:
-        if not self.path.is_file():
+        if self.table is None and not self.path.is_file():
             raise UndertowError(f"{self._where} does not exist or is not a file: give the path of a log")
 
     def _tables(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
@@ -198,7 +231,7 @@ class LongLog:
 
     def _all_rows(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
         """Tables of all rows, whatever `every` says."""
-        if not is_parquet(self._begin):
+        if not self._sliced:
             yield from self._text_tables(rows, overlap, packed=is_gzip(self._begin))
             return
         first = 0
@@ -214,9 +247,14 @@ class LongLog:
         with self.path.open("rb") as file:
             return file.read(4)
 
+    @property
+    def _sliced(self) -> bool:
+        """Whether any of its rows can be had without those before."""
+        return self.table is not None or is_parquet(self._begin)
+
     @cached_property
     def _flat(self) -> pl.LazyFrame:
-        return flat_table(self.path, self._where)
+        return flat_table(self.path, self._where) if self.table is None else self.table
 
     @property
     def _comment(self) -> bytes:
@@ -239,6 +277,87 @@ class LongLog:
         raise UndertowError(f"{self._where} is empty (no header): check that it was written to its end")
 
 
+def long_logs(
+    path: Path,
+    mapping: LogMapping | None,
+    commands: Sequence[str] = (),
+    window: Window = (None, None),
+    missing_commands: CommandPolicy | None = None,
+    *,
+    required: bool = False,
+    field_logs: FieldLogs | None = None,
+) -> list[LongLog]:
+    """A log of any format to be read in parts: one for each of its stretches.
+
+    Tables stay on the disk, except for texts of several stretches; of a vehicle's own log the columns that
+    are read are held.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    mapping : LogMapping, optional
+        What its columns mean; None where the format says so.
+    commands, window, missing_commands, required
+        As of a `LongLog`.
+    field_logs : dict of FieldLog, optional
+        Vehicles' own logs that are open already; others are added.
+
+    Raises
+    ------
+    UndertowError
+        If a vehicle's own log cannot be read, or no row is in a stretch.
+    """
+    names = tuple(commands)
+    log = field_log(path, mapping, field_logs)
+    if log is not None:
+        needed, also = (names, ()) if required else ((), names)
+        found = opened_field_log(log, mapping, needed, also, window)
+        whole = LongLog(path, found.mapping, names, window, missing_commands, required)
+        parts = stretches_of(found.table, found.mapping.time.stretch, f"log {path}")
+        return _numbered(replace(whole, reader_notes=found.notes), [part.lazy() for part in parts])
+    whole = LongLog(path, mapping or LogMapping(), names, window, missing_commands, required)
+    column = whole.mapping.time.stretch
+    if column is None or not path.is_file():
+        return [whole]
+    return _numbered(whole, _stretches_of_file(whole, column))
+
+
+def _numbered(whole: LongLog, parts: Sequence[pl.LazyFrame]) -> list[LongLog]:
+    if len(parts) == 1:
+        return [replace(whole, table=parts[0])]
+    return [replace(whole, table=part, stretch=k) for k, part in enumerate(parts, 1)]
+
+
+def _stretches_of_file(log: LongLog, column: str) -> list[pl.LazyFrame]:
+    """The stretches of a table: of a Parquet file where they are in it, of a text their rows."""
+    where = f"log {log.path}"
+    with log.path.open("rb") as file:
+        begin = file.read(4)
+    if not is_parquet(begin):
+        parts = stretches_of(opened_table(log.path, log.mapping).table, column, where)
+        return [part.lazy() for part in parts]
+    flat = flat_table(log.path, where)
+    must_have(column, flat.collect_schema().names(), where, "column of stretches,")
+    row = pl.col("row")
+    ranges = (
+        flat.select(column).with_row_index("row").drop_nulls().group_by(column)
+        .agg(row.min().alias("first"), (row.max() + 1).alias("stop"), pl.len().alias("rows"))
+        .sort("first").collect(engine="streaming")
+    )  # fmt: skip
+    if not ranges.height:
+        raise UndertowError(nothing_numbered(column, where))
+    return [_rows_of(flat, column, *one) for one in ranges.iter_rows()]
+
+
+def _rows_of(
+    flat: pl.LazyFrame, column: str, number: object, first: int, stop: int, rows: int
+) -> pl.LazyFrame:
+    """The rows with a number in a column; where they are beside each other, nothing else is read."""
+    between = flat.slice(first, stop - first)
+    return (between if rows == stop - first else between.filter(pl.col(column) == number)).drop(column)
+
+
 def _every(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
     """Every so many-th row of tables that follow each other."""
     before = 0
@@ -249,8 +368,6 @@ def _every(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]
 
 def _of_rows(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Iterator[pl.DataFrame]:
     """The same rows in tables of so many rows that overlap."""
-    import polars as pl
-
     held: pl.DataFrame | None = None
     fresh = False  # whether there are rows that were not handed out yet
     for table in tables:

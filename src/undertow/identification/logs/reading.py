@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import (
     Channels,
     over_ground,
@@ -23,14 +22,10 @@ from undertow.identification.logs.mapping import (
 from undertow.identification.logs.table import (
     WHOLE,
     LogLimits,
-    NotTextError,
     Origin,
     elapsed,
-    file_bytes,
-    file_hash,
     is_dates,
     numbers,
-    read_table,
     seconds,
 )
 from undertow.model.catalogue import catalogue, logged_quantities
@@ -40,9 +35,17 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
 
 from . import checks
-from .formats.fieldlog import FieldLog
-from .formats.registry import open_field_log, readable
+from .formats.fieldlog import Window
 from .mapping import Channel, Column, CommandPolicy, LogMapping, seconds_of
+from .opening import (
+    FieldLogs,
+    dropping_disorder,
+    field_log,
+    must_have,
+    opened_field_log,
+    opened_table,
+    stretches_of,
+)
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
 from .series import OneClock, Series, are_several, on_one_clock, with_report_noise
@@ -55,7 +58,7 @@ def read_log(
     mapping: LogMapping | None = None,
     channels: Iterable[str] = (),
     *,
-    window: tuple[float | None, float | None] = (None, None),
+    window: Window = (None, None),
     missing_commands: CommandPolicy | None = None,
     also: Iterable[str] = (),
     limits: LogLimits = WHOLE,
@@ -85,75 +88,31 @@ class _Asked:
 
     mapping: LogMapping | None
     channels: tuple[str, ...]
-    window: tuple[float | None, float | None]
+    window: Window
     missing_commands: CommandPolicy | None
     also: tuple[str, ...]
     limits: LogLimits
     in_any_order: bool = False
+    field_logs: FieldLogs | None = None
 
 
 def _runs_of(path: Path, asked: _Asked) -> list[Run]:
     """The stretches of a log, each as a run."""
-    table, meaning, sha256, notes = _opened(path, asked)
-    taken = in_any_order(meaning) if asked.in_any_order else meaning
+    log = field_log(path, asked.mapping, asked.field_logs)
+    if log is None:
+        found = opened_table(path, asked.mapping, asked.limits)
+    else:
+        found = opened_field_log(log, asked.mapping, asked.channels, asked.also, asked.window)
+    meaning = found.mapping
+    taken = dropping_disorder(meaning) if asked.in_any_order else meaning
     how = (path, taken, asked.channels, asked.window, asked.missing_commands, asked.also)
-    stretches = _stretches(table, meaning.time.stretch, f"log {path}")
-    runs = [run_of_table(part, *how).with_notes(*notes) for part in stretches]
-    runs = [replace(run, mapping=meaning, sha256=sha256) for run in runs]
+    runs = [
+        run_of_table(part, *how) for part in stretches_of(found.table, meaning.time.stretch, f"log {path}")
+    ]
+    runs = [replace(r, mapping=meaning, sha256=found.sha256, reader_notes=found.notes) for r in runs]
     if len(runs) == 1:
         return runs
     return [replace(r, name=f"{r.name}-{k}", part_of=r.name) for k, r in enumerate(runs, 1)]
-
-
-def in_any_order(mapping: LogMapping) -> LogMapping:
-    """The mapping with which rows are left out whose time is not later than that of all before."""
-    return mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
-
-
-def _opened(path: Path, asked: _Asked) -> tuple[pl.DataFrame, LogMapping, str, tuple[str, ...]]:
-    """The table of a log, what its columns mean, the hash of its bytes, and notes on its format."""
-    given, where = asked.mapping, f"log {path}"
-    log = open_field_log(path, given.messages if given else None)
-    if log is not None:
-        meaning = given or log.mapping_for([*asked.channels, *asked.also])
-        if given is None:
-            _refuse_other_motors(log, meaning, asked.channels)
-        notes = (f"{_READ_AS}{log.format}", *log.notes)
-        return log.table(columns_read(meaning)), meaning, file_hash(path), notes
-    meaning, data = given or LogMapping(), file_bytes(path, asked.limits)
-    try:
-        table = read_table(data, meaning, where, path, asked.limits)
-    except NotTextError as error:
-        raise UndertowError(f"{error}; {readable()}") from error
-    return table, meaning, hashlib.sha256(data).hexdigest(), ()
-
-
-def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[str]) -> None:
-    """Refuse a log whose motors cannot be the commands of a vehicle."""
-    known = {*(column.channel for column in meaning.columns.values())}
-    lacking = [name for name in commands if name not in known]
-    if lacking and log.actuators:
-        raise UndertowError(
-            f"log {log.path} has {len(log.actuators)} motors ({', '.join(n for n, _ in log.actuators)}), but "
-            f"the vehicle has commands {', '.join(lacking)}: say in a mapping file which is which (undertow "
-            f"import {log.path} --out NEW.parquet writes a first one)"
-        )
-
-
-def _stretches(table: pl.DataFrame, column: str | None, where: str) -> list[pl.DataFrame]:
-    """The parts of a table that are numbered in a column, in the order of time; all of it without one."""
-    if column is None:
-        return [table]
-    must_have(column, table.columns, where, "column of stretches,")
-    parts = table.filter(pl.col(column).is_not_null()).partition_by(
-        column, maintain_order=True, include_key=False
-    )
-    if not parts:
-        raise UndertowError(
-            f"{where}: no row has a number in column {column!r}, so that nothing is left: remove `stretch` "
-            "from [time] in the mapping file to use all of it"
-        )
-    return parts
 
 
 def read_logs(
@@ -161,11 +120,12 @@ def read_logs(
     vehicle: Vehicle,
     mapping: LogMapping | None = None,
     *,
-    window: tuple[float | None, float | None] = (None, None),
+    window: Window = (None, None),
     missing_commands: CommandPolicy | None = None,
     to_fit: bool = False,
     one_motion: bool = False,
     in_any_order: bool = False,
+    field_logs: FieldLogs | None = None,
     progress: Progress = lambda done, words: None,
 ) -> list[Run]:
     """Read the logs of a vehicle, each with a name of its own, and with velocities, if need be from its pose.
@@ -184,6 +144,8 @@ def read_logs(
         Whether a log may hold some of the motions and commands only, as one of a towing tank does.
     in_any_order : bool
         Leave out rows of a table whose time is not later than that of all before.
+    field_logs : dict of FieldLog, optional
+        Vehicles' own logs that are open already; others are added.
     progress : callable
         Told how many logs are read.
 
@@ -202,7 +164,7 @@ def read_logs(
     if to_fit and window == (None, None) and time.disorder != "drop":
         most = checks.MEASURABLE
         limits = replace(WHOLE, rows=most.rows_per_sample * time.every * most.samples)
-    asked = _Asked(mapping, needed, window, missing_commands, also, limits, in_any_order)
+    asked = _Asked(mapping, needed, window, missing_commands, also, limits, in_any_order, field_logs)
     runs: list[Run] = []
     for done, path in enumerate(paths):
         progress(done, f"reading {path.name}")
@@ -219,29 +181,21 @@ def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
     try:
         return velocities_from_pose(run, vehicle.degrees_of_freedom)
     except UndertowError as error:
-        said = "; ".join(format_notes(run))
+        said = "; ".join(run.reader_notes)
         raise UndertowError(f"{error} ({said})" if said else str(error)) from error
-
-
-_READ_AS = "read as "
-
-
-def format_notes(run: Run) -> tuple[str, ...]:
-    """What the reader of a vehicle's own log had to say on it; nothing of a table."""
-    first = next((k for k, note in enumerate(run.notes) if note.startswith(_READ_AS)), len(run.notes))
-    return run.notes[first:]
 
 
 def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
     """The run, with a word on outputs of motors, from -1 to 1, that a vehicle takes for newtons."""
     plain = [t.name for t in vehicle.thrusters if t.law is None and t.thrust_per_command.value == 1.0]
     outputs = [run.channels[name] for name in plain if run.has(name)]
-    if not outputs or not format_notes(run) or not np.nanmax(np.abs(outputs), initial=0.0) <= 1.0:
+    if not outputs or not run.reader_notes or not np.nanmax(np.abs(outputs), initial=0.0) <= 1.0:
         return run
-    return run.with_notes(
+    told = (
         f"commands {', '.join(plain)} lie within -1 and 1, and the vehicle takes them for newtons: give its "
         'thrusters a curve ("t200-16v") or thrust_per_command, as undertow vehicle new --log does'
     )
+    return replace(run, reader_notes=(*run.reader_notes, told))
 
 
 def run_of_table(
@@ -249,7 +203,7 @@ def run_of_table(
     path: Path,
     mapping: LogMapping,
     channels: Iterable[str] = (),
-    window: tuple[float | None, float | None] = (None, None),
+    window: Window = (None, None),
     missing_commands: CommandPolicy | None = None,
     also: Iterable[str] = (),
     origin: Origin | None = None,
@@ -317,34 +271,6 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
     for name in commands:
         must_have(name, known, where, "command channel", names)
     return found
-
-
-def columns_read(mapping: LogMapping) -> list[str]:
-    """Columns of a log that a mapping reads, without those of its clock."""
-    flags = [column.fresh for column in mapping.columns.values() if column.fresh]
-    formulas = [name for channel in mapping.channels.values() for name in channel.formula.columns]
-    return list(dict.fromkeys([*mapping.columns, *flags, *formulas]))
-
-
-def must_have(
-    name: str, names: Iterable[str], where: str, what: str, columns: Sequence[str] | None = None
-) -> None:
-    """Refuse a table without a column, with those that it has."""
-    names = list(names)
-    if name not in names:
-        have = list(names if columns is None else columns)
-        hint = nearest(name, have)
-        more = _delimiter_hint(have)
-        raise UndertowError(f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}")
-
-
-def _delimiter_hint(columns: Sequence[str]) -> str:
-    other = next((sign for sign in ";\t|" if len(columns) == 1 and sign in columns[0]), None)
-    return (
-        f" (one column: set delimiter = {other!r} in a mapping file)"
-        if other
-        else "; say in a mapping file which is meant"
-    )
 
 
 def _time(

@@ -63,6 +63,8 @@ class Run:
         The file the run was read from, and the hash of its bytes.
     notes : tuple of str
         What was converted, dropped or looked odd, one line each.
+    reader_notes : tuple of str
+        What the reader of a vehicle's own log said, the name of its format first; empty for a table.
     sigma : dict of float
         Known standard deviations of the noise of a report, in the unit of the channel.
     derived : frozenset of str
@@ -93,6 +95,7 @@ class Run:
     dropped: int = 0
     part_of: str = ""
     reported: Mapping[str, Flags] = field(default_factory=dict)
+    reader_notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", _frozen(self.t))

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import atexit
 import csv
 import gzip
 import hashlib
 import io
-import json
-import os
-import subprocess
-import sys
-import threading
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from decimal import Decimal
 from os import SEEK_END
 from pathlib import Path
@@ -25,7 +19,9 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.files import sha256_of
 
+from .helper import Helper
 from .mapping import LogMapping
 
 # Of one column after the other nothing is kept but a number; columns of lists are never read.
@@ -56,8 +52,8 @@ def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.Lazy
     if most_cells is not None and rows * len(kinds) > most_cells:
         raise UndertowError(too_many_cells(where, rows, len(kinds), most_cells))
     table = _scanned(path)
-    text = _HELPER.trouble_with(path)
-    if text is not None:
+    text = _HELPER.answer(str(path.absolute()), "", _BREAKS)
+    if text:
         raise UndertowError(_unreadable(where, text))
     return table.with_columns(
         pl.lit(None).cast(kind).alias(n) for n, kind in kinds.items() if kind.is_nested()
@@ -90,58 +86,8 @@ def _unreadable(where: str, reason: str) -> str:
     return f"{where} cannot be read as a table: {line}: check that it is whole, or export it again"
 
 
-@dataclass
-class _Helper:
-    """A process that decodes one file after the other; a new one where it has ended with a file."""
-
-    # Bytes of address space that it may have: what a table of the most cells needs, three times over.
-    memory: int = 6_000_000_000
-    _process: subprocess.Popen[str] | None = None
-    _owner: int = 0
-    _turn: threading.Lock = field(default_factory=threading.Lock)
-
-    def trouble_with(self, path: Path) -> str | None:
-        """Why a file cannot be decoded; None where it can, or no helper can be started."""
-        with self._turn:
-            try:
-                process = self._started()
-                assert process.stdin is not None
-                assert process.stdout is not None
-                process.stdin.write(json.dumps(str(path.absolute())) + "\n")
-                process.stdin.flush()
-                answer = process.stdout.readline()
-            except OSError:
-                return None
-            if not answer:
-                process.communicate()
-                return "the reader breaks down, for the file is damaged or needs too much memory"
-            return str(json.loads(answer)) or None
-
-    def _started(self) -> subprocess.Popen[str]:
-        # A process that was forked off has the helper of its parent, whose answers are not its own.
-        if self._process is None or self._process.poll() is not None or self._owner != os.getpid():
-            self._owner = os.getpid()
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _DECODE, str(self.memory)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                encoding="utf-8",
-                # Threads reserve address space, on a large machine more than there is to be.
-                env={**os.environ, "POLARS_MAX_THREADS": "2", "PYTHONIOENCODING": "utf-8"},
-            )
-        return self._process
-
-    def close(self) -> None:
-        """End the process that this one has started, if there is one."""
-        if self._process is not None and self._owner == os.getpid():
-            self._process.terminate()
-            self._process.communicate()
-
-
-_HELPER = _Helper()
-atexit.register(_HELPER.close)
+_HELPER = Helper(_DECODE)
+_BREAKS = "the reader breaks down, for the file is damaged or needs too much memory"
 
 
 _SMALLER = (
@@ -246,12 +192,10 @@ class NotTextError(UndertowError):
 
 def file_hash(path: Path) -> str:
     """SHA-256 of the bytes of a file, or of all files of a folder in the order of their names."""
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    digest = hashlib.sha256()
-    for file in files:
-        with file.open("rb") as stream:
-            digest.update(hashlib.file_digest(stream, "sha256").digest())
-    return digest.hexdigest()
+    if not path.is_dir():
+        return sha256_of(path)
+    hashes = (sha256_of(file) for file in sorted(path.rglob("*")) if file.is_file())
+    return hashlib.sha256(b"".join(map(bytes.fromhex, hashes))).hexdigest()
 
 
 def read_table(

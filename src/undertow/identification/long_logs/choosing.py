@@ -11,12 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.files import sha256_of
 from undertow.identification.estimation.windows import HORIZONS
 from undertow.identification.logs.checks import MEASURABLE, refuse_twins, with_distinct_names
 from undertow.identification.logs.chunks import LongLog
-from undertow.identification.logs.formats.registry import format_of
-from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
@@ -72,11 +69,6 @@ class CuttingSettings:
 CUTTING = CuttingSettings()
 
 
-def in_parts(paths: Sequence[Path], mapping: LogMapping) -> bool:
-    """Tell whether logs can be read in parts: tables of one stretch, and no logs as a vehicle wrote them."""
-    return mapping.time.stretch is None and not any(map(format_of, paths))
-
-
 def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:
     """Tell whether logs have more than `most` samples; nothing of them is kept in memory."""
     estimated = sum(_size(log)[0] / log.mapping.time.every for log in logs)
@@ -93,7 +85,7 @@ def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:
 def beyond_memory(logs: Sequence[LongLog]) -> bool:
     """Tell whether a file is larger than is read as a whole, however little of it is used."""
     return any(rows * columns > WHOLE.cells for rows, columns in map(_size, logs)) or any(
-        size_of(log.path) > WHOLE.text for log in logs
+        size_of(log.path) > WHOLE.text for log in logs if not log.in_memory
     )
 
 
@@ -122,7 +114,7 @@ def read_in_parts(log: LongLog) -> Run:
     if not parts:
         raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
     lost = sum(part.dropped for part in parts)
-    return replace(reduce(joined, parts), sha256=sha256_of(log.path), dropped=lost)
+    return replace(reduce(joined, parts), sha256=log.sha256, dropped=lost)
 
 
 def short_parts(vehicle: Vehicle, logs: Sequence[LongLog]) -> list[Run]:
@@ -204,7 +196,7 @@ def choose(
     samples = (budget.work // (found.thin if budget.raw else 1), budget.judge)
     cut = _cut(spools, found, samples[0])
     cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_stretches()))]
-    kept = _kept(len(logs), len(holdout), budget)
+    kept = _kept([log.path for log in logs], len(holdout), budget)
     progress(0.6, "information of every stretch")
     pools = _pools(cut, spools, kept, budget)
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
@@ -223,7 +215,7 @@ def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: P
         spool = Spool((part.run for part in log.parts(CUTTING.rows, 0)), thin)
         if not spool.rows:
             raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
-        spool.like = replace(spool.like, sha256=sha256_of(log.path))
+        spool.like = replace(spool.like, sha256=log.sha256)
         spools.append(spool)
     refuse_twins([spool.like for spool in spools])
     for spool, like in zip(spools, with_distinct_names([s.like for s in spools]), strict=True):
@@ -240,13 +232,16 @@ def _cut(spools: Sequence[Spool], found: Band, budget: int) -> list[Stretch]:
     return stretches(spools, rows)
 
 
-def _kept(logs: int, holdout: int, budget: Budget) -> set[int]:
-    """Places of the logs that are kept for validation as a whole."""
+def _kept(files: Sequence[Path], holdout: int, budget: Budget) -> set[int]:
+    """Places of the logs that are kept for validation as a whole; stretches of one file stay together."""
     if not budget.judge:
         return set()
     if holdout:
-        return set(range(logs, logs + holdout))
-    return {i for i in range(logs) if (logs - 1 - i) % CUTTING.kept_logs == 0} if logs > 1 else set()
+        return set(range(len(files), len(files) + holdout))
+    from_last = {path: k for k, path in enumerate(dict.fromkeys(reversed(files)))}
+    if len(from_last) == 1:
+        return set()
+    return {i for i, path in enumerate(files) if from_last[path] % CUTTING.kept_logs == 0}
 
 
 def _pools(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from undertow.model.loading import resolve_vehicle
 from undertow.typing import Array
 
 from .fieldlog import FieldLog
+from .frames import ARMS, CUSTOM, FRAMES, Frame, Vector
 
 Parameters = Mapping[str, float | str]
 
@@ -35,6 +36,16 @@ class AutopilotSettings:
 
 
 SETTINGS = AutopilotSettings()
+
+
+def by_name(names: Sequence[str], values: Array) -> Parameters:
+    """Settings by name; of several values the last."""
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def shorter_by_pymavlink(suffix: str) -> str:
+    """How a log is made smaller by a program that comes with pymavlink."""
+    return f"mavlogdump.py -q -p --nottypes KIND,KIND -o LESS{suffix} LOG (of pymavlink) leaves messages out"
 
 
 # --- motors ---------------------------------------------------------------------------------------
@@ -102,17 +113,6 @@ def _rest(trim: float | str | None, pulses: Array) -> float:
 
 
 # --- the vehicle ----------------------------------------------------------------------------------
-_SIN = 0.7071067811865476
-_LEVEL = ((-_SIN, _SIN, 0), (-_SIN, -_SIN, 0), (_SIN, _SIN, 0), (_SIN, -_SIN, 0))
-# FRAME_CONFIG of ArduSub: the bundled vehicle of that frame, and which way each motor pushes at a positive
-# command where MOT_n_DIRECTION is 1 (AP_Motors6DOF; its throttle counts upwards). The places of the motors
-# are those of the file, in the same order.
-_FRAMES = {
-    1: ("bluerov2-6", (*_LEVEL, (0, 0, 1), (0, 0, 1))),
-    2: ("bluerov2", (*_LEVEL, (0, 0, 1), (0, 0, 1), (0, 0, 1), (0, 0, 1))),
-}
-
-
 def vehicle_text(log: FieldLog, name: str) -> str:
     """A vehicle file for the frame, the directions of the motors and the battery that a log states.
 
@@ -126,32 +126,52 @@ def vehicle_text(log: FieldLog, name: str) -> str:
     Raises
     ------
     UndertowError
-        If the log does not state a frame, or one whose thrusters are not known.
+        If the log does not state a frame, or one whose motors are not known.
     """
-    frame = log.parameters.get("FRAME_CONFIG")
-    if frame not in _FRAMES:
-        stated = "no FRAME_CONFIG" if frame is None else f"FRAME_CONFIG {frame:g}"
-        raise UndertowError(
-            f"log {log.path} states {stated}, and thrusters are known for 1 (vectored, six) and 2 (vectored, "
-            "eight): begin with undertow vehicle new --type rov6 or --mesh, and state its thrusters"
-        )
-    base, ways = _FRAMES[int(frame)]
-    document = tomlkit.parse(resolve_vehicle(base).read_text(encoding="utf-8"))
+    frame = _frame(log)
+    document = tomlkit.parse(resolve_vehicle(frame.base).read_text(encoding="utf-8"))
     curve, why = _curve(log)
     document["name"] = name
-    document["description"] = f"{document['description']}; motors as in the parameters of {log.path.name}"
-    for motor, (table, way) in enumerate(zip(document["thrusters"], ways, strict=True), 1):
-        _turn(table, way, log.parameters.get(f"MOT_{motor}_DIRECTION"), motor)
+    of_log = f"motors as in the parameters of {log.path.name} (frame {frame.name})"
+    hull = "" if frame.bundled else "hull, mass and hydrodynamics only to begin with: "
+    document["description"] = f"{hull}{document['description']}; {of_log}"
+    tables = document["thrusters"]
+    while len(tables) > len(frame.motors):
+        tables.pop()
+    for motor, (table, factors) in enumerate(zip(tables, frame.motors, strict=True), 1):
+        if frame.bundled:
+            table["source"] = f"places as in {table['source']}"
+        else:
+            table["position"] = [f"{metres:g} m" for metres in factors.place(ARMS)]
+            table["source"] = f"side by frame {frame.name}, distance as in {frame.base}: measure it"
+            table.comment(f"motor {motor}")
+        _turn(table, factors.direction, log.parameters.get(f"MOT_{motor}_DIRECTION"), motor)
         table["curve"] = curve
         table["source"] = f"{table['source']}; {why}"
-    return tomlkit.dumps(document)
+    text = tomlkit.dumps(document)
+    # What the bundled file says of its places is not true of others.
+    return text if frame.bundled else re.sub(r"(?m)(^#.*\n)+(?=\[\[thrusters\]\])", "", text, count=1)
 
 
-def _turn(table: Table, way: tuple[float, float, float], direction: float | str | None, motor: int) -> None:
+def _frame(log: FieldLog) -> Frame:
+    """The frame that a log states."""
+    number = log.parameters.get("FRAME_CONFIG")
+    if number in FRAMES:
+        return FRAMES[int(number)]
+    stated = "no FRAME_CONFIG" if number is None else f"FRAME_CONFIG {number:g}"
+    stated += " (Custom)" if number == CUSTOM else ""
+    known = ", ".join(f"{k} {frame.name}" for k, frame in FRAMES.items())
+    raise UndertowError(
+        f"log {log.path} states {stated}, and motors are known for {known}: begin with undertow vehicle new "
+        "--type rov6 or --mesh, and state its thrusters"
+    )
+
+
+def _turn(table: Table, way: Vector, direction: float | str | None, motor: int) -> None:
     sign = -1.0 if direction == -1.0 else 1.0
     told = f"MOT_{motor}_DIRECTION {sign:g}" if direction is not None else "direction of the motor not logged"
     table["direction"] = [sign * axis + 0.0 for axis in way]
-    table["source"] = f"places as in {table['source']}; {told}"
+    table["source"] = f"{table['source']}; {told}"
 
 
 def _curve(log: FieldLog) -> tuple[str, str]:

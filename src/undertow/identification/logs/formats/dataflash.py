@@ -23,7 +23,7 @@ import numpy as np
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array, Flags
 
-from .ardupilot import SETTINGS, actuators
+from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
 from .dataflash_records import FMT, HEAD, Columns, Records, open_records
 from .fieldlog import FieldLog, Format, outputs_of
 from .stretches import armed_stretches, runs_of, used_stretches
@@ -51,12 +51,9 @@ def _understood(path: Path, file: Records) -> FieldLog:
     return FieldLog(path, FORMAT.name, file.series, mapping, driven, parameters, stretches, notes)
 
 
-def _parameters(file: Records) -> dict[str, float | str]:
-    """Settings by name; of several values the last."""
+def _parameters(file: Records) -> Parameters:
     found = file.messages.get("PARM")
-    if found is None:
-        return {}
-    return dict(zip(found.texts("Name"), found.numbers("Value").tolist(), strict=True))
+    return {} if found is None else by_name(found.texts("Name"), found.numbers("Value"))
 
 
 def _outputs(file: Records) -> dict[int, tuple[str, Array]]:
@@ -309,4 +306,4 @@ def _accepts(path: Path, head: bytes) -> bool:
     return begins or (path.suffix.lower() == ".bin" and bytes(HEAD) in head)
 
 
-FORMAT = Format("ArduPilot DataFlash", (".bin",), _accepts, _read)
+FORMAT = Format("ArduPilot DataFlash", (".bin",), _accepts, _read, shorter=shorter_by_pymavlink(".bin"))

@@ -17,6 +17,8 @@ from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.typing import Array, Flags
 
 Places = NDArray[np.intp]
+Window = tuple[float | None, float | None]
+"""First and last time of what is used, s; None for no limit."""
 
 TIME, STRETCH = "t", "stretch"
 """Columns of the table of a log: its time, s, and the number of the stretch that a row belongs to."""
@@ -33,6 +35,11 @@ class UnionSettings:
     # two and the last two: farther ones are damaged.
     jump: float = 1.0
     pause: float = 3600.0
+    # Rows times columns of a table that are held at once: 8 bytes each, three times over while they are put
+    # together. Ten hours of ArduSub have as many.
+    cells: int = 50_000_000
+    # s that are read on either side of a part of a log: what is held there was sent before it begins.
+    margin: float = 10.0
 
 
 SETTINGS = UnionSettings()
@@ -115,8 +122,13 @@ class FieldLog:
         return self.mapping.model_copy(update={"time": time, "columns": known, "missing_commands": policy})
 
     def _called(self, commands: Sequence[str]) -> dict[str, Column]:
-        """Columns that have the names of commands."""
-        found = {c: f"{s.name}.{c}" for s in self.series.values() for c in s.columns if c in commands}
+        """Columns that have the names of commands, and those of series with a single one that have."""
+        found = {
+            s.name: f"{s.name}.{next(iter(s.columns))}"
+            for s in self.series.values()
+            if s.name in commands and len(s.columns) == 1
+        }
+        found |= {c: f"{s.name}.{c}" for s in self.series.values() for c in s.columns if c in commands}
         known = dict(self.actuators)
         return {
             found[c]: known.get(found[c], Column(channel=c)).model_copy(update={"channel": c})
@@ -124,13 +136,15 @@ class FieldLog:
             if c in found
         }
 
-    def table(self, columns: Iterable[str]) -> pl.DataFrame:
+    def table(self, columns: Iterable[str], window: Window = (None, None)) -> pl.DataFrame:
         """The series of some columns side by side: a row for every time, blank where a series has no sample.
 
         Parameters
         ----------
         columns : iterable of str
             Names ``series.column``.
+        window : (float or None, float or None)
+            Part that is used, s: of a table too large for memory no other is held.
 
         Returns
         -------
@@ -140,7 +154,7 @@ class FieldLog:
         Raises
         ------
         UndertowError
-            If the log has no such column.
+            If the log has no such column, or the table is too large.
         """
         asked: dict[str, list[str]] = {}
         for name in dict.fromkeys(columns):
@@ -151,9 +165,8 @@ class FieldLog:
                 f"log {self.path}: none of its series is known to be a motion; undertow import {self.path} "
                 "--list shows what it has: say what it means in a mapping file (--map)"
             )
-        kept = {name: rising(self.series[name].t) for name in asked}
+        kept, t, places = self._rows(asked, window)
         times = [self.series[name].t[rows] for name, rows in kept.items()]
-        t, places = union(times)
         table = {TIME: t, **self._numbers(len(t), times, places)}
         for (name, fields), place in zip(asked.items(), places, strict=True):
             for column in fields:
@@ -161,6 +174,29 @@ class FieldLog:
                 cells[place] = self.series[name].columns[column][kept[name]]
                 table[f"{name}.{column}"] = cells
         return pl.DataFrame(table, nan_to_null=True)
+
+    def _rows(
+        self, asked: Mapping[str, Sequence[str]], window: Window
+    ) -> tuple[dict[str, Places], Array, list[Places]]:
+        """Samples that go into a table, its times, and their rows; of a part only where all are too many."""
+        low, high = (e if w is None else w for w, e in zip(window, (-np.inf, np.inf), strict=True))
+        every = {name: rising(self.series[name].t) for name in asked}
+        width = 2 + sum(map(len, asked.values()))
+        t, places = union([self.series[name].t[rows] for name, rows in every.items()])
+        if len(t) * width <= SETTINGS.cells:
+            return every, t, places
+        low, high = low - SETTINGS.margin, high + SETTINGS.margin
+        inside = {name: rows[_between(self.series[name].t[rows], low, high)] for name, rows in every.items()}
+        t, places = union([self.series[name].t[rows] for name, rows in inside.items()])
+        if not len(t):
+            raise UndertowError(f"log {self.path} has no sample in the time window: give another one")
+        if len(t) * width > SETTINGS.cells:
+            raise UndertowError(
+                f"log {self.path} makes a table of {len(t)} rows of {width} columns, at most "
+                f"{SETTINGS.cells // width} such rows are held: take a part of it with --from and --to, or "
+                "leave columns out of a mapping file (--map; undertow import writes one)"
+            )
+        return inside, t, places
 
     def _numbers(self, rows: int, times: Sequence[Array], places: Sequence[Places]) -> dict[str, Array]:
         """The stretch of each row: that of the latest of its samples which is in one."""
@@ -184,6 +220,10 @@ class FieldLog:
     def drive(self) -> tuple[Array, Array] | None:
         """Times, s, (n,), and commands, (n, motors), of motors."""
         return outputs_of(self.series, self.actuators)
+
+
+def _between(t: Array, low: float, high: float) -> Flags:
+    return (t >= low) & (t <= high)
 
 
 def outputs_of(
@@ -212,12 +252,21 @@ class Format:
         Whether a file of this path, which begins with these bytes (b"" for a folder), is of the format.
     read : callable
         The log at a path. The second argument is the folder with definitions of messages, or None.
+    largest : int
+        Bytes of a file that can be read in 1.5 GB of memory; a larger one is refused unread.
+    shorter : str
+        How a file is made smaller.
+    hangs : bool
+        Whether its library hangs or breaks down with some damaged files, so that another process tries first.
     """
 
     name: str
     suffixes: tuple[str, ...]
     accepts: Callable[[Path, bytes], bool]
     read: Callable[[Path, Path | None], FieldLog]
+    largest: int = 400_000_000
+    shorter: str = "save it in shorter files, or with fewer variables"
+    hangs: bool = False
 
 
 def library(name: str, what: str, extra: str = "field") -> ModuleType:

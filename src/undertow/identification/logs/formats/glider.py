@@ -23,6 +23,7 @@ from undertow.typing import Array
 
 from .fieldlog import FieldLog, Format, Series
 from .position import north_east
+from .pressure import depth
 
 KNOWN = {
     "m_depth": Column(channel="z", unit="m"),
@@ -36,6 +37,8 @@ KNOWN = {
 }
 """Sensors of Slocum gliders: roll to starboard, nose up and a heading clockwise from north are positive."""
 
+# Of the CTD, in the files of the science computer (.ebd, .tbd) in place of m_depth; zero at the surface.
+_PRESSURE, _BAR = "sci_water_pressure", 1e5
 _SECONDS = 600  # in which dbdreader has to be done
 _PROGRAM = """
 import sys
@@ -72,6 +75,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     name = path.suffix[1:].lower() or "glider"
     series = Series(name, t - t[0], columns, units)
     known = {f"{name}.{column}": one for column, one in KNOWN.items() if column in columns}
+    pressure = columns.get(_PRESSURE)
+    if "m_depth" not in columns and pressure is not None:
+        known[f"{name}.{_PRESSURE}"], water = depth(_BAR, absolute=False)
+        notes.append(f"depth is that of {_PRESSURE} in bar, with {water}")
     mapping = LogMapping(columns=known, frames=Frames())
     return FieldLog(path, FORMAT.name, {name: series}, mapping, notes=tuple(notes))
 

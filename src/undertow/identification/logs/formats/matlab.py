@@ -176,4 +176,4 @@ def _accepts(path: Path, head: bytes) -> bool:
     return head.startswith(b"MATLAB ") or (path.suffix == ".mat" and bool(head))
 
 
-FORMAT = Format("MATLAB", (".mat",), _accepts, _read)
+FORMAT = Format("MATLAB", (".mat",), _accepts, _read, hangs=True)

@@ -60,4 +60,11 @@ def _accepts(path: Path, head: bytes) -> bool:
     return path.suffix == ".alog" or (head.startswith(b"%%%") and b"LOG FILE" in head)
 
 
-FORMAT = Format("MOOS", (".alog",), _accepts, _read)
+FORMAT = Format(
+    "MOOS",
+    (".alog",),
+    _accepts,
+    _read,
+    100_000_000,
+    "aloggrep LOG NAV_X NAV_Y ... LESS.alog leaves variables out",
+)

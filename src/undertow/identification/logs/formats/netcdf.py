@@ -194,4 +194,4 @@ def _accepts(path: Path, head: bytes) -> bool:
     return head.startswith(_HDF5) and (path.suffix.lower() in _SUFFIXES or path.suffix.lower() != ".mat")
 
 
-FORMAT = Format("NetCDF", _SUFFIXES, _accepts, _read)
+FORMAT = Format("NetCDF", _SUFFIXES, _accepts, _read, hangs=True)

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import pkgutil
+import signal
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.helper import Helper
 
 from .fieldlog import FieldLog, Format
 
 _HEAD = 512  # bytes from the start of a file that tell its format
 TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
 """Formats that are tables already."""
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """How long reading a file may take that could hang its reader, s of a processor."""
+
+    # Importing the libraries takes two, and unpacking a megabyte of numbers 0.05.
+    least: float = 20.0
+    per_megabyte: float = 1.0
+
+
+TRIAL = TrialSettings()
 
 
 @cache
@@ -54,6 +72,17 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
     found = format_of(path)
     if found is None:
         return None
+    size = path.stat().st_size if path.is_file() else 0
+    if size > found.largest:
+        raise UndertowError(
+            f"log {path} has {size / 1e6:.0f} MB, at most {found.largest / 1e6:.0f} MB of {found.name} are "
+            f"read: {found.shorter}"
+        )
+    if found.hangs and not _TRIES.answer([str(path.absolute()), _seconds(size)], True, False):
+        raise UndertowError(
+            f"log {path} cannot be read as {found.name}: its reader breaks down, or takes more than "
+            f"{_seconds(size):.0f} s: copy it again"
+        )
     try:
         return found.read(path, messages)
     except (UndertowError, MemoryError):
@@ -61,6 +90,34 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
     except Exception as error:  # whatever a library makes of a damaged file
         words = str(error).split("\n")[0] or type(error).__name__
         raise UndertowError(f"log {path} cannot be read as {found.name}: {words}: copy it again") from error
+
+
+def answer_whether_files_can_be_read() -> None:
+    """Read one file after the other, as a process of its own that may break down or be ended."""
+    try:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, 2 * (int(sys.argv[1]),))
+    except (ImportError, ValueError, OSError):
+        pass
+    for line in sys.stdin:
+        path, seconds = json.loads(line)
+        if hasattr(signal, "setitimer"):  # it ends a process that hangs in a library, too
+            signal.setitimer(signal.ITIMER_PROF, seconds)
+        with suppress(Exception):  # of what can be told, reading it tells
+            found = format_of(Path(path))
+            log = found.read(Path(path), None) if found else None
+            for series in log.series.values() if log else ():
+                list(series.columns.values())
+        print(json.dumps(True), flush=True)
+
+
+def _seconds(size: int) -> float:
+    """Seconds of a processor that a file of so many bytes may take."""
+    return TRIAL.least + TRIAL.per_megabyte * size / 1e6
+
+
+_TRIES = Helper(f"from {__name__} import answer_whether_files_can_be_read as answer\nanswer()")
 
 
 def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
@@ -72,6 +129,11 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
         If it is of no format that is known, too.
     """
     found = open_field_log(path, messages)
+    if found is None and path.suffix in (".csv", ".gz", ".parquet"):
+        raise UndertowError(
+            f"log {path} is a table, which every command reads as it is; undertow map new {path} begins the "
+            "mapping file that says what its columns mean"
+        )
     if found is None:
         raise UndertowError(f"log {path} is of no format that is known: {readable()}")
     return found

@@ -22,20 +22,10 @@ from undertow.typing import Array
 
 from .attitude import ANGLES, angles
 from .fieldlog import Series
+from .pressure import depth
 
-
-@dataclass(frozen=True)
-class PressureSettings:
-    """How a pressure becomes a depth."""
-
-    density: float = 1025.0  # kg/m^3: sea water; in fresh water a depth is 2.5 % more
-    gravity: float = 9.81  # m/s^2
-    surface: float = 101325.0  # Pa: the standard atmosphere
-    # Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
-    least: float = 50_000.0
-
-
-PRESSURE = PressureSettings()
+# Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
+_LEAST_PRESSURE = 50_000.0
 Kind = Literal["pose", "attitude", "twist", "rates", "velocity"]
 _AXES = ("x", "y", "z")
 _LINEAR, _RATES = dict(zip("uvw", _AXES, strict=True)), dict(zip("pqr", _AXES, strict=True))
@@ -260,20 +250,12 @@ def _take_depth(known: _Understood, topic: Topic, frames: Frames) -> None:
     if "z" in known.columns:
         return
     usual = float(np.nanmedian(topic.series.columns["fluid_pressure"]))
-    pascal = 1.0 if usual > PRESSURE.least else 100.0
+    pascal = 1.0 if usual > _LEAST_PRESSURE else 100.0
     down = 1.0 if frames.position == "NED" else -1.0
-    metre = PRESSURE.density * PRESSURE.gravity
-    known.take(
-        topic,
-        {"z": "fluid_pressure"},
-        unit="m",
-        scale=down * pascal / metre,
-        offset=-down * PRESSURE.surface / metre,
-    )
-    known.notes.append(
-        f"{topic.series.name}: depth from pressure in {'Pa' if pascal == 1.0 else 'hPa'}, with "
-        f"{PRESSURE.density:g} kg/m^3 and {PRESSURE.surface:g} Pa at the surface"
-    )
+    column, water = depth(pascal, absolute=True, down=down)
+    known.columns["z"] = f"{topic.series.name}.fluid_pressure", column
+    unit = "Pa" if pascal == 1.0 else "hPa"
+    known.notes.append(f"{topic.series.name}: depth from pressure in {unit}, with {water}")
 
 
 def _take_wrench(known: _Understood, topics: Sequence[Topic], driven: bool) -> None:

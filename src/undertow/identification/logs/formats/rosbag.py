@@ -34,6 +34,8 @@ class RosSettings:
     largest: int = 16384  # bytes; longer messages are pictures and clouds of points
     # Seconds between the stamps of a topic and the clock of the bag, beyond which they are of another clock.
     apart: float = 10.0
+    kept: int = 400_000_000  # bytes of messages that are held at once
+    together: int = 10_000  # messages that are decoded at once: an object takes ten times its bytes
 
 
 SETTINGS = RosSettings()
@@ -170,7 +172,7 @@ def _recorded(path: Path, messages: Path | None) -> tuple[dict[str, _Records], _
         types = _Types(store, ros1)
         readable = [c for c in reader.connections if types.known(c.msgtype)]
         unknown = {c.topic: c.msgtype for c in reader.connections if c not in readable}
-        records, large = _collected(reader.messages(readable) if readable else [], readable)
+        records, large = _collected(path, reader.messages(readable) if readable else [], readable)
     notes = [
         f"{topic} has messages of the unknown type {name}: give the folder with its definition (--messages)"
         for topic, name in unknown.items()
@@ -179,20 +181,28 @@ def _recorded(path: Path, messages: Path | None) -> tuple[dict[str, _Records], _
     return records, types, notes
 
 
-def _collected(messages: Any, connections: list[Any]) -> tuple[dict[str, _Records], set[str]]:
+def _collected(path: Path, messages: Any, connections: list[Any]) -> tuple[dict[str, _Records], set[str]]:
     types: dict[str, set[str]] = defaultdict(set)
     for connection in connections:
         types[connection.topic].add(connection.msgtype)
     records: dict[str, _Records] = {}
     large: set[str] = set()
+    kept = 0
     for connection, stamp, raw in messages:
         name = connection.topic if len(types[connection.topic]) == 1 else _typed(connection)
         if name in large:
             continue
         if len(raw) > SETTINGS.largest:
             large.add(name)
-            records.pop(name, None)
+            lost = records.pop(name, None)
+            kept -= sum(map(len, lost.raw)) if lost else 0
             continue
+        kept += len(raw)
+        if kept > SETTINGS.kept:
+            raise UndertowError(
+                f"log {path} has more than {SETTINGS.kept / 1e6:g} MB of messages that can be measured: "
+                "rosbags-convert --src LOG --dst LESS --include-topic TOPIC TOPIC leaves topics out"
+            )
         one = records.setdefault(name, _Records(connection.msgtype, [], []))
         one.stamps.append(stamp)
         one.raw.append(bytes(raw))
@@ -246,15 +256,29 @@ def _topic(name: str, one: _Records, types: _Types, t: Array) -> Topic | None:
         return None
 
     def columns() -> dict[str, Array]:
-        decoded = [types.sound(raw, one.type) for raw in one.raw]
-        messages = [message for message in decoded if message is not None]
-        found = types.numbers(one.type, messages)
-        found |= derived(one.type, found, messages, constants)
-        there = np.array([message is not None for message in decoded])
-        return found if there.all() else {name: _spread(column, there) for name, column in found.items()}
+        groups = [one.raw[k : k + SETTINGS.together] for k in range(0, len(one.raw), SETTINGS.together)]
+        tables = [_decoded(raw, one.type, types, constants) for raw in groups]
+        names = dict.fromkeys(name for table in tables for name in table)
+        blank = [np.full(len(raw), np.nan) for raw in groups]
+        return {
+            name: np.concatenate([table.get(name, none) for table, none in zip(tables, blank, strict=True)])
+            for name in names
+        }
 
     constants = {constant: value for constant, _, value in types.store.fielddefs[one.type][0]}
     return Topic(Series(name, t, _Decoded(columns)), one.type, first)
+
+
+def _decoded(raw: list[bytes], type_: str, types: _Types, constants: Mapping[str, Any]) -> dict[str, Array]:
+    """Columns of messages; none of messages that are all damaged."""
+    decoded = [types.sound(one, type_) for one in raw]
+    messages = [message for message in decoded if message is not None]
+    if not messages:
+        return {}
+    found = types.numbers(type_, messages)
+    found |= derived(type_, found, messages, constants)
+    there = np.array([message is not None for message in decoded])
+    return {name: _spread(column, there) for name, column in found.items()}
 
 
 def _spread(known: Array, there: Flags) -> Array:
@@ -270,4 +294,6 @@ def _accepts(path: Path, head: bytes) -> bool:
     return path.suffix in FORMAT.suffixes or head.startswith((b"#ROSBAG V", b"\x89MCAP0\r\n"))
 
 
-FORMAT = Format("ROS bag", (".bag", ".db3", ".mcap"), _accepts, _read)
+FORMAT = Format(
+    "ROS bag", (".bag", ".db3", ".mcap"), _accepts, _read, 10**12
+)  # pictures in it are passed over

@@ -27,7 +27,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .ardupilot import SETTINGS, actuators
+from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
 from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
 from .position import north_east
 from .stretches import armed_stretches, runs_of, used_stretches
@@ -295,12 +295,9 @@ def _series(name: str, messages: _Messages, t: Array) -> list[Series]:
     ]
 
 
-def _parameters(own: dict[str, _Messages]) -> dict[str, float | str]:
-    """Settings by name; of several values the last."""
+def _parameters(own: dict[str, _Messages]) -> Parameters:
     found = own.get("PARAM_VALUE")
-    if found is None:
-        return {}
-    return dict(zip(found.texts("param_id"), found.numbers("param_value").tolist(), strict=True))
+    return {} if found is None else by_name(found.texts("param_id"), found.numbers("param_value"))
 
 
 def _outputs(series: Mapping[str, Series]) -> dict[int, tuple[str, Array]]:
@@ -435,4 +432,4 @@ def _looks(head: bytes) -> bool:
     return True
 
 
-FORMAT = Format("MAVLink telemetry", (".tlog",), _accepts, _read)
+FORMAT = Format("MAVLink telemetry", (".tlog",), _accepts, _read, 120_000_000, shorter_by_pymavlink(".tlog"))

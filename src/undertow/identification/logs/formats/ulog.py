@@ -166,4 +166,7 @@ def _accepts(path: Path, head: bytes) -> bool:
     return head.startswith(_SIGNATURE) or path.suffix == ".ulg"
 
 
-FORMAT = Format("PX4 ULog", (".ulg",), _accepts, _read)
+FORMAT = Format(
+    "PX4 ULog", (".ulg",), _accepts, _read, 800_000_000,
+    "ulog2csv -m TOPIC,TOPIC LOG (it comes with pyulog) writes the topics that are needed as tables",
+)  # fmt: skip

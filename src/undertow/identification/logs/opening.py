@@ -1,0 +1,161 @@
+"""A log as it lies on the disk: its table, a vehicle's own or not, with what the columns mean."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+
+from undertow.errors import UndertowError, nearest
+
+from .formats.fieldlog import FieldLog, Window
+from .formats.registry import open_field_log, readable
+from .mapping import LogMapping
+from .table import WHOLE, LogLimits, NotTextError, file_bytes, file_hash, read_table
+
+FieldLogs = dict[Path, FieldLog]
+"""Vehicles' own logs that were opened already, by path: opening one twice takes twice as long."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Rows of a log, and what they mean.
+
+    Attributes
+    ----------
+    table : DataFrame
+        A row for every time; of a vehicle's own log the columns that are read.
+    mapping : LogMapping
+        The one that was given, or what the format of the log says.
+    sha256 : str
+        Of the bytes of the file.
+    notes : tuple of str
+        What the reader of a vehicle's own log said, its format first; empty for a table.
+    """
+
+    table: pl.DataFrame
+    mapping: LogMapping
+    sha256: str
+    notes: tuple[str, ...] = ()
+
+
+def field_log(path: Path, mapping: LogMapping | None, known: FieldLogs | None = None) -> FieldLog | None:
+    """A log as its vehicle wrote it; None for a table. What is opened is added to those that are `known`."""
+    if known is not None and path in known:
+        return known[path]
+    log = open_field_log(path, mapping.messages if mapping else None)
+    if log is not None and known is not None:
+        known[path] = log
+    return log
+
+
+def opened_field_log(
+    log: FieldLog,
+    mapping: LogMapping | None,
+    commands: Sequence[str],
+    also: Sequence[str] = (),
+    window: Window = (None, None),
+) -> Opened:
+    """The table of a vehicle's own log, by a mapping or by what its format says.
+
+    Parameters
+    ----------
+    log : FieldLog
+        The log.
+    mapping : LogMapping, optional
+        What its columns mean.
+    commands, also : sequence of str
+        Commands that it must have, and those that are read where it has them.
+    window : (float or None, float or None)
+        Part that is used, s on the clock of the run.
+
+    Raises
+    ------
+    UndertowError
+        If its motors cannot be the commands, or its table is too large for memory.
+    """
+    meaning = mapping or log.mapping_for([*commands, *also])
+    if mapping is None:
+        _refuse_other_motors(log, meaning, commands)
+    low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
+    table = log.table(columns_read(meaning), (low, high))
+    return Opened(table, meaning, file_hash(log.path), (f"read as {log.format}", *log.notes))
+
+
+def opened_table(path: Path, mapping: LogMapping | None, limits: LogLimits = WHOLE) -> Opened:
+    """A CSV, CSV.gz or Parquet file as a whole; one that is larger than the limits is refused unread."""
+    meaning, data = mapping or LogMapping(), file_bytes(path, limits)
+    try:
+        table = read_table(data, meaning, f"log {path}", path, limits)
+    except NotTextError as error:
+        raise UndertowError(f"{error}; {readable()}") from error
+    return Opened(table, meaning, hashlib.sha256(data).hexdigest())
+
+
+def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[str]) -> None:
+    """Refuse a log whose motors cannot be the commands of a vehicle."""
+    known = {*(column.channel for column in meaning.columns.values())}
+    lacking = [name for name in commands if name not in known]
+    if lacking and log.actuators:
+        raise UndertowError(
+            f"log {log.path} has {len(log.actuators)} motors ({', '.join(n for n, _ in log.actuators)}), but "
+            f"the vehicle has commands {', '.join(lacking)}: say in a mapping file which is which (undertow "
+            f"import {log.path} --out NEW.parquet writes a first one)"
+        )
+
+
+def stretches_of(table: pl.DataFrame, column: str | None, where: str) -> list[pl.DataFrame]:
+    """The parts of a table that are numbered in a column, in the order of time; all of it without one."""
+    if column is None:
+        return [table]
+    must_have(column, table.columns, where, "column of stretches,")
+    parts = table.filter(pl.col(column).is_not_null()).partition_by(
+        column, maintain_order=True, include_key=False
+    )
+    if not parts:
+        raise UndertowError(nothing_numbered(column, where))
+    return parts
+
+
+def nothing_numbered(column: str, where: str) -> str:
+    """What to say of a log none of whose rows is in a stretch."""
+    return (
+        f"{where}: no row has a number in column {column!r}, so that nothing is left: remove `stretch` "
+        "from [time] in the mapping file to use all of it"
+    )
+
+
+def dropping_disorder(mapping: LogMapping) -> LogMapping:
+    """The mapping with which rows are left out whose time is not later than that of all before."""
+    return mapping.model_copy(update={"time": mapping.time.model_copy(update={"disorder": "drop"})})
+
+
+def columns_read(mapping: LogMapping) -> list[str]:
+    """Columns of a log that a mapping reads, without those of its clock."""
+    flags = [column.fresh for column in mapping.columns.values() if column.fresh]
+    formulas = [name for channel in mapping.channels.values() for name in channel.formula.columns]
+    return list(dict.fromkeys([*mapping.columns, *flags, *formulas]))
+
+
+def must_have(
+    name: str, names: Iterable[str], where: str, what: str, columns: Sequence[str] | None = None
+) -> None:
+    """Refuse a table without a column, with those that it has."""
+    names = list(names)
+    if name not in names:
+        have = list(names if columns is None else columns)
+        hint = nearest(name, have)
+        more = _delimiter_hint(have)
+        raise UndertowError(f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}")
+
+
+def _delimiter_hint(columns: Sequence[str]) -> str:
+    other = next((sign for sign in ";\t|" if len(columns) == 1 and sign in columns[0]), None)
+    return (
+        f" (one column: set delimiter = {other!r} in a mapping file)"
+        if other
+        else "; say in a mapping file which is meant"
+    )
