@@ -21,6 +21,8 @@ from undertow.tank.run import processor_seconds, run_tank
 from undertow.tank.settings import FILE, Tank, folder_of, log_of, read_tank
 from undertow.typing import Progress
 
+from .auv import MASS, auv_hull
+
 BOX = (0.60, 0.42, 0.24)
 RADIUS = 0.25
 SHIPPED = Path("src/undertow/demo_data/cfd-surge/surge_step_coarse.csv.gz")
@@ -48,6 +50,8 @@ class Body:
     grids: int
     truth: dict[str, float]
     source: str
+    way: str = ""  # the only direction that is run, where one is enough
+    longer: tuple[str, ...] = ()  # cases that are run with time steps of twice the length, to save time
 
 
 def _lamb(matrix: Any) -> dict[str, float]:
@@ -62,6 +66,7 @@ def _push(mass: float, motions: tuple[str, ...] = ("surge",), prescribed: bool =
 
 _SPHERE = _lamb(sphere(RADIUS).matrix)
 _BOX = _lamb(box(*BOX).matrix)
+_AUV = ("surge", "heave", "yaw")
 _STEP = Orders(60.48, profiles=("step",), prescribed=True)
 _VISCOUS = Orders(
     65.4, profiles=("step",), prescribed=True, viscosity=0.0015
@@ -105,7 +110,7 @@ BODIES = {
         _BOX,
         "panels",
     ),
-    "re100": Body("sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 1, {}, ""),
+    "re100": Body("sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 3, {}, ""),
     "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
     "bullet": Body(
         "half-sphere before a cylinder, 0.5 x 0.5 m",
@@ -117,16 +122,46 @@ BODIES = {
         },  # 1504 panels (undertow added-mass mesh --panels 1600), which say +- 0.7 of themselves
         "panels",
     ),
+    "auv": Body(
+        "small AUV, 0.60 m, 7.5 kg",
+        auv_hull,
+        Orders(MASS, motions=_AUV, profiles=("push", "step"), prescribed=True),
+        1,
+        {},
+        "panels",
+        longer=("surge-step-backward", "yaw-step"),
+    ),
+    "auv-paper": Body(
+        "the same AUV, pushed by the forces of the paper",
+        auv_hull,
+        Orders(MASS, motions=_AUV, profiles=("paper",), step=2.0),
+        1,
+        {},
+        "",
+        "forward",
+    ),
 }
+
+
+def made(name: str, work: Path) -> Tank:
+    """The tank of a body, written into a folder if it is not there."""
+    body, root = BODIES[name], work / name
+    if not (root / FILE).exists():
+        tank, hull = make_tank(mended(body.hull(), name)[0], body.orders, f"{name}.stl", "0" * 64)
+        ways = ("forward", "backward")
+        kept = tuple(
+            c.model_copy(update={"step": c.step * (1 + (c.name in body.longer))})
+            for c in tank.cases
+            if not body.way or not c.name.endswith(ways) or body.way in c.name
+        )
+        write_tank(root, tank.model_copy(update={"cases": kept}), hull)
+    return read_tank(root)
 
 
 def run(name: str, work: Path, progress: Progress) -> list[dict[str, Any]]:
     """Run what is missing of a body in a folder, and return what came out."""
     body, root = BODIES[name], work / name
-    if not (root / FILE).exists():
-        tank, hull = make_tank(mended(body.hull(), name)[0], body.orders, f"{name}.stl", "0" * 64)
-        write_tank(root, tank, hull)
-    tank = read_tank(root)
+    tank = made(name, work)
     run_tank(root, tank, grids=body.grids, progress=progress)
     found = [*_coefficients(name, root, tank), *_drag(name, root, tank)]
     return [*found, _against_demo(root, tank)] if name == "box-forced" else found
