@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.shape.hulls import box_mesh, revolved
+from benchmarks.shape.hulls import box_mesh, cylinder_mesh, revolved
+from undertow.files import write_whole
 from undertow.shape.bodies import box, prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, mended
 from undertow.tank.case import Orders, make_tank, write_tank
@@ -38,6 +39,12 @@ def _bullet() -> Mesh:
     angles = np.linspace(np.pi / 2, np.pi, 21)
     nose = [(float(-RADIUS * np.cos(t)), float(RADIUS * np.sin(t))) for t in angles]
     return revolved([(-RADIUS, 0.0), *((x, RADIUS) for x in np.linspace(-RADIUS, 0.0, 6)[:-1]), *nose], 80)
+
+
+def _cylinder() -> Mesh:
+    """A circular cylinder across the flow, 0.5 m thick; walls cut it, so that it has no ends."""
+    along_x = cylinder_mesh(2.0, 2 * RADIUS, 96)
+    return Mesh(along_x.vertices[:, [1, 0, 2]], along_x.faces[:, ::-1])
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,25 @@ BODIES = {
         "panels",
     ),
     "re100": Body("sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 3, {}, ""),
+    "cylinder": Body(
+        "cylinder across, without ends",
+        _cylinder,
+        Orders(393.0, profiles=("push",), prescribed=True, span="y"),
+        2,
+        {"X_udot": 1000.0 * np.pi * RADIUS**2 * 2.0},
+        "Lamb",
+    ),
+    **{
+        f"cylinder-{number}": Body(
+            f"cylinder across, Reynolds {number}",
+            _cylinder,
+            Orders(393.0, profiles=("tow",), prescribed=True, span="y", viscosity=0.3 * 0.5 / number),
+            2,
+            {},
+            "",
+        )
+        for number in (40, 100, 200)
+    },
     "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
     "bullet": Body(
         "half-sphere before a cylinder, 0.5 x 0.5 m",
@@ -143,11 +169,23 @@ BODIES = {
 }
 
 
+def _profile(name: str, work: Path) -> str:
+    """A profile of undertow, or a file with one of this benchmark: towed at one speed for 30 thicknesses."""
+    if name != "tow":
+        return name
+    path = work / "tow.csv"
+    ramp = np.linspace(0.0, 1.0, 21)
+    rows = [(2 * s, 0.3 * s * s * (3 - 2 * s)) for s in ramp] + [(50.0, 0.3)]
+    write_whole(path, "".join(f"{t:.6g},{u:.6g}\n" for t, u in rows))
+    return str(path)
+
+
 def made(name: str, work: Path) -> Tank:
     """The tank of a body, written into a folder if it is not there."""
     body, root = BODIES[name], work / name
     if not (root / FILE).exists():
-        tank, hull = make_tank(mended(body.hull(), name)[0], body.orders, f"{name}.stl", "0" * 64)
+        orders = replace(body.orders, profiles=[_profile(p, work) for p in body.orders.profiles])
+        tank, hull = make_tank(mended(body.hull(), name)[0], orders, f"{name}.stl", "0" * 64)
         ways = ("forward", "backward")
         kept = tuple(
             c.model_copy(update={"step": c.step * (1 + (c.name in body.longer))})

@@ -112,6 +112,29 @@ def _immersed(cpt: Any, hull: Mesh, origin: Array) -> Any:
     return cpt.Mesh((hull.vertices - origin) @ UP, hull.faces).immersed_part()
 
 
+def _stiffness(wet: Any, mass: float, cg: float, density: float) -> Array:
+    """Restoring matrix about the origin, body axes, (6, 6), of the immersed part of a hull, z up."""
+    corners = wet.vertices[wet.faces]
+    corners = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]]) @ UP
+    a, b, c = (corners[:, i] for i in range(3))
+    # The waterplane is what the hull covers of it; z is down, and so is what the hull shows below.
+    shade = np.cross(b - a, c - a)[:, 2] / 2
+    x, y = corners[:, :, 0], corners[:, :, 1]
+
+    def moment(p: Array, q: Array) -> float:
+        return float(shade @ (p.sum(axis=1) * q.sum(axis=1) + (p * q).sum(axis=1)) / 12)
+
+    area, ahead, aside = float(shade.sum()), shade @ x.mean(axis=1), shade @ y.mean(axis=1)
+    found = np.zeros((6, 6))
+    found[2:5, 2:5] = density * GRAVITY * np.array(
+        [[area, aside, -ahead], [aside, moment(y, y), -moment(x, y)], [-ahead, -moment(x, y), moment(x, x)]]
+    )  # fmt: skip
+    arm = mass * GRAVITY * (cg + float(wet.center_of_buoyancy[2]))
+    found[3, 3] += arm
+    found[4, 4] += arm
+    return found
+
+
 class FloatingBody:
     """A hull that floats, ready to be solved; `mass` kg, `cg` its place under (+) the waterline, m."""
 
@@ -126,8 +149,7 @@ class FloatingBody:
         self.omega = self._frequencies()
         self._lid = self._fine.generate_lid(z=self._fine.lowest_lid_position(omega_max=self.omega[-1]))
         self._body = self._of(self._fine, (0.0, 0.0, -cg), self._lid)
-        stiffness = self._body.compute_hydrostatic_stiffness(rho=density, g=GRAVITY).values
-        self.stiffness = stiffness * np.outer(_SIGNS, _SIGNS)
+        self.stiffness = _stiffness(_immersed(self._cpt, hull, self.origin), mass, cg, density)
         self._check_upright()
 
     def _of(self, mesh: Any, cg: tuple[float, float, float], lid: Any = None) -> Any:
@@ -166,7 +188,7 @@ class FloatingBody:
         found = []
         for k, omega in enumerate(self.omega):
             report(k / len(self.omega), f"{omega:.3g} rad/s, {self._fine.nb_faces} panels")
-            found.append(self._radiated(self._body, float(omega)))
+            found.append(self.at(float(omega)))
         source = (
             f"capytaine {self._cpt.__version__}, direct method; {self._fine.nb_faces} panels under water, "
             f"infinite frequency"
@@ -185,6 +207,15 @@ class FloatingBody:
             together.imag,
             self._fine.nb_faces,
         )
+
+    @property
+    def panels(self) -> int:
+        """Panels under water."""
+        return int(self._fine.nb_faces)
+
+    def at(self, omega: float) -> Complex:
+        """Added mass + i radiation damping at a frequency, rad/s, about the origin, body axes, (6, 6)."""
+        return self._radiated(self._body, omega)
 
     def _radiated(self, body: Any, omega: float) -> Complex:
         """Added mass + i radiation damping about the origin, body axes, shape (6, 6), symmetric."""
@@ -232,7 +263,7 @@ class FloatingBody:
         forces = np.array(
             [[r.forces[d] + pressed(p)[d] for d in dofs] for p, r in zip(problems, scattered, strict=True)]
         )
-        radiated = self._radiated(self._body, omega)
+        radiated = self.at(omega)
         excitation = forces * _SIGNS
         system = -(omega**2) * (inertia + radiated.real) - 1j * omega * radiated.imag + self.stiffness
         motion = np.linalg.solve(system, excitation.T).T

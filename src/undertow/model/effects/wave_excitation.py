@@ -12,7 +12,7 @@ from undertow.model.effect import Wrench
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import DOFS, FORCE, Signals, column, symbol
 
-HARMONICS = 4  # of the heading, from 0 on: waves that are not much shorter than the hull need no more
+HARMONICS = 6  # of the heading, from 0 on: waves as long as half the hull need no more
 # Motions of which a wave from starboard is the mirror image of that from port.
 ODD = ("sway", "roll", "yaw")
 _UP, _AHEAD = column(["swell_up", "swell_ahead"])
