@@ -32,7 +32,7 @@ from .._terminal import console, progress, say, table, text
 if TYPE_CHECKING:
     from undertow.shape.afloat import FloatingVehicle
     from undertow.shape.bodies import AddedMass
-    from undertow.shape.first import HullSpec
+    from undertow.shape.first import EffectTable, HullSpec
     from undertow.shape.mesh import Hull, Mesh
 
 
@@ -77,7 +77,9 @@ _LOG = typer.Option(
     help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters tell frame and motors.",
 )
 _TANK = typer.Option(
-    "--tank", metavar="FOLDER", help="In place of all: a virtual towing tank that was run (undertow tank)."
+    "--tank",
+    metavar="FOLDER",
+    help="Virtual towing tank that was run (undertow tank): alone, or for what of --mesh was tested.",
 )
 _LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
 _BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width.")
@@ -190,13 +192,13 @@ def new(
     of the battery.
 
     With --tank the file has the motions that were tested there: added mass, linear and quadratic damping with
-    errors of the fit and of the grid.
+    errors of the fit and of the grid. With --mesh besides, of the same hull, the other motions come from it.
     """
     from undertow.files import sha256_of, write_whole
     from undertow.shape.first import HullSpec, first_vehicle, motions
 
     sides = (length, beam, height)
-    if log is not None or tank is not None:
+    if log is not None or (tank is not None and mesh is None):
         if any(given is not None for given in (mass, mesh, kind, *sides, tank and log)):
             source = (
                 "--log takes mass and shape from a bundled vehicle" if log else "--tank has mass and shape"
@@ -225,10 +227,13 @@ def new(
         remarks=(f"Axes of the mesh: {frame.upper()}.", *hull.remarks),
     )
     if floating or wave is not None:
+        if tank is not None:
+            raise UndertowError(f"--tank {tank} is of a hull far under water: leave it out with --floating")
         _afloat(hull.mesh, spec, floating, wave, panels, target)
         return
     found = _added(hull.mesh, density, added_mass, panels, crease)
-    write_whole(target, first_vehicle(hull.mesh, found, spec))
+    tests = [] if tank is None else _tests(tank, spec, origin)
+    write_whole(target, first_vehicle(hull.mesh, found, spec, tests))
     _summary(hull.mesh, target, spec.volume, mass, density, found.source)
 
 
@@ -294,6 +299,24 @@ def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool)
     target = new_file(out or Path(f"{title}.toml"), force, [root / "tank.toml"])
     write_whole(target, tank_vehicle(made, coefficients(root, made), title))
     say(f"wrote {target}; state its thrusters, then: undertow vehicles show {target}")
+
+
+def _tests(root: Path, spec: HullSpec, origin: str) -> list[EffectTable]:
+    """What a towing tank has found of the same hull."""
+    from undertow.tank.coefficients import coefficients
+    from undertow.tank.settings import read_tank
+    from undertow.tank.vehicle import tested
+
+    if origin != "buoyancy":
+        raise UndertowError(f"--tank {root} is about the centre of buoyancy: leave out --origin {origin}")
+    made = read_tank(root)
+    if made.sha256 != spec.sha256:
+        raise UndertowError(
+            f"--tank {root} was made of another hull ({made.hull}) than {spec.mesh}: name that"
+        )
+    found = coefficients(root, made)
+    say(f"tested in the tank: {', '.join(dict.fromkeys(c.motion for c in found))}")
+    return tested(found)
 
 
 def _of_type(
