@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.shape.hulls import box_mesh, cylinder_mesh, revolved
-from undertow.files import write_whole
+from undertow.files import make_folder, together, write_whole
 from undertow.shape.bodies import box, prolate_spheroid, sphere
-from undertow.shape.mesh import Mesh, mended
+from undertow.shape.mesh import Mesh, mended, stl_bytes
 from undertow.tank.case import Orders, make_tank, write_tank
 from undertow.tank.coefficients import coefficients
 from undertow.tank.pictures import picture
@@ -26,6 +27,7 @@ from .auv import MASS, auv_hull
 
 BOX = (0.60, 0.42, 0.24)
 RADIUS = 0.25
+SHELF = Path(__file__).parent / "logs"
 SHIPPED = Path("src/undertow/demo_data/cfd-surge/surge_step_coarse.csv.gz")
 
 
@@ -185,7 +187,9 @@ def made(name: str, work: Path) -> Tank:
     body, root = BODIES[name], work / name
     if not (root / FILE).exists():
         orders = replace(body.orders, profiles=[_profile(p, work) for p in body.orders.profiles])
-        tank, hull = make_tank(mended(body.hull(), name)[0], orders, f"{name}.stl", "0" * 64)
+        surface = mended(body.hull(), name)[0]
+        written = sha256(stl_bytes(surface)).hexdigest()
+        tank, hull = make_tank(surface, orders, f"{name}.stl", written)
         ways = ("forward", "backward")
         kept = tuple(
             c.model_copy(update={"step": c.step * (1 + (c.name in body.longer))})
@@ -212,6 +216,22 @@ def _against_demo(root: Path, tank: Tank) -> dict[str, Any]:
     off = np.interp(shipped["t_s"], record.time, record.speed) - shipped["velocity_m_s"]
     rms = {"off": float(np.sqrt(np.mean(off**2))), "speed": float(np.sqrt(np.mean(record.speed**2)))}
     return {"body": "box-forced", "name": "rms", "direction": 0, **rms}
+
+
+def ship(name: str, work: Path) -> None:
+    """Put what is small of a tank that was run beside the benchmark: hull, tank.toml, logs."""
+    target, root = SHELF / name, work / name
+    tank = made(name, work)
+    done = {c.name: log_of(root, c, 1) for c in tank.cases if log_of(root, c, 1).is_file()}
+    kept = tank.model_copy(update={"cases": tuple(c for c in tank.cases if c.name in done), "grids": 1})
+    with together():
+        make_folder(target / "logs")
+        if name == "auv":  # the other tanks have the same hull
+            write_whole(target / "hull.stl", stl_bytes(mended(BODIES[name].hull(), name)[0]))
+        write_whole(target / FILE, kept.text())
+        for log in done.values():
+            for path in (log, log.with_suffix(".toml")):
+                write_whole(target / "logs" / path.name, path.read_text(encoding="utf-8"))
 
 
 def drawing(name: str, work: Path) -> Figure:
