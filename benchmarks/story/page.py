@@ -100,10 +100,10 @@ def _draw_tank(axis: Any, root: Path) -> None:
 
 def _draw_runs(axis: Any, folder: Path, title: str, runs: dict[str, tuple[str, str]]) -> None:
     for label, (name, colour) in runs.items():
-        t, z = _column(folder / f"{name}.csv", "z")
-        axis.plot(t, z, color=colour, label=label)
-    axis.axhline(0.1, color=FAINT, linewidth=0.8)
-    axis.set(xlabel="time [s]", ylabel="depth [m]", title=title, ylim=(-0.25, 0.45))
+        t, psi = _column(folder / f"{name}.csv", "psi")
+        axis.plot(t, np.degrees(psi), color=colour, label=label)
+    axis.axhline(np.degrees(0.1), color=FAINT, linewidth=0.8)
+    axis.set(xlabel="time [s]", ylabel="heading [degrees]", title=title)
     axis.grid()
     axis.legend()
 

@@ -305,7 +305,6 @@ def _mean_drift(
 ) -> Array:
     """Capytaine's far-field drift, one direction at a time, body axes, shape (h, 3)."""
     import xarray as xr
-    from capytaine.post_pro import far_field_mean_drift_force
 
     rows = []
     for k, direction in enumerate(directions):
@@ -322,7 +321,7 @@ def _mean_drift(
             {n: head[n] for n in ("omega", "wave_direction", "radiating_dof")},
             ("omega", "wave_direction", "radiating_dof"),
         )
-        found = far_field_mean_drift_force(X, data)
+        found = cpt.post_pro.far_field_mean_drift_force(X, data)
         rows.append(
             [float(found[f"drift_force_{n}"].values.real.squeeze()) for n in ("surge", "sway", "yaw")]
         )
