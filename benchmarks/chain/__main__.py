@@ -12,8 +12,9 @@ from undertow.figures import save_png
 from undertow.files import write_whole
 
 from ..missions import errors, tracks
+from ..shell import Said
 from .page import estimates, page, picture
-from .steps import MISSION, Chain, Said
+from .steps import MISSION, Chain
 
 
 def main(arguments: list[str] | None = None) -> int:

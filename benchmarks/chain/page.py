@@ -12,7 +12,7 @@ from undertow.control.closed_loop import Record
 from undertow.control.guidance.mission import Mission
 from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, look
 
-from .steps import Said
+from ..shell import Said, block, code
 
 HEAD = """\
 # From a log to a controller that works
@@ -101,35 +101,21 @@ PICTURE = "![Distance to the set-point over time with both gain sets](images/cha
 def page(said: dict[str, Said], gains: dict[str, str]) -> str:
     """The whole page."""
     parts = [
-        *(HEAD, MODEL, _block(said["fit"])),
-        *(TUNING, _code(gains["first"]), WORKS, _block(said["gains on the model"], 1)),
-        *(_block(said["simulated on the model"], 11), FIRST, _block(said["first update"])),
-        *(DISAGREES, _block(said["simulated on the vehicle"], 15)),
-        *(CHECKED, _block(said["gains on the vehicle"], 1)),
-        *("## 4. What is missing\n", _block(said["diagnosis"], 13)),
-        *("## 5. The model with it\n", _block(said["added"])),
-        *(EDITED, _block(said["second update"]), _block(said["gains on the new model"], 1)),
-        *(ANEW, _code(gains["second"]), _block(said["gains tuned anew"], 1), _block(said["third update"])),
-        *("On the true vehicle:\n", _block(said["simulated anew"], 11), PICTURE),
-        *(OBSERVER, _block(said["observer"])),
-        *(LEGS, _block(said["gains on legs"], 8), _block(said["gains with the observer"], -4)),
-        *(FOLLOWED, _block(said["mission"]), SEEN, CODE, _block(said["code"])),
+        *(HEAD, MODEL, block(said["fit"])),
+        *(TUNING, code(gains["first"]), WORKS, block(said["gains on the model"], 1)),
+        *(block(said["simulated on the model"], 11), FIRST, block(said["first update"])),
+        *(DISAGREES, block(said["simulated on the vehicle"], 15)),
+        *(CHECKED, block(said["gains on the vehicle"], 1)),
+        *("## 4. What is missing\n", block(said["diagnosis"], 13)),
+        *("## 5. The model with it\n", block(said["added"])),
+        *(EDITED, block(said["second update"]), block(said["gains on the new model"], 1)),
+        *(ANEW, code(gains["second"]), block(said["gains tuned anew"], 1), block(said["third update"])),
+        *("On the true vehicle:\n", block(said["simulated anew"], 11), PICTURE),
+        *(OBSERVER, block(said["observer"])),
+        *(LEGS, block(said["gains on legs"], 8), block(said["gains with the observer"], -4)),
+        *(FOLLOWED, block(said["mission"]), SEEN, CODE, block(said["code"])),
     ]
     return "\n".join(parts)
-
-
-def _block(said: Said, most: int = 80) -> str:
-    """A command and the first lines of its answer; below zero the first and the last ones."""
-    lines = said.text.splitlines()
-    shown = [*lines[:most], *(["..."] if len(lines) > most else [])]
-    if most < 0:
-        shown = [lines[0], "...", *lines[most:]]
-    code = f" (exit code {said.code})" if said.code else ""
-    return _code("\n".join([f"$ undertow {' '.join(said.words)}{code}", *shown]))
-
-
-def _code(text: str) -> str:
-    return f"```\n{text.rstrip()}\n```\n"
 
 
 # --- the picture ----------------------------------------------------------------------------------

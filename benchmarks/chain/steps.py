@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from undertow.control.closed_loop import Choices, Record, Scenario
 from undertow.control.guidance.mission import load_mission
 from undertow.model.loading import load_vehicle
 
+from ..shell import Said, Shell
 from .tuning import gain_file
 
 HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
-WIDTH = 108
 FLIGHTS = {"run1": "8,1,1,0", "run2": "1,8,0,0", "run3": "-6,-6,1,1", "run4": "-7,5,1,-1"}
 """Set-points of the flights that are logged; the last one is kept aside."""
 NOISE = {**dict.fromkeys("xyz", 0.01), **dict.fromkeys(("psi", "u", "v", "w", "r"), 0.005)}
@@ -27,26 +22,7 @@ GOAL = ["--to", "2,1,1,0", "--for", "240", "--dt", "0.02", "--log", "0.2"]
 LOGS = ["run1.csv", "run2.csv", "run3.csv", "--holdout", "run4.csv"]
 
 
-@dataclass(frozen=True)
-class Said:
-    """A command and its answer.
-
-    Attributes
-    ----------
-    words : list of str
-        The command without `undertow`.
-    code : int
-        Its exit code.
-    text : str
-        What it printed.
-    """
-
-    words: list[str]
-    code: int
-    text: str
-
-
-class Chain:
+class Chain(Shell):
     """The chain in a folder of its own.
 
     Parameters
@@ -58,27 +34,10 @@ class Chain:
     """
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda words: None) -> None:
-        self.folder, self._tell = folder, tell
+        super().__init__(folder, tell)
         for name in ("truth.toml", "survey.toml", "four-legs.toml", "without-doppler.toml"):
             shutil.copy(HERE / name, folder / name)
         (folder / "rov.toml").write_text(without_drag((folder / "truth.toml").read_text()))
-
-    def undertow(self, *words: str, expect: int = 0) -> Said:
-        """Run a command, which has to end with a certain code."""
-        self._tell(" ".join(("undertow", *words)))
-        path = os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")])
-        done = subprocess.run(
-            [sys.executable, "-m", "undertow", *words],
-            cwd=self.folder,
-            env={**os.environ, "COLUMNS": str(WIDTH), "PYTHONPATH": path},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode != expect:
-            raise RuntimeError(f"undertow {' '.join(words)} ended with {done.returncode}: {done.stderr}")
-        lines = [line.rstrip() for line in done.stdout.strip("\n").splitlines()]
-        return Said(list(words), done.returncode, "\n".join(lines))
 
     # --- steps --------------------------------------------------------------------------------
     def fly(self) -> None:

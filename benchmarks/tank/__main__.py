@@ -13,8 +13,9 @@ from undertow.figures import save_png
 from undertow.files import write_whole
 
 from ..progress import clear, teller
-from .bodies import BODIES, drawing, run
-from .page import page
+from .bodies import BODIES, SHELF, drawing, run, ship
+from .chain import compare
+from .page import CHAIN, page
 
 RESULTS = Path(__file__).parent / "results.json"
 PICTURES = {name: Path(f"docs/images/tank-{name}.png") for name in ("box", "box-steps")}
@@ -24,7 +25,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Run bodies or make the page; 0 when all went well, 2 without OpenFOAM."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.tank", description=__doc__)
     parser.add_argument(
-        "what", choices=("run", "page"), help="run the solver, or make the page of the results"
+        "what",
+        choices=("run", "ship", "chain", "page"),
+        help="run the solver, put logs beside the benchmark, fit those of the AUV, or make the page",
     )
     parser.add_argument("bodies", nargs="*", default=[], help=f"some of {', '.join(BODIES)}; default: all")
     parser.add_argument("--work", type=Path, default=Path("build/tank"), help="default: %(default)s")
@@ -34,6 +37,13 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"{wrong[0]} is no body: choose from {', '.join(BODIES)}")
     if options.what == "page":
         write_whole(options.out, page(_rows()))
+        return 0
+    if options.what == "ship":
+        for name in options.bodies:
+            ship(name, options.work)
+        return 0
+    if options.what == "chain":
+        write_whole(CHAIN, json.dumps(compare(SHELF / "auv", SHELF / "auv-paper"), indent=1) + "\n")
         return 0
     for name in options.bodies or BODIES:
         try:

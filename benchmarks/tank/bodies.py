@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.shape.hulls import box_mesh, revolved
+from benchmarks.shape.hulls import box_mesh, cylinder_mesh, revolved
+from undertow.files import make_folder, together, write_whole
 from undertow.shape.bodies import box, prolate_spheroid, sphere
-from undertow.shape.mesh import Mesh, mended
+from undertow.shape.mesh import Mesh, mended, stl_bytes
 from undertow.tank.case import Orders, make_tank, write_tank
 from undertow.tank.coefficients import coefficients
 from undertow.tank.pictures import picture
@@ -21,8 +23,11 @@ from undertow.tank.run import processor_seconds, run_tank
 from undertow.tank.settings import FILE, Tank, folder_of, log_of, read_tank
 from undertow.typing import Progress
 
+from .auv import MASS, auv_hull
+
 BOX = (0.60, 0.42, 0.24)
 RADIUS = 0.25
+SHELF = Path(__file__).parent / "logs"
 SHIPPED = Path("src/undertow/demo_data/cfd-surge/surge_step_coarse.csv.gz")
 
 
@@ -38,6 +43,12 @@ def _bullet() -> Mesh:
     return revolved([(-RADIUS, 0.0), *((x, RADIUS) for x in np.linspace(-RADIUS, 0.0, 6)[:-1]), *nose], 80)
 
 
+def _cylinder() -> Mesh:
+    """A circular cylinder across the flow, 0.5 m thick; walls cut it, so that it has no ends."""
+    along_x = cylinder_mesh(2.0, 2 * RADIUS, 96)
+    return Mesh(along_x.vertices[:, [1, 0, 2]], along_x.faces[:, ::-1])
+
+
 @dataclass(frozen=True)
 class Body:
     """A hull, what is done with it, and its exact added mass by name."""
@@ -48,6 +59,8 @@ class Body:
     grids: int
     truth: dict[str, float]
     source: str
+    way: str = ""  # the only direction that is run, where one is enough
+    longer: tuple[str, ...] = ()  # cases that are run with time steps of twice the length, to save time
 
 
 def _lamb(matrix: Any) -> dict[str, float]:
@@ -62,6 +75,7 @@ def _push(mass: float, motions: tuple[str, ...] = ("surge",), prescribed: bool =
 
 _SPHERE = _lamb(sphere(RADIUS).matrix)
 _BOX = _lamb(box(*BOX).matrix)
+_AUV = ("surge", "heave", "yaw")
 _STEP = Orders(60.48, profiles=("step",), prescribed=True)
 _VISCOUS = Orders(
     65.4, profiles=("step",), prescribed=True, viscosity=0.0015
@@ -106,6 +120,14 @@ BODIES = {
         "panels",
     ),
     "re100": Body("sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 1, {}, ""),
+    "cylinder": Body(
+        "cylinder across, without ends",
+        _cylinder,
+        Orders(393.0, profiles=("push",), prescribed=True, span="y"),
+        1,
+        {"X_udot": 1000.0 * np.pi * RADIUS**2 * 2.0},
+        "Lamb",
+    ),
     "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
     "bullet": Body(
         "half-sphere before a cylinder, 0.5 x 0.5 m",
@@ -117,16 +139,48 @@ BODIES = {
         },  # 1504 panels (undertow added-mass mesh --panels 1600), which say +- 0.7 of themselves
         "panels",
     ),
+    "auv": Body(
+        "small AUV, 0.60 m, 7.5 kg",
+        auv_hull,
+        Orders(MASS, motions=_AUV, profiles=("push", "step"), prescribed=True),
+        1,
+        {},
+        "panels",
+        longer=("surge-step-backward", "yaw-step"),
+    ),
+    "auv-paper": Body(
+        "the same AUV, pushed by the forces of the paper",
+        auv_hull,
+        Orders(MASS, motions=_AUV, profiles=("paper",), step=2.0),
+        1,
+        {},
+        "",
+        "forward",
+    ),
 }
+
+
+def made(name: str, work: Path) -> Tank:
+    """The tank of a body, written into a folder if it is not there."""
+    body, root = BODIES[name], work / name
+    if not (root / FILE).exists():
+        surface = mended(body.hull(), name)[0]
+        written = sha256(stl_bytes(surface)).hexdigest()
+        tank, hull = make_tank(surface, body.orders, f"{name}.stl", written)
+        ways = ("forward", "backward")
+        kept = tuple(
+            c.model_copy(update={"step": c.step * (1 + (c.name in body.longer))})
+            for c in tank.cases
+            if not body.way or not c.name.endswith(ways) or body.way in c.name
+        )
+        write_tank(root, tank.model_copy(update={"cases": kept}), hull)
+    return read_tank(root)
 
 
 def run(name: str, work: Path, progress: Progress) -> list[dict[str, Any]]:
     """Run what is missing of a body in a folder, and return what came out."""
     body, root = BODIES[name], work / name
-    if not (root / FILE).exists():
-        tank, hull = make_tank(mended(body.hull(), name)[0], body.orders, f"{name}.stl", "0" * 64)
-        write_tank(root, tank, hull)
-    tank = read_tank(root)
+    tank = made(name, work)
     run_tank(root, tank, grids=body.grids, progress=progress)
     found = [*_coefficients(name, root, tank), *_drag(name, root, tank)]
     return [*found, _against_demo(root, tank)] if name == "box-forced" else found
@@ -139,6 +193,22 @@ def _against_demo(root: Path, tank: Tank) -> dict[str, Any]:
     off = np.interp(shipped["t_s"], record.time, record.speed) - shipped["velocity_m_s"]
     rms = {"off": float(np.sqrt(np.mean(off**2))), "speed": float(np.sqrt(np.mean(record.speed**2)))}
     return {"body": "box-forced", "name": "rms", "direction": 0, **rms}
+
+
+def ship(name: str, work: Path) -> None:
+    """Put what is small of a tank that was run beside the benchmark: hull, tank.toml, logs."""
+    target, root = SHELF / name, work / name
+    tank = made(name, work)
+    done = {c.name: log_of(root, c, 1) for c in tank.cases if log_of(root, c, 1).is_file()}
+    kept = tank.model_copy(update={"cases": tuple(c for c in tank.cases if c.name in done), "grids": 1})
+    with together():
+        make_folder(target / "logs")
+        if name == "auv":  # the other tanks have the same hull
+            write_whole(target / "hull.stl", stl_bytes(mended(BODIES[name].hull(), name)[0]))
+        write_whole(target / FILE, kept.text())
+        for log in done.values():
+            for path in (log, log.with_suffix(".toml")):
+                write_whole(target / "logs" / path.name, path.read_text(encoding="utf-8"))
 
 
 def drawing(name: str, work: Path) -> Figure:

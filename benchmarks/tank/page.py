@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from .bodies import BODIES
+from .chain import table
 
 _TEXT = Path(__file__).parent / "page.md"
+CHAIN = Path(__file__).parent / "chain.json"
 _WAYS = {0: "", 1: " forward", -1: " backward"}
 _UNITS = {"X": "kg", "Y": "kg", "Z": "kg", "K": "kg m²", "M": "kg m²", "N": "kg m²"}
 
@@ -20,6 +23,8 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
     drag = [r for r in rows if r["name"] == "Cd"]
     (rms,) = (r for r in rows if r["name"] == "rms")
     text = text.replace("{off}", f"{1000 * rms['off']:.1f}").replace("{speed}", f"{1000 * rms['speed']:.0f}")
+    compared = json.loads(CHAIN.read_text(encoding="utf-8"))
+    text = text.replace("{chain}", "\n".join(table(compared, 0.15)))
     return text.replace("{added}", "\n".join(_added(added))).replace("{drag}", "\n".join(_drag(drag)))
 
 

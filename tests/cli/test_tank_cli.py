@@ -39,6 +39,29 @@ def test_from_a_hull_to_a_vehicle_file(hull: Path, monkeypatch: pytest.MonkeyPat
     assert "-X_udot" in out
     assert main(["vehicle", "new", "--tank", "tank", "--out", "my.toml"]) == 0
     assert load_vehicle("my.toml").values["X_udot"].value == pytest.approx(-ADDED, rel=0.02)
+    # Of a mesh the motions that were tested come from the tank, the others from the shape.
+    words = [
+        "vehicle",
+        "new",
+        "--mesh",
+        "box.stl",
+        "--mass",
+        "60.48",
+        "--tank",
+        "tank",
+        "--added-mass",
+        "box",
+    ]
+    assert main([*words, "--dof", "surge,heave", "--out", "both.toml"]) == 0
+    both = load_vehicle("both.toml").values
+    assert both["X_udot"].value == load_vehicle("my.toml").values["X_udot"].value
+    assert both["Z_wdot"].value == pytest.approx(-74.6, rel=0.02)
+    assert "leave out --origin mesh" in refusal(
+        [*words, "--origin", "mesh", "--out", "no.toml"], capsys, hull
+    )
+    stl(box_mesh((0.61, 0.42, 0.24)), hull / "other.stl")
+    words[3] = "other.stl"
+    assert "made of another hull (box.stl)" in refusal([*words, "--out", "no.toml"], capsys, hull)
     # A log of the tank is a log as any other.
     logs = hull / "tank" / "logs"
     words = ["fit", "my.toml", logs / "surge-step-grid1.csv", "--map", logs / "surge-step-grid1.toml"]

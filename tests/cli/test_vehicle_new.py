@@ -199,3 +199,17 @@ def test_a_body_of_the_same_extents() -> None:
     off = np.abs(np.diag(wrong.matrix) - BOX)
     assert off[0] > 0.5 * BOX[0]
     assert np.all(off < 1.02 * np.diag(wrong.error) + 0.01 * BOX)
+
+
+@needs_capytaine
+def test_what_cannot_float_is_refused_in_one_line(hulls: Path, capsys: Capture) -> None:
+    cases = {
+        "--wave 3,0.1,0 is for a hull at the surface: give --floating": ["--wave", "3,0.1,0"],
+        "is not three numbers": ["--floating", "--wave", "3,0.1"],
+        "a hull floats level where its weight is above": ["--floating", "--cg", "0.1,0,0"],
+        "--volume 0.001 is for hulls under water": ["--floating", "--volume", "0.001"],
+        "the frequency has to be positive": ["--floating", "--wave", "-3,0.1,0"],
+        "it sinks": ["--floating", "--mass", "61"],
+    }
+    for line, more in cases.items():
+        assert line in refusal([*MESH, "--out", "floating.toml", *more], capsys, hulls)

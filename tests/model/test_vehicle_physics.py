@@ -280,7 +280,9 @@ def test_bundled_vehicles_balance_their_power(name: str) -> None:
 def _is_a_wrench_of_the_motion(effect: type[Effect]) -> bool:
     """Whether an effect is a wrench, a function of pose and motion through the water, and nothing else."""
     wrench = kinds_of(effect) == ("wrench",) and not effect.built_in and not effect.specimen().states
-    return wrench and "thrusters" not in effect.requires and effect.id != "dry_friction"
+    return (
+        wrench and "thrusters" not in effect.requires and effect.id not in ("dry_friction", "wave_excitation")
+    )
 
 
 STILL = tuple(i for i, c in catalogue().items() if _is_a_wrench_of_the_motion(c))

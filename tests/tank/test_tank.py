@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.shape.hulls import box_mesh, spheroid_mesh
+from benchmarks.shape.hulls import box_mesh, cylinder_mesh, spheroid_mesh
 from benchmarks.tank.__main__ import RESULTS
 from benchmarks.tank.page import page, published
 from tests.tank.stand_ins import ADDED, LINEAR, QUADRATIC, stand_ins
@@ -35,6 +35,12 @@ PUSHED = Orders(60.48, profiles=("push", "step"), prescribed=True)
 
 def _tank(orders: Orders, hull: Mesh = BOX) -> Tank:
     return make_tank(hull, orders, "hull.stl", "0" * 64)[0]
+
+
+def _bent() -> Mesh:
+    """A box whose bow leans forward: no mirror image of itself along or upright."""
+    bow = (BOX.vertices[:, [0]] > 0) * (BOX.vertices[:, [2]] > 0)
+    return Mesh(BOX.vertices + np.array([0.02, 0, 0]) * bow, BOX.faces)
 
 
 # --- cases ----------------------------------------------------------------------------------------
@@ -73,13 +79,31 @@ def test_finer_grids_have_finer_cells_and_steps() -> None:
 def test_water_is_cut_at_planes_of_symmetry_only() -> None:
     both = _tank(replace(PUSHED, motions=("surge", "yaw"), profiles=("push",)))
     assert [c.planes for c in both.cases] == [("y", "z"), ("z",)]
-    bent = BOX.vertices + np.array([0.02, 0, 0]) * (BOX.vertices[:, [0]] > 0) * (BOX.vertices[:, [2]] > 0)
-    one = _tank(replace(PUSHED, profiles=("push",)), Mesh(bent, BOX.faces))
+    one = _tank(replace(PUSHED, profiles=("push",)), _bent())
     assert [(c.name, c.planes) for c in one.cases] == [
         ("surge-push-forward", ("y",)),
         ("surge-push-backward", ("y",)),
     ]
     assert np.allclose(one.cases[0].signal, -np.array(one.cases[1].signal))
+
+
+def test_a_hull_without_ends_has_walls_along_its_span() -> None:
+    across = cylinder_mesh(2.0, 0.5, 48)
+    hull = Mesh(across.vertices[:, [1, 0, 2]], across.faces[:, ::-1])  # along y
+    tank = _tank(replace(PUSHED, profiles=("push",), span="y"), hull)
+    assert tank.cases[0].planes == ("z",)
+    assert tank.cell == pytest.approx(0.5 / 20)  # of the thickness, not of the length
+    assert tank.share == pytest.approx(2 * tank.half[1] / 2.0)
+    assert min(tank.half[0], tank.half[2]) >= 12 * 0.5  # plane flow fades slowly
+    block = case_files(tank, tank.cases[0], 1)["system/blockMeshDict"]
+    assert re.findall(r"\((\d+) (\d+) (\d+)\)", block)[0][1] == "1"  # one cell thick
+    walls = re.search(r"cut\s*\{[^}]*faces \(([^;]*)\);", block)
+    assert walls is not None
+    assert set(re.findall(r"\d \d \d \d", walls[1])) == {"0 1 5 4", "3 7 6 2", "0 3 2 1"}
+    with pytest.raises(UndertowError, match="sway leaves the plane"):
+        _tank(replace(PUSHED, motions=("sway",), span="y"), hull)
+    with pytest.raises(UndertowError, match="'q' is no axis"):
+        _tank(replace(PUSHED, span="q"), hull)
 
 
 def test_a_free_hull_is_forced_as_asked() -> None:
@@ -217,6 +241,19 @@ def test_logs_and_coefficients(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("solver")
+def test_a_direction_counts_when_its_own_cases_are_done(tmp_path: Path) -> None:
+    tank, hull = make_tank(_bent(), PUSHED, "hull.stl", "0" * 64)
+    write_tank(tmp_path / "tank", tank, hull)
+    run_tank(tmp_path / "tank", tank)
+    log_of(tmp_path / "tank", tank.cases[3], 1).unlink()  # surge-step-backward
+    found = coefficients(tmp_path / "tank", tank)
+    assert [c.name for c in found] == ["X_udot", "X_u", "X_uabsu"]
+    assert {c.direction for c in found} == {1}
+    text = tank_vehicle(tank, found, "my")
+    assert "forward only" in re.findall("X_uabsu = .*", text)[0]
+
+
+@pytest.mark.usefixtures("solver")
 def test_a_run_that_was_cut_off_goes_on(tmp_path: Path) -> None:
     root, tank = _written(tmp_path, replace(PUSHED, profiles=("push",)))
     case = tank.cases[0]
@@ -297,6 +334,19 @@ def test_added_mass_of_a_sphere(tmp_path: Path, prescribed: bool) -> None:
     run_tank(tmp_path, tank)
     (found,) = coefficients(tmp_path, tank)
     assert found.value == pytest.approx(sphere(0.25).matrix[0, 0], rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+def test_added_mass_of_a_cylinder_without_ends(tmp_path: Path) -> None:
+    across = cylinder_mesh(2.0, 0.5, 96)
+    hull = Mesh(across.vertices[:, [1, 0, 2]], across.faces[:, ::-1])
+    orders = Orders(393.0, profiles=("push",), prescribed=True, grids=1, span="y")
+    tank, centred = make_tank(hull, orders, "cylinder.stl", "0" * 64)
+    write_tank(tmp_path, tank, centred)
+    run_tank(tmp_path, tank)
+    (found,) = coefficients(tmp_path, tank)
+    assert found.value == pytest.approx(1000 * np.pi * 0.25**2 * 2.0, rel=0.03)  # Lamb, of 2 m
 
 
 @pytest.mark.slow

@@ -105,6 +105,9 @@ class Functions:
         kept = {*self._memory, *self._chain_rates, *known, *directional}
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
+        # It may be divided by what is constant in the world, so that this is no zero.
+        world = {symbol(n): sm.Float(v) for n, v in self.vehicle.environment.items()}
+        self.convert.define({x: value for x, value in world.items() if x not in known})
         self._define_water()
         self.convert.define(directional)
 

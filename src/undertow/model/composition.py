@@ -211,9 +211,12 @@ class Composition:
         return self._reachable(e for e in self.effects if isinstance(e, Wrench))
 
     def _reachable(self, effects: Iterable[Wrench]) -> dict[sm.Symbol, sm.Expr]:
-        used, s = self.residual.free_symbols, self.signals
-        rates = ((e.state_symbols, self.reduce(e.spelled_out(e.rates(s), s))) for e in effects)
-        return {x: rate for pair in rates for x, rate in zip(*pair, strict=True) if x in used}
+        used, s = set(self.residual.free_symbols), self.signals
+        pairs = ((e.state_symbols, self.reduce(e.spelled_out(e.rates(s), s))) for e in effects)
+        rates = {x: rate for pair in pairs for x, rate in zip(*pair, strict=True)}
+        while more := {y for x in used & rates.keys() for y in rates[x].free_symbols} - used:
+            used |= more  # a state that moves one in use is in use, too
+        return {x: rate for x, rate in rates.items() if x in used}
 
     @cached_property
     def chain(self) -> tuple[sm.Matrix, dict[sm.Symbol, sm.Expr], dict[sm.Symbol, sm.Expr]]:

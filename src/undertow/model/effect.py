@@ -55,6 +55,9 @@ class Effect(abc.ABC):
         Ids of effects whose parameters it shares where the vehicle has them, and takes as zero where not.
     built_in : bool
         True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
+    of_shape : bool
+        True for what is computed from the shape of a hull, with more numbers than a log could say; never a
+        candidate for what is missing.
     weighed : bool
         True where the values come from scales and drawings, and what may be wrong with them is an effect of
         its own (water in the hull, net buoyancy, a shifted centre of buoyancy).
@@ -82,6 +85,7 @@ class Effect(abc.ABC):
     requires: ClassVar[tuple[str, ...]] = ()
     shares: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
+    of_shape: ClassVar[bool] = False
     weighed: ClassVar[bool] = False
     scales_with: ClassVar[Literal["", "drag", "inertia"]] = ""
     taken: ClassVar[tuple[Taken, ...]] = ()

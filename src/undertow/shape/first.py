@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -269,8 +269,8 @@ class Hardware:
     at_rest: bool = True  # whether it pushes at rest, a unit per unit of its command
 
 
-def first_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec) -> str:
-    """The text of a vehicle file for a hull."""
+def first_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec, tested: Sequence[EffectTable] = ()) -> str:
+    """The text of a vehicle file for a hull; `tested` has values that are better than those of its shape."""
     _check(hull, spec)
     mesh, added = hull.moved(-spec.origin), added.placed(np.eye(3), -spec.origin)
     return vehicle_text(
@@ -281,8 +281,14 @@ def first_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec) -> str:
         source=f"shape of {spec.mesh}, mass as stated; no test yet",
         degrees_of_freedom=spec.degrees_of_freedom,
         density=spec.density,
-        tables=list(hull_tables(mesh, added, spec)),
+        tables=[_bettered(t, tested) for t in hull_tables(mesh, added, spec)],
     )
+
+
+def _bettered(table: EffectTable, tested: Sequence[EffectTable]) -> EffectTable:
+    """A table with the values of tests in place of its own."""
+    better = {line.split(" = ")[0]: line for t in tested if t.id == table.id for line in t.entries}
+    return replace(table, entries=[better.get(line.split(" = ")[0], line) for line in table.entries])
 
 
 def vehicle_text(

@@ -271,7 +271,7 @@ def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int
     if depth is not None and not depth > above:
         raise UndertowError(
             f"depth = {depth:g} m: the hull reaches {above:.4g} m above its centre and would stand out of "
-            "the water: go deeper, a hull that pierces the surface is not handled"
+            "the water: go deeper; hulls at the surface are for undertow vehicle new --floating"
         )
 
 

@@ -59,18 +59,25 @@ class Orders:
     turbulence: str = "auto"  # laminar, k-omega-sst, or auto: by the Reynolds number
     grids: int = 3
     step: float = 1.0  # time steps, as a share of those of the rules
+    span: str | None = None  # x, y or z: the hull is taken for a piece of one without ends along it
 
 
 def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank, Mesh]:
     """A tank for a hull, and the hull with its centre of volume in the origin."""
     _check(orders)
     centred = hull.moved(-hull.centroid)
-    sizes, rules = centred.extents, RULES
-    longest, cell = float(sizes.max()), _cell(centred)
+    rules = RULES
+    sizes = _across(centred, orders)
+    longest, cell = float(sizes.max()), _cell(sizes)
     level = max(1, int(np.floor(np.log2(longest / rules.background / cell) + 1e-9)))
     background = cell * 2**level
-    reach = np.abs(centred.bounds).max(axis=0) + rules.reach * longest
-    x, y, z = (float(r) for r in np.ceil(reach / background) * background)
+    reach = (
+        np.abs(centred.bounds).max(axis=0) + (rules.reach if orders.span is None else rules.plane) * longest
+    )
+    half = np.ceil(reach / background) * background
+    if orders.span is not None:
+        half[_AXES.index(orders.span)] = background / 2
+    x, y, z = (float(r) for r in half)
     symmetric = _symmetries(centred)
     added = np.diag(equivalent(centred, orders.density).matrix)
     form = np.array([added, drag_of_hull(centred, orders.density).coefficients])
@@ -93,6 +100,8 @@ def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank,
         refinement=rules.refinement,
         grids=orders.grids,
         symmetric=tuple(_AXES[i] for i in symmetric),  # type: ignore[misc]
+        span=orders.span,  # type: ignore[arg-type]
+        share=1.0 if orders.span is None else background / float(centred.extents[_AXES.index(orders.span)]),
         cases=tuple(cases),
     )
     return tank, centred
@@ -113,10 +122,28 @@ def _check(orders: Orders) -> None:
             raise UndertowError(f"{what} = {value:g} {unit} cannot be: give a positive number")
     if not 1 <= orders.grids <= 4:
         raise UndertowError(f"{orders.grids} grids cannot be: give 1 to 4")
+    if orders.span is not None and orders.span not in _AXES:
+        raise UndertowError(f"span '{orders.span}' is no axis: choose x, y or z")
+    wrong = [m for m in orders.motions if orders.span and not _in_plane(m, orders.span)]
+    if wrong:
+        raise UndertowError(
+            f"{wrong[0]} leaves the plane of a hull without ends along {orders.span}: choose another motion"
+        )
     if orders.prescribed and "paper" in orders.profiles:
         raise UndertowError(
             "profile paper is one of forces: leave out --prescribed, or choose push, step or sine"
         )
+
+
+def _in_plane(motion_name: str, span: str) -> bool:
+    place = DOFS.index(motion_name)
+    return (place % 3 == _AXES.index(span)) == (place > 2)
+
+
+def _across(hull: Mesh, orders: Orders) -> Array:
+    """Sides of the hull, without the one along its span, m."""
+    sides = hull.extents
+    return sides if orders.span is None else np.delete(sides, _AXES.index(orders.span))
 
 
 def _symmetries(hull: Mesh) -> list[int]:
@@ -135,7 +162,7 @@ def _cases(
     both = profile in PROFILES and profile != "sine" and not alike
     label = f"{name}-{profile if profile in PROFILES else Path(profile).stem.lower()}"
     shared = _case(hull, form, orders, name, profile)
-    shared["planes"] = tuple(_AXES[i] for i in symmetric if (i == axis) == turns)
+    shared["planes"] = tuple(_AXES[i] for i in symmetric if (i == axis) == turns and _AXES[i] != orders.span)
     values = np.array(shared.pop("signal"))
     return [
         Case(
@@ -152,7 +179,7 @@ def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> d
     """What both directions of a case have in common: its signal, how strong it is, the time step."""
     place = DOFS.index(name)
     turns, sizes = place > 2, hull.extents
-    longest = float(sizes.max())
+    longest = float(_across(hull, orders).max())
     arm = longest / 2 if turns else 1.0
     rate = orders.speed / arm  # m/s or rad/s
     scale = (longest if turns else float(sizes[place])) / orders.speed
@@ -167,7 +194,7 @@ def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> d
             peak = np.pi * float(inertia + added) * rate / float(times[-1])
     push = profile == "push"
     reached = peak if orders.prescribed else max(rate, 0.0 if push else (peak / drag) ** 0.5)
-    cell = _cell(hull)
+    cell = _cell(_across(hull, orders))
     step = times[-1] / RULES.push_steps if push else RULES.courant * cell / (reached * arm)
     auto = not push and reached * arm * longest / orders.viscosity > RULES.laminar_below
     return {
@@ -194,9 +221,9 @@ def _signal(profile: str, prescribed: bool, scale: float) -> tuple[Array, Array,
     return times, values / peak, peak
 
 
-def _cell(hull: Mesh) -> float:
-    """Size of the cells at the hull on the coarsest grid, m."""
-    return float(min(hull.extents.max() / RULES.along, hull.extents.min() / RULES.across))
+def _cell(sides: Array) -> float:
+    """Size of the cells at a hull with these sides on the coarsest grid, m."""
+    return float(min(sides.max() / RULES.along, sides.min() / RULES.across))
 
 
 def _plain(label: str) -> str:
@@ -249,7 +276,7 @@ def _template(name: str) -> Any:
 
 def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:
     place = DOFS.index(case.motion)
-    step, share = tank.step_of(case, grid), 1 / case.copies
+    step, share = tank.step_of(case, grid), tank.share / case.copies
     rate = case.peak * (tank.size / 2 if place > 2 else 1.0) if case.prescribed else 0.3
     k = 1.5 * (RULES.intensity * rate) ** 2
     inertia = case.inertia * share
@@ -305,13 +332,14 @@ def _block(tank: Tank, case: Case, grid: int) -> dict[str, str]:
     low = [0.0 if c else -h for c, h in zip(cut, tank.half, strict=True)]
     corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
     points = [[(low[i], tank.half[i])[c[i]] for i in range(3)] for c in corners]
-    counts = [round((h - lo) / cell) for h, lo in zip(tank.half, low, strict=True)]
+    counts = [max(1, round((h - lo) / cell)) for h, lo in zip(tank.half, low, strict=True)]
     faces: dict[bool, list[str]] = {True: [], False: []}
     sides = [("0 4 7 3", "1 2 6 5"), ("0 1 5 4", "3 7 6 2"), ("0 3 2 1", "4 5 6 7")]
     for i, (lower, upper) in enumerate(sides):
-        faces[cut[i]].append(f"({lower})")
-        faces[False].append(f"({upper})")
-    inside = [h - (0.37 + 0.04 * i) * cell for i, h in enumerate(tank.half)]
+        between = _AXES[i] == tank.span  # walls at both ends
+        faces[cut[i] or between].append(f"({lower})")
+        faces[between].append(f"({upper})")
+    inside = [h - (0.37 + 0.04 * i) * min(cell, h) for i, h in enumerate(tank.half)]
     return {
         "vertices": [_vector(p) for p in points],  # type: ignore[dict-item]
         "counts": " ".join(map(str, counts)),

@@ -59,17 +59,23 @@ class Coefficient:
 def coefficients(root: Path, tank: Tank) -> list[Coefficient]:
     """Coefficients of every motion and direction that has logs.
 
-    A grid counts for a motion when all cases of the motion are done on it.
+    A grid counts for a motion and a direction when all cases that say something of it are done on it.
     """
     found: list[Coefficient] = []
     for motion in dict.fromkeys(case.motion for case in tank.cases):
         cases = [case for case in tank.cases if case.motion == motion]
         two_sided = any(case.direction < 0 for case in cases)
         for direction in (1, -1) if two_sided else (0,):
-            found += _of_motion(root, tank, cases, direction)
+            found += _of_motion(root, tank, [c for c in cases if _tells(c, direction)], direction)
     if not found:
         raise UndertowError(f"{root}: no logs yet: undertow tank run {root} makes them")
     return found
+
+
+def _tells(case: Case, direction: int) -> bool:
+    """Whether a case says something of a direction: pushes and prescribed steps go one way only."""
+    one_way = case.profile == "push" or (case.profile == "step" and case.prescribed)
+    return direction * case.direction >= 0 or not one_way
 
 
 def _of_motion(root: Path, tank: Tank, cases: Sequence[Case], direction: int) -> list[Coefficient]:
@@ -106,7 +112,7 @@ Fit = dict[str, tuple[float, float]]
 def _fit(tank: Tank, records: Sequence[tuple[Case, Record]], direction: int) -> Fit:
     """Value and standard error of a (added mass), d and q (linear and quadratic damping) on one grid."""
     result: Fit = {}
-    pushes = [r for c, r in records if c.profile == "push" and direction * c.direction >= 0]
+    pushes = [r for c, r in records if c.profile == "push"]
     others = [r for c, r in records if c.profile != "push"]
     if pushes:
         result["a"] = _by_pushes(pushes)

@@ -85,13 +85,14 @@ def run_tank(
     Returns the names of the logs that were written. Raises `UndertowError` where OpenFOAM is missing, no grid
     can be made or a run diverges; logs written before stay.
     """
-    need_openfoam()
-    if cores > 1:
-        need_openfoam("decomposePar", "mpirun")
     if not 1 <= grids <= tank.grids:
         raise UndertowError(f"--grids {grids}: {root} has {tank.grids}: undertow tank new --grids makes more")
     tell = progress or (lambda done, words: None)
     todo = [(g, c) for g, c in product(range(1, grids + 1), tank.cases) if not log_of(root, c, g).exists()]
+    if todo:
+        need_openfoam()
+    if todo and cores > 1:
+        need_openfoam("decomposePar", "mpirun")
     # A grid finer by r has r^3 times the cells and r times the steps.
     work = np.array([c.end / c.step * tank.refinement ** (4 * g) / c.copies for g, c in todo])
     ends = np.cumsum(work) / work.sum() if len(work) else work
@@ -292,7 +293,7 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
     """What a case has given: motion, acceleration, force of the water, force on the hull from outside."""
     place = DOFS.index(case.motion)
     times, water = read_forces(folder, place)
-    water = water * case.copies
+    water = water * case.copies / tank.share
     signal_times, signal = np.array(case.times), case.peak * np.array(case.signal)
     if case.prescribed:
         x, v, a = motion(signal_times, signal, np.minimum(times, case.end))

@@ -23,6 +23,8 @@ class TankRules:
     """How water, grid and time follow from a hull and a speed; lengths are shares of its longest side."""
 
     reach: float = 3.0  # water between hull and outer boundary: it holds the added mass of a sphere to 0.3 %
+    # the same where the flow is plane and what a body moves fades more slowly: a cylinder to 0.3 %
+    plane: float = 12.0
     along: float = 20.0  # surface cells of the coarsest grid along the longest side, at least
     across: float = 8.0  # the same across the shortest side
     background: float = 5.0  # cells far away along the longest side, at least
@@ -102,6 +104,8 @@ class Tank(_Strict):
     refinement: float = Field(gt=1)
     grids: int = Field(ge=1, le=4)
     symmetric: tuple[Axis, ...]  # axes along which the hull is its own mirror image
+    span: Axis | None = None  # axis along which walls cut the hull: it is a piece of one without ends
+    share: float = Field(default=1.0, gt=0, le=1)  # of the hull that is between these walls
     cases: tuple[Case, ...] = Field(min_length=1)
     rules: dict[str, float] = {}  # `TankRules` that it was made by, for the record
 
@@ -116,7 +120,7 @@ class Tank(_Strict):
 
     def text(self) -> str:
         """The content of `tank.toml`."""
-        content = self.model_dump(by_alias=True, exclude={"rules"}, mode="json")
+        content = self.model_dump(by_alias=True, exclude={"rules"}, exclude_none=True, mode="json")
         document = tomlkit.document()
         document.add(
             tomlkit.comment(

@@ -10,6 +10,7 @@ from undertow.shape.first import EffectTable, entry_line, vehicle_text
 from .coefficients import Coefficient
 from .settings import Tank
 
+_WAYS = {1: "forward", -1: "backward"}
 _EFFECTS = {"added_mass": "dot", "quadratic_damping": "abs", "linear_damping": ""}
 
 
@@ -21,8 +22,7 @@ def tank_vehicle(tank: Tank, found: Sequence[Coefficient], name: str) -> str:
     """
     motions = tuple(d for d in DOFS if any(c.motion == d for c in found))
     turns = [EffectTable("rigid_body_coriolis", []), EffectTable("added_mass_coriolis", [])]
-    tables = [EffectTable("rigid_body", list(_rigid_body(tank, motions)))]
-    tables += [EffectTable(effect, list(_entries(found, effect))) for effect in _EFFECTS]
+    tables = [EffectTable("rigid_body", list(_rigid_body(tank, motions))), *tested(found)]
     return vehicle_text(
         made_from=f"a virtual towing tank with {tank.hull} (sha256 {tank.sha256})",
         about=[
@@ -36,6 +36,11 @@ def tank_vehicle(tank: Tank, found: Sequence[Coefficient], name: str) -> str:
         density=tank.density,
         tables=[t for t in tables if t.entries] + (turns if len(motions) > 1 else []),
     )
+
+
+def tested(found: Sequence[Coefficient]) -> list[EffectTable]:
+    """Added mass and damping that were found, one table for each effect."""
+    return [EffectTable(effect, list(_entries(found, effect))) for effect in _EFFECTS]
 
 
 def _rigid_body(tank: Tank, motions: Sequence[str]) -> Iterator[str]:
@@ -60,7 +65,8 @@ def _entries(found: Sequence[Coefficient], effect: str) -> Iterator[str]:
             backward=-others[0].value if others else None,
             sigma=max(c.sigma for c in (first, *others)),
             estimate=True,
-            source=first.source,
+            source=first.source
+            + (f"; {_WAYS[first.direction]} only" if first.direction and not others else ""),
         )
 
 

@@ -58,6 +58,11 @@ _INERTIA = typer.Option(
 _DENSITY = typer.Option("--density", metavar="KG/M3", help="Of the water.")
 _VISCOSITY = typer.Option("--viscosity", metavar="M2/S", help="Kinematic, of the water.")
 _TURBULENCE = typer.Option("--turbulence", help="Of the water; auto: by the Reynolds number.")
+_SPAN = typer.Option(
+    "--span",
+    metavar="x|y|z",
+    help="The hull is a piece of one without ends along this axis: plane flow between two walls.",
+)
 _MADE = typer.Option("--grids", metavar="N", help="Grids to write cases for, 1 to 4.")
 _STEP = typer.Option("--time-step", metavar="SHARE", help="Of the usual time step; less if a run diverges.")
 _REPLACE = typer.Option("--force", help="Replace a tank that has not been run.")
@@ -88,6 +93,7 @@ def new(
     density: Annotated[float, _DENSITY] = 1000.0,
     viscosity: Annotated[float, _VISCOSITY] = 1e-6,
     turbulence: Annotated[Literal["auto", "laminar", "k-omega-sst"], _TURBULENCE] = "auto",
+    span: Annotated[str | None, _SPAN] = None,
     grids: Annotated[int, _MADE] = 3,
     time_step: Annotated[float, _STEP] = 1.0,
     force: Annotated[bool, _REPLACE] = False,
@@ -117,6 +123,7 @@ def new(
         turbulence=turbulence,
         grids=grids,
         step=time_step,
+        span=span,
     )
     made, centred = make_tank(surface, orders, hull.name, sha256_of(hull))
     with progress("writing", None):

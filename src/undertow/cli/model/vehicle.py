@@ -8,6 +8,8 @@
 
     undertow vehicle new --tank tank/ --out my.toml
 
+    undertow vehicle new --mesh usv.stl --mass 55 --cg 0,0,-0.05 --floating --wave 3,0.1,180 --out usv.toml
+
     undertow vehicles show my.toml
 
 `undertow vehicles` lists and shows vehicle files that exist already.
@@ -25,10 +27,12 @@ import typer
 from undertow.errors import UndertowError
 
 from .._options import NewForceOption, new_file
-from .._terminal import console, progress, say, text
+from .._terminal import console, progress, say, table, text
 
 if TYPE_CHECKING:
+    from undertow.shape.afloat import FloatingVehicle
     from undertow.shape.bodies import AddedMass
+    from undertow.shape.first import EffectTable, HullSpec
     from undertow.shape.mesh import Hull, Mesh
 
 
@@ -73,7 +77,9 @@ _LOG = typer.Option(
     help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters tell frame and motors.",
 )
 _TANK = typer.Option(
-    "--tank", metavar="FOLDER", help="In place of all: a virtual towing tank that was run (undertow tank)."
+    "--tank",
+    metavar="FOLDER",
+    help="Virtual towing tank that was run (undertow tank): alone, or for what of --mesh was tested.",
 )
 _LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
 _BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width.")
@@ -99,6 +105,14 @@ _CD = typer.Option(
 )
 _ADDED = typer.Option(
     "--added-mass", help="By panels, or of a body of the same extents; auto: panels if installed."
+)
+_FLOATING = typer.Option(
+    "--floating", help="The hull floats at the surface: waterline, memory of the waves that it makes."
+)
+_WAVE = typer.Option(
+    "--wave",
+    metavar="RAD/S,M,DEGREES",
+    help="With --floating: forces of a regular wave of this frequency, amplitude and direction of travel.",
 )
 _NAME = typer.Option("--name", metavar="NAME", help="Of the vehicle.", show_default="name of the mesh file")
 _OUT = typer.Option("--out", metavar="NEW.toml", help="Where to write it.", show_default="NAME.toml")
@@ -151,6 +165,8 @@ def new(
     added_mass: Annotated[Method, _ADDED] = "auto",
     panels: PanelsOption = 3200,
     crease: CreaseOption = 30.0,
+    floating: Annotated[bool, _FLOATING] = False,
+    wave: Annotated[str | None, _WAVE] = None,
     name: Annotated[str | None, _NAME] = None,
     out: Annotated[Path | None, _OUT] = None,
     force: NewForceOption = False,
@@ -162,6 +178,11 @@ def new(
     coefficients for blunt, rounded or streamlined hulls. Each value has its source and a standard deviation;
     added mass, drag and buoyancy are marked to be estimated from logs. Thrusters are left for you to state.
 
+    With --floating the hull pierces the surface, as deep as its mass asks for, and the origin lies in the
+    waterline: stiffness of the waterline, added mass at infinite frequency, and the memory of the waves that
+    the hull sends out, as a state-space model that never feeds power (needs the extra undertow[bem]). With
+    --wave forces and mean drift of a regular wave from every heading are in the file, too.
+
     With --type there is no mesh: dimensions and mass give a complete file, with thrusters, rudders and fins
     where vehicles of the type have them, by rules (ellipsoids, Clarke's regression, ITTC 1957, Hoerner) that
     each value names.
@@ -171,13 +192,13 @@ def new(
     of the battery.
 
     With --tank the file has the motions that were tested there: added mass, linear and quadratic damping with
-    errors of the fit and of the grid.
+    errors of the fit and of the grid. With --mesh besides, of the same hull, the other motions come from it.
     """
     from undertow.files import sha256_of, write_whole
     from undertow.shape.first import HullSpec, first_vehicle, motions
 
     sides = (length, beam, height)
-    if log is not None or tank is not None:
+    if log is not None or (tank is not None and mesh is None):
         if any(given is not None for given in (mass, mesh, kind, *sides, tank and log)):
             source = (
                 "--log takes mass and shape from a bundled vehicle" if log else "--tank has mass and shape"
@@ -205,9 +226,50 @@ def new(
         volume=volume,
         remarks=(f"Axes of the mesh: {frame.upper()}.", *hull.remarks),
     )
+    if floating or wave is not None:
+        if tank is not None:
+            raise UndertowError(f"--tank {tank} is of a hull far under water: leave it out with --floating")
+        _afloat(hull.mesh, spec, floating, wave, panels, target)
+        return
     found = _added(hull.mesh, density, added_mass, panels, crease)
-    write_whole(target, first_vehicle(hull.mesh, found, spec))
+    tests = [] if tank is None else _tests(tank, spec, origin)
+    write_whole(target, first_vehicle(hull.mesh, found, spec, tests))
     _summary(hull.mesh, target, spec.volume, mass, density, found.source)
+
+
+def _afloat(mesh: Mesh, spec: HullSpec, floating: bool, wave: str | None, finest: int, target: Path) -> None:
+    """Write a vehicle file of a hull at the surface."""
+    from undertow.files import write_whole
+    from undertow.shape.afloat import WaveSpec, floating_vehicle
+
+    if not floating:
+        raise UndertowError(f"--wave {wave} is for a hull at the surface: give --floating")
+    regular = None if wave is None else WaveSpec(*three(wave, "--wave"))
+    with progress("panels") as report:
+        # About half of the hull is under water.
+        made = floating_vehicle(mesh, spec, regular, finest // 2, report)
+    write_whole(target, made.text)
+    show_afloat(made)
+    say(f"wrote {target}; state its thrusters, then: undertow vehicles show {target}")
+
+
+def show_afloat(made: FloatingVehicle) -> None:
+    """Print what a hull at the surface does at every frequency, and how well its memory is fitted."""
+    hull, memory = made.hull, made.memory
+    say(f"draught {hull.draught:.4g} m, {hull.panels} panels under water")
+    own = (0, 1, 2, 3, 4, 5)
+    rows = [
+        (
+            f"{w:.3g}",
+            *(f"{hull.added[k, i, i]:.3g}" for i in own),
+            *(f"{hull.damping[k, i, i]:.3g}" for i in own),
+        )
+        for k, w in list(enumerate(hull.omega))[::3]
+    ]
+    heads = ("rad/s", *(f"A{i + 1}{i + 1}" for i in own), *(f"B{i + 1}{i + 1}" for i in own))
+    console().print(table(heads, rows, indent=0))
+    left = ", ".join(f"{'uvwpqr'[i]} {100 * e:.0f} %" for i, e in memory.error.items())
+    say(f"memory: {memory.effect}, order {memory.order}; left of its kernel: {left}")
 
 
 def _of_log(log: Path, out: Path | None, force: bool) -> None:
@@ -237,6 +299,24 @@ def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool)
     target = new_file(out or Path(f"{title}.toml"), force, [root / "tank.toml"])
     write_whole(target, tank_vehicle(made, coefficients(root, made), title))
     say(f"wrote {target}; state its thrusters, then: undertow vehicles show {target}")
+
+
+def _tests(root: Path, spec: HullSpec, origin: str) -> list[EffectTable]:
+    """What a towing tank has found of the same hull."""
+    from undertow.tank.coefficients import coefficients
+    from undertow.tank.settings import read_tank
+    from undertow.tank.vehicle import tested
+
+    if origin != "buoyancy":
+        raise UndertowError(f"--tank {root} is about the centre of buoyancy: leave out --origin {origin}")
+    made = read_tank(root)
+    if made.sha256 != spec.sha256:
+        raise UndertowError(
+            f"--tank {root} was made of another hull ({made.hull}) than {spec.mesh}: name that"
+        )
+    found = coefficients(root, made)
+    say(f"tested in the tank: {', '.join(dict.fromkeys(c.motion for c in found))}")
+    return tested(found)
 
 
 def _of_type(

@@ -155,7 +155,7 @@ def possible(
     vehicle: Vehicle, known: Catalogue, *, derived: bool = False, runs: tuple[str, ...] = ()
 ) -> list[Candidate]:
     """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it."""
-    fitting = [c for c in known.values() if not c.built_in and not vehicle.lacks(c)]
+    fitting = [c for c in known.values() if not (c.built_in or c.of_shape or vehicle.lacks(c))]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
     return [Candidate(c, vehicle, runs) for c in fitting if not (derived and _of_velocity_sensor(c))]
 

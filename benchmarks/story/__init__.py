@@ -1,0 +1,1 @@
+"""From a CAD file to a controller that is certified: every command of docs/story.md is run."""

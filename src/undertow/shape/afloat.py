@@ -1,0 +1,223 @@
+"""A first vehicle file of a hull that floats at the surface, with its memory and a regular wave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import radians
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.model.effects.wave_excitation import ODD, harmonics
+from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.typing import Array, Progress
+
+from .first import EffectTable, HullSpec, entry_line, hull_tables, vehicle_text
+from .floating import Afloat, FloatingBody, RegularWave
+from .memory import Memory, fit_memory
+from .mesh import Mesh, bisected
+
+
+@dataclass(frozen=True)
+class AfloatRules:
+    """What is said of numbers that panels have computed."""
+
+    stiffness: float = 0.05  # sigma of what the waterline gives: trim, load, tanks
+    radiation: float = 0.10  # sigma of a memory besides the error of its fit
+    strips: int = 60  # triangles of the hull under water are no longer than this part of it
+    flat: float = 1e-9  # share of the largest triangle below which one has become a line
+    small: float = 1e-3  # coefficients of a wave below this share of the largest are left out
+
+
+_RULES = AfloatRules()
+
+
+@dataclass(frozen=True)
+class WaveSpec:
+    """A regular wave."""
+
+    omega: float  # rad/s
+    amplitude: float  # m
+    direction: float  # degrees, from north to east: where it travels
+
+
+@dataclass(frozen=True)
+class FloatingVehicle:
+    """What was found of a hull that floats."""
+
+    text: str  # of the vehicle file
+    hull: Afloat
+    memory: Memory
+    wave: RegularWave | None
+
+
+def floating_vehicle(
+    mesh: Mesh, spec: HullSpec, wave: WaveSpec | None, finest: int, report: Progress
+) -> FloatingVehicle:
+    """A vehicle file of a hull at the surface; its origin is in the waterline, above the centre of volume.
+
+    `spec.origin` is not looked at; `spec.cg` is from that origin, and has to be straight under or over it.
+    """
+    _check(spec, wave)
+    body = FloatingBody(mesh, spec.mass, spec.cg[2], spec.density, finest)
+    whole = mesh.moved(-body.origin)
+    found = None if wave is None else body.regular_wave(wave.omega, _inertia(whole, spec))
+    hull = body.radiation(report)
+    memory = fit_memory(hull, spec.own)
+    wet = under_water(whole)
+    at_surface = replace(spec, origin=np.zeros(3))
+    tables = {t.id: t for t in hull_tables(wet, hull.at_infinity, at_surface)}
+    own = {t.id: t for t in hull_tables(whole, hull.at_infinity, at_surface)}
+    tables["rigid_body"] = own["rigid_body"]
+    tables.pop("restoring", None)
+    tables.pop("entrained_water", None)
+    more = [_waterplane(hull, spec.own), _memory(memory, hull)]
+    more += [_excitation(found, wave, spec.own)] if found is not None and wave is not None else []
+    extents = " x ".join(f"{e:.4g}" for e in mesh.extents) + " m"
+    text = vehicle_text(
+        made_from=f"{spec.mesh} (sha256 {spec.sha256})",
+        about=list(_about(mesh, spec, hull)),
+        name=spec.name,
+        description=f"First model of {spec.name} at the surface, from its hull ({extents}, {spec.mass:g} kg)",
+        source=f"shape of {spec.mesh}, mass as stated; no test yet",
+        degrees_of_freedom=spec.degrees_of_freedom,
+        density=spec.density,
+        tables=[*tables.values(), *(t for t in more if t.entries)],
+    )
+    return FloatingVehicle(text, hull, memory, found)
+
+
+def _check(spec: HullSpec, wave: WaveSpec | None) -> None:
+    if not (spec.mass > 0 and np.isfinite(spec.mass)) or not (spec.density > 0 and np.isfinite(spec.density)):
+        raise UndertowError(
+            f"mass = {spec.mass:g} kg, density = {spec.density:g} kg/m^3: both have to be positive numbers"
+        )
+    if any(spec.cg[:2]):
+        raise UndertowError(
+            f"--cg {spec.cg[0]:g},{spec.cg[1]:g},{spec.cg[2]:g}: a hull floats level where its weight is "
+            "above its buoyancy: give --cg 0,0,Z"
+        )
+    if spec.volume is not None:
+        raise UndertowError(
+            f"--volume {spec.volume:g} is for hulls under water: leave it out with --floating"
+        )
+    if wave is not None and not (wave.omega > 0 and wave.amplitude >= 0):
+        raise UndertowError(
+            f"--wave {wave.omega:g},{wave.amplitude:g},{wave.direction:g}: the frequency has to be positive "
+            "and the amplitude not negative"
+        )
+
+
+def under_water(hull: Mesh) -> Mesh:
+    """The closed part of a hull under the plane z = 0, z down; what stands out of the water lies on it."""
+    fine = bisected(hull, float(hull.extents.max()) / _RULES.strips)
+    laid = Mesh(np.column_stack([fine.vertices[:, :2], np.maximum(fine.vertices[:, 2], 0.0)]), fine.faces)
+    return Mesh(laid.vertices, laid.faces[laid.areas > _RULES.flat * laid.areas.max()])
+
+
+def _inertia(hull: Mesh, spec: HullSpec) -> Array:
+    """Mass matrix about the origin, the mass spread evenly but for its centre, shape (6, 6)."""
+    m, g = spec.mass, np.array(spec.cg)
+    S = np.array([[0.0, -g[2], g[1]], [g[2], 0.0, -g[0]], [-g[1], g[0], 0.0]])
+    about = hull.inertia * m / hull.volume - m * S @ S
+    return np.block([[m * np.eye(3), -m * S], [m * S, about]])
+
+
+def _about(mesh: Mesh, spec: HullSpec, hull: Afloat) -> Iterator[str]:
+    x, y, z = hull.origin
+    yield (
+        f"It floats with {hull.draught:.4g} m of draught. The origin lies in the waterline, above the centre "
+        f"of volume, at ({x:.5g}, {y:.5g}, {z:.5g}) m of the mesh; axes: x forward, y to starboard, z down."
+    )
+    yield "Small motions without speed ahead: a bow wave, planing and green water are not in it."
+    yield from spec.remarks
+
+
+def _waterplane(hull: Afloat, own: Sequence[int]) -> EffectTable:
+    source = "waterline, displacement and centre of gravity"
+    places = {"Z_z": (2, 2, "N/m"), "K_phi": (3, 3, "N m/rad"), "M_theta": (4, 4, "N m/rad")}
+    lines = []
+    for name, (i, j, unit) in (places | {"Z_theta": (2, 4, "N/rad")}).items():
+        if {i, j} <= set(own):
+            value = float(hull.stiffness[i, j])
+            scale = float(np.sqrt(hull.stiffness[i, i] * hull.stiffness[j, j]))
+            value = value if abs(value) > _RULES.small * scale else 0.0
+            sigma = _RULES.stiffness * scale
+            lines.append(entry_line(name, -value, unit, sigma=sigma, estimate=i == j, source=source))
+    return EffectTable("waterplane", lines)
+
+
+def _memory(memory: Memory, hull: Afloat) -> EffectTable:
+    source = (
+        f"memory of order {memory.order}, fitted to {len(hull.omega)} frequencies of {hull.panels} panels"
+    )
+    lines = []
+    for name, value in memory.parameters().items():
+        i = VELOCITY.index(name[-1]) if name != "T_memory" else None
+        unit = "s" if name.startswith("T_") else "rad/s"
+        sigma, text = 0.0, source
+        if name[0] in FORCE and i is not None:
+            unit = "N/m" if i < 3 else "N m/rad"
+            sigma = abs(value) * float(np.hypot(_RULES.radiation, memory.error[i]))
+            text = f"{source}; {100 * memory.error[i]:.0f} % of the kernel are left"
+        lines.append(entry_line(name, value, unit, sigma=sigma, source=text))
+    return EffectTable(
+        memory.effect,
+        lines,
+        ("Waves that the hull sends out; motions are not coupled by them. The added mass above is that of",
+         "infinite frequency and belongs to it."),
+    )  # fmt: skip
+
+
+def _excitation(found: RegularWave, wave: WaveSpec, own: Sequence[int]) -> EffectTable:
+    source = f"panels, regular wave of {found.omega:.4g} rad/s"
+    going = radians((wave.direction + 180) % 360 - 180)
+    lines = [
+        entry_line("swell_cos", wave.amplitude, "m", source="as stated"),
+        entry_line("swell_frequency", found.omega, "rad/s", source="as stated; forces are of this one alone"),
+        entry_line("swell_direction", going, "rad", source="as stated"),
+    ]
+    drift = np.zeros((len(found.headings), 6))
+    drift[:, [0, 1, 5]] = found.drift
+    # F = Re((f' + i f'')(p + i q)), with the elevation p and the same a quarter period before, q.
+    parts = (("swell", found.excitation.real), ("swellq", -found.excitation.imag), ("drift", drift))
+    for mark, values in parts:
+        for i in own:
+            if values[:, i].any():
+                lines += _series_lines(mark, i, found.headings, values[:, i], values, source)
+    return EffectTable(
+        "wave_excitation",
+        lines,
+        (f"Harmonics of the heading; they miss {100 * heading_error(found):.1f} % of the forces. Another"
+         " frequency: make the file anew.",),
+    )  # fmt: skip
+
+
+def _series_lines(
+    mark: str, i: int, headings: Array, values: Array, alike: Array, source: str
+) -> Iterator[str]:
+    kind = slice(0, 3) if i < 3 else slice(3, 6)
+    floor = _RULES.small * float(np.abs(alike[:, kind]).max())
+    unit = ("N" if i < 3 else "N m") + ("/m^2" if mark == "drift" else "/m")
+    for n, c in enumerate(_series(i, headings, values), start=int(DOFS[i] in ODD)):
+        if abs(c) > floor:
+            yield entry_line(f"{FORCE[i]}_{mark}{n}", float(c), unit, source=source)
+
+
+def _series(i: int, headings: Array, values: Array) -> Array:
+    """Coefficients of the harmonics nearest to values at headings of one side."""
+    table = np.array([harmonics(DOFS[i], float(h)) for h in headings])
+    return np.asarray(np.linalg.lstsq(table, values, rcond=None)[0])
+
+
+def heading_error(found: RegularWave) -> float:
+    """What harmonics of the heading miss of the forces at the headings that were computed, as a share."""
+    scale = np.abs(found.excitation).reshape(-1, 2, 3).max(axis=(0, 2))
+    rest = []
+    for i in range(6):
+        table = np.array([harmonics(DOFS[i], float(h)) for h in found.headings])
+        values = np.column_stack([found.excitation[:, i].real, found.excitation[:, i].imag])
+        missed = values - table @ np.linalg.lstsq(table, values, rcond=None)[0]
+        rest.append(float(np.abs(missed).max() / scale[int(i > 2)]))
+    return max(rest)
