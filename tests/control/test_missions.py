@@ -15,11 +15,14 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from undertow.codegen.library import Library
+from undertow.codegen.spelling import slug
 from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.tracking import _coriolis, check_mission, damping_corners
 from undertow.control.conditions.whole import certify
-from undertow.control.controller import Controller, ControllerExport
+from undertow.control.controller import Controller
+from undertow.control.controller_c import controller_c
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.guidance.line_of_sight import Guidance, LineOfSight
 from undertow.control.guidance.mission import Mission, MissionTable, load_mission, mission_from_table
@@ -435,7 +438,9 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
     controller = Controller(
         gains, (mission("spline", SQUARE) if kind == "spline" else survey).reference(gains)
     )
-    made = ControllerExport(controller).write(tmp_path).folder
+    library = Library(gains.plant.vehicle, [(gains.name, lambda c: controller_c(controller, c))])
+    made = library.write(tmp_path).folder
+    name = f"{library.name}_{slug(gains.name).replace('-', '_')}"
     flags = (
         "-std=c99",
         "-Wall",
@@ -448,15 +453,16 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
         "-shared",
     )
     done = subprocess.run(
-        [compiler, *flags, "controller.c", "-lm", "-o", "c.so"], cwd=made, capture_output=True,
+        [compiler, *flags, f"src/{name}.c", "-lm", "-o", "c.so"], cwd=made, capture_output=True,
         text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    library, name = ctypes.CDLL(str(made / "c.so")), "_".join(made.parts[-2:]).replace("-", "_")
+    library = ctypes.CDLL(str(made / "c.so"))
     r = np.array(controller.mission_numbers)
-    assert (np.array((ctypes.c_double * len(r)).in_dll(library, f"{name}_mission")) == r).all()
+    assert (np.array((ctypes.c_double * len(r)).in_dll(library, f"{name}_mission_default")) == r).all()
     function, random = controller.sampled, np.random.default_rng(2)
     s, k = np.zeros(function.size1_in("s")), np.array(controller.gain_values())
+    p = np.array(list(controller.numbered().values.values()))
     getattr(library, f"{name}_start")(_pointer(s))
     n, expected = function.size1_in("y") // 2, np.array(controller.initial_states())
     u, tau = np.zeros(function.size1_out("u")), np.zeros(n)
@@ -466,8 +472,8 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
             size=2
         )
         y[2:] = 0.2 * random.normal(size=2 * n - 2)
-        arguments = map(_pointer, (y, r, k))
-        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(_pointer, (s, u, tau)))
+        arguments = map(_pointer, (y, r, s, p))
+        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(_pointer, (u, s, tau)))
         found = [np.asarray(v).ravel() for v in function(y, r, expected, k, 0.1)]
         expected = found[1]
         for mine, python in zip((u, s, tau), found, strict=True):

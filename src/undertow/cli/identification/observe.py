@@ -51,7 +51,7 @@ _BIAS = typer.Option("--bias", metavar="NAMES", help="Estimate biases of velocit
 _OUT = typer.Option("--out", metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
 _TRUST_MODEL = typer.Option("--trust-model", help="Write --out also where the model made the velocities.")
 _SAVE = typer.Option(
-    "--save", metavar="NEW.toml", help="Write an observer file for simulate, linearize and codegen."
+    "--save", metavar="NEW.toml", help="Write an observer file for simulate, linearize and export c."
 )
 _PLOT = typer.Option("--plot", metavar="OUT.png", help="Draw estimates with two sigma, and the NIS.")
 
