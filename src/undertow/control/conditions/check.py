@@ -94,7 +94,7 @@ def check(
         channels=tuple(linear_channels(problem)),
         coupled=coupled(problem),
         lyapunov=lyapunov(gains.plant, gains.law, equilibria),
-        region=_region(everything.of_forms([_DERIVED]), start, rows, agreements, uncertainty),
+        region=_region(everything.of_forms([_DERIVED]), start, rows, agreements),
         alone=left_alone(gains),
         left_out=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
@@ -120,11 +120,7 @@ def derived_conditions_hold(gains: GainSet) -> bool:
 
 
 def _region(
-    problem: Problem,
-    start: Mapping[str, float] | None,
-    rows: list[Row],
-    agreements: list[Agreement],
-    uncertainty: Uncertainty,
+    problem: Problem, start: Mapping[str, float] | None, rows: list[Row], agreements: list[Agreement]
 ) -> Region:
     """The region of a law, by its derived conditions as matrices, over all attitudes and sign sets.
 
@@ -140,10 +136,7 @@ def _region(
         own = _agreements(problem, None)
         derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, own, no_progress)
     verdicts = [r.verdict for r in derived] + [a.verdict for a in own]
-    plant = problem.plant
-    moving = plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols
-    names = sorted(str(s) for s in moving & set(plant.numbers))
-    return region(problem, all(v == HOLDS for v in verdicts), start, uncertainty.spread(names))
+    return region(problem, all(v == HOLDS for v in verdicts), start)
 
 
 def _require_damping(problem: Problem) -> None:

@@ -174,17 +174,10 @@ class Embedding:
 
     Entries are affine in every velocity while no sign changes, and no entry has a product of two velocities,
     so A(nu) is A at rest and for each velocity something within the hull of its ends.
-
-    Parameters
-    ----------
-    problem : Problem
-        Law and vehicle.
-    spread : mapping, optional
-        Parameters of M, C and D that are somewhere between two values, SI, by name.
     """
 
-    def __init__(self, problem: Problem, spread: Mapping[str, tuple[float, float]] | None = None) -> None:
-        self.problem, self.plant, self.spread = problem, problem.plant, dict(spread or {})
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.plant = problem, problem.plant
         plant = problem.plant
         dofs = plant.vehicle.dof_indices
         self.n = len(dofs)
@@ -273,9 +266,8 @@ class Embedding:
         signs = [sm.Symbol(f"sign_{v}") for v in nu]
         plain = {sm.Abs(v): a for v, a in zip(nu, sizes, strict=True)}
         plain |= {sm.sign(v): s for v, s in zip(nu, signs, strict=True)}
-        known = {s: v for s, v in plant.numbers.items() if str(s) not in self.spread}
-        moving = (plant.C + plant.D).xreplace(plain).xreplace(known).applyfunc(sm.expand)
-        inertia = plant.M.xreplace(plain).xreplace(known)
+        moving = (plant.C + plant.D).xreplace(plain).xreplace(plant.numbers).applyfunc(sm.expand)
+        inertia = plant.M.xreplace(plain).xreplace(plant.numbers)
         switching = _switching(moving, inertia, nu, sizes, signs)
         first = [sm.Symbol(f"first_{v}") for v in nu]
         rest = moving.xreplace(dict.fromkeys([*nu, *sizes], sm.Integer(0)))
@@ -284,11 +276,10 @@ class Embedding:
         kinds = zip(signs, sizes, strict=True)  # a velocity turns the frame at least
         counts = [2 if i in switching else 4 if s in used else 3 if a in used else 2
                   for i, (s, a) in enumerate(kinds)]  # fmt: skip
-        own = [sm.Symbol(name) for name in self.spread]
         return _Moving(
-            enclosing([*signs, *own], rest),
-            enclosing([*nu, *sizes, *signs, *first, *own], added),
-            enclosing([*signs, *own], inertia),
+            enclosing(signs, rest),
+            enclosing([*nu, *sizes, *signs, *first], added),
+            enclosing(signs, inertia),
             switching,
             counts,
         )
@@ -298,17 +289,17 @@ class Embedding:
         m, n = self._moving, self.n
         cases = np.ones((2 ** len(m.switching), n))
         cases[:, m.switching] = list(product((1.0, -1.0), repeat=len(m.switching)))
-        inverse = _inverse(m.inertia(*self._columns(cases)))
+        inverse = _inverse(m.inertia(*_columns(cases)))
         zero = np.zeros((len(cases), n))
         rest = Matrices(
-            inverse, m.rest(*self._columns(cases)), enclose(self._turning(zero)), enclose(zero[..., None])
+            inverse, m.rest(*_columns(cases)), enclose(self._turning(zero)), enclose(zero[..., None])
         )
         ends = [self._ends(i, float(speeds[i]), cases, inverse) for i in range(n)]
         nu = Interval(-speeds[None], speeds[None])
         either = Interval(-np.ones((1, n)), np.ones((1, n)))
         hull = inverse.lo.min(axis=0)[None], inverse.hi.max(axis=0)[None]
-        moving = m.rest(*self._columns(either)) + m.added(
-            *_columns(nu), *_columns(abs(nu)), *_columns(either), *self._columns(either)
+        moving = m.rest(*_columns(either)) + m.added(
+            *_columns(nu), *_columns(abs(nu)), *_columns(either), *_columns(either)
         )
         most = self._turning(np.array(speeds, dtype=float)[None])
         turning = Interval(-np.abs(most), np.abs(most))
@@ -326,19 +317,13 @@ class Embedding:
         nu, signs = np.zeros((len(rows), self.n)), cases[place].copy()
         nu[:, i], signs[:, i] = [v for _, v, _ in rows], [s for _, _, s in rows]
         points = [enclose(c) for c in (*nu.T, *np.abs(nu).T, *signs.T)]
-        added = m.added(*points, *self._columns(cases[place]))
+        added = m.added(*points, *_columns(cases[place]))
         return Matrices(
             Interval(inverse.lo[place], inverse.hi[place]),
             added,
             enclose(self._turning(nu)),
             enclose(nu[..., None]),
         )
-
-    def _columns(self, rows: Array | Interval) -> list[Interval]:
-        """Columns as intervals, and those of the parameters that are spread."""
-        found = _columns(rows)
-        ones = np.ones_like(found[0].lo)
-        return [*found, *(Interval(lo * ones, hi * ones) for lo, hi in self.spread.values())]
 
     def _turning(self, nu: Array) -> Array:
         """S(omega) of the translations, shape (k, n, n)."""
@@ -365,16 +350,12 @@ class Embedding:
 
         With a single box where no attitude changes it.
         """
-        if not self._added_by_angles:
+        if self._turned_by_body:
             angles = {a: Interval(v.lo[:1], v.hi[:1]) for a, v in angles.items()}
         found = {m: self._at(m, angles) for m in self._matrices}
         blocks = [block(self._cells(e, found, at_rest=False)) for e in at.ends]
         shape = (at.cases, -1, self.size, self.size)
         return [Interval(*(v.reshape(len(v), *shape) for v in (b.lo, b.hi))) for b in blocks]
-
-    @property
-    def _added_by_angles(self) -> bool:
-        return not self._turned_by_body
 
     def bend(self, at: Corners, angles: Mapping[str, Interval], by: str) -> Array:
         """Bound on |second derivative of A by one angle| in each box, shape (boxes, size, size)."""
@@ -386,7 +367,7 @@ class Embedding:
         return np.asarray(block(cells).size[:, 0])
 
     def _cells(self, at: Matrices, matrices: Mapping[str, Any], *, at_rest: bool = True) -> list[list[Any]]:
-        """A in blocks of (integral, error, velocity), of intervals or with derivatives; or what motion adds."""
+        """A in blocks of (integral, error, velocity), intervals or with derivatives; or what motion adds."""
         L, N = matrices["L"], matrices["N"]
         K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
         push = L @ at.inverse  # L M^-1
@@ -453,7 +434,7 @@ def _corners(speed: float, count: int) -> list[tuple[float, float]]:
 
 
 class _Moving(NamedTuple):
-    """Functions of signs, velocities and spread parameters."""
+    """Functions of signs and velocities."""
 
     rest: Callable[..., Interval]  # C + D without motion, of the signs
     added: Callable[..., Interval]  # what motion adds, of velocities, magnitudes, signs and signs at rest
@@ -474,7 +455,7 @@ def _switching(
     sizes: list[sm.Symbol],
     signs: list[sm.Symbol],
 ) -> list[int]:
-    """Velocities whose sign has to be known; refused is what is not affine, or has a product of velocities."""
+    """Velocities whose sign has to be known; what is not affine or has products of velocities is refused."""
     n = len(nu)
     found = {i for i in range(n) if signs[i] in inertia.free_symbols}
     for entry in moving:

@@ -401,17 +401,6 @@ class Uncertainty:
             result[np.ix_(known, known)] = self._matrix[np.ix_(places, places)]
         return result
 
-    def spread(self, names: Sequence[str]) -> dict[str, Span]:
-        """Ends of the interval of each of these parameters that has one, SI, within physical bounds."""
-        reach, found = float(ndtri(0.5 + self.confidence / 2)), {}
-        sigmas = np.sqrt(np.diag(self.covariance(names)))
-        for name, sigma in zip(names, sigmas, strict=True):
-            value, declared = self.vehicle.value_of(name).value, self.vehicle.parameter_of(name)
-            low, high = declared.bounds if declared else (-math.inf, math.inf)
-            if sigma > 0:
-                found[name] = max(value - reach * sigma, low), min(value + reach * sigma, high)
-        return found
-
     def over_box(self, margins: Margins, one: SignSet, matters: Flags) -> Range:
         """Over every value of what `matters` within its own interval and its physical bounds."""
         if np.count_nonzero(matters) > SEARCH.most_corners:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
@@ -39,6 +39,7 @@ class QuadraticSettings:
     steps: int = 4  # turns between the corner and its eigenvector
     # What bounds of proofs are widened by, relative: beyond all rounding of 64-bit numbers.
     room: float = 1e-7
+    most_forms: int = 800  # matrix inequalities that the solver is given in one search: seconds
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     tries: int = 7  # boxes of speeds that are tried
@@ -65,9 +66,6 @@ class Proposal(NamedTuple):
     start: float  # V of the worst corner of the start box; the level is one
 
 
-Spread = Mapping[str, tuple[float, float]]
-"""Parameters that are somewhere between two values, SI, by name."""
-
 Key = tuple[int, int, tuple[int, ...]]
 """A corner: its attitude, its case of the signs, and the end of each velocity."""
 
@@ -79,32 +77,24 @@ class Bounds(NamedTuple):
     tilts: dict[str, float]  # roll and pitch, rad
 
 
-def search(problem: Problem, start: Mapping[str, float], spread: Spread | None = None) -> Quadratic | None:
+def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
     """A proved V whose level set holds every error up to `start` at rest, integrals at zero; None if none.
-
-    With parameters that are spread it is looked for with all their values first, then with those of the file.
 
     Raises
     ------
     UndertowError
         If the solver is not installed, or the model has no form that the method covers.
     """
-    if spread:
-        try:
-            found = Search(problem, start, Embedding(problem, spread)).found()
-        except UndertowError:
-            found = None
-        if found is not None:
-            return replace(found, spread=dict(spread))
     return Search(problem, start).found()
 
 
 class Search:
     """The search for one start box."""
 
-    def __init__(self, problem: Problem, start: Mapping[str, float], loop: Embedding | None = None) -> None:
-        self.problem, self.loop = problem, loop or Embedding(problem)
+    def __init__(self, problem: Problem, start: Mapping[str, float]) -> None:
+        self.problem, self.loop = problem, Embedding(problem)
         self.commands = Commands(problem)
+        self.forms = 0  # what the solver was given so far
         self.chosen: set[Key] = set()  # corners that the programs so far were about
         self.start = self._mixed(np.array([start.get(c, 0.0) for c in problem.coordinates]))
 
@@ -138,6 +128,8 @@ class Search:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
         if not len(self.commands.limits):
             return
+        tilts = {a: self._tilt(e) for a, e in self._tilted(self._filled(self.start)).items()}
+        _left(self.problem, self.commands, tilts)  # refuses where nothing is
         level = {a: _point(np.zeros(1)) for a in self.loop.angles}
         springs = np.abs(self.commands.share) @ (self.problem.values["K_P"] * self.start)
         rows = self.loop.commands_of(self.commands, level).middle[0]
@@ -189,6 +181,14 @@ class Search:
         most = np.minimum(speeds, SETTINGS.most_more * bounds.speeds)
         tilts = {a: self._tilt(v) for a, v in self._tilted(reach).items()}
         return Bounds(np.maximum(most, bounds.speeds / SETTINGS.most_more), tilts)
+
+
+def _left(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
+    """What the limits leave beside the weight, within the tilts."""
+    left = commands.limits - commands.at_rest(problem.attitudes.boxes(dict(tilts)))
+    if len(left) and left.min() <= 0:
+        raise UndertowError("holding the weight at the roll and pitch of the start takes all of a thruster")
+    return np.asarray(left)
 
 
 class Program:
@@ -287,8 +287,8 @@ class Program:
     def _violated(self, P: Array, turn: int) -> list[Key]:
         """The corners at which V falls too slowly, worst first, some of them.
 
-        x' (P A + A' P) x is a sum over the velocities, so the worst corner for a direction x is known, and the
-        worst direction of a corner is an eigenvector: they are taken in turns.
+        x' (P A + A' P) x is a sum over the velocities, so the worst corner for a direction x is known, and
+        the worst direction of a corner is an eigenvector: they are taken in turns.
         """
         rest, ends = self._pieces
         places = np.stack(np.unravel_index(np.arange(rest.shape[0] * rest.shape[1]), rest.shape[:2]), 1)
@@ -349,6 +349,9 @@ class Program:
         for s, g in zip(slots, groups, strict=True):
             s[g, g] = 1.0
         forms.append(_Form(np.zeros((n, n)), np.concatenate([-B[:, errors, errors], slots])))
+        self.search.forms += len(forms)
+        if self.search.forms > SETTINGS.most_forms:
+            raise UndertowError("no quadratic V was found within the time that the search may take")
         x = solved(cost, forms)
         if x is None:
             return None
@@ -404,13 +407,7 @@ class Program:
     @cached_property
     def left(self) -> Array:
         """What the limits leave beside the weight, within the tilts."""
-        rest = self.commands.at_rest(self.search.problem.attitudes.boxes(self.bounds.tilts))
-        left = self.commands.limits - rest
-        if len(left) and left.min() <= 0:
-            raise UndertowError(
-                "holding the weight at the roll and pitch of the start takes all of a thruster"
-            )
-        return left
+        return _left(self.search.problem, self.commands, self.bounds.tilts)
 
     def _fixed_rows(self) -> list[tuple[Array, float]]:
         n, size = self.loop.n, self.loop.size
@@ -520,8 +517,8 @@ class Program:
                 Interval(around.lo[held], around.hi[held]) if boxes else around,
                 P,
             )
-            if not held.any() or self._looked > SETTINGS.most:
-                return held if self._looked <= SETTINGS.most else np.zeros_like(held)
+            if not held.any():
+                break
         return held
 
     def _falls_at(self, at: Boxes, around: Interval, P: Array) -> Flags:
@@ -533,36 +530,32 @@ class Program:
             added = P @ self._scaled(end)
             ends.append(_flat(-(added + added.T)))
         place = np.arange(shape[0] * shape[1]) % len(ends[0].lo)  # ends are the same at all attitudes, or not
-        return self._sums_positive(_flat(falls), place, ends).reshape(shape).all(axis=1)
+        held: Flags = self._sums_positive(_flat(falls), place, ends).reshape(shape)
+        return np.asarray(held.all(axis=1))
 
     def _sums_positive(self, rest: Interval, place: Any, ends: list[Interval]) -> Flags:
         """By row, whether rest + one of the ends of each is positive definite whichever they are, proved.
 
-        The ends of a row are those at its `place`. With C_i in the middle of the ends and T_i >= C_i - end for
-        each of them, rest + sum of (C_i - T_i) is below every such sum. Where that is not positive, one set of
-        ends is cut into two (Ben-Tal and Nemirovski 2002, On tractable approximations of uncertain linear
-        matrix inequalities affected by interval uncertainty, SIAM J. Optim. 12, choose T_i by a program).
+        The ends of a row are those at its `place`. With C_i in the middle of the ends and T_i >= C_i - end
+        for each of them, rest + sum of (C_i - T_i) is below every such sum. Where that is not positive, one
+        set of ends is cut into two. (Ben-Tal and Nemirovski 2002, On tractable approximations of uncertain
+        linear matrix inequalities affected by interval uncertainty, SIAM J. Optim. 12, look for T_i by a
+        program.)
         """
         held = np.zeros(len(rest.lo), dtype=bool)
         own, place = np.unique(place, return_inverse=True)
         ends = [_rows(e, own) for e in ends]
         centres = [0.5 * (e.middle[:, 0] + e.middle[:, -1]) for e in ends]
-        middle = rest.middle + sum(centres)[place]
+        centre = np.sum(centres, axis=0)
+        middle = rest.middle + centre[place]
         live = np.flatnonzero(np.linalg.eigvalsh(middle)[:, 0] > 0)
         work = len(own) * sum(e.lo.shape[1] for e in ends) + len(held)
         self._looked += work * rest.lo.shape[-1] ** 3
         if self._looked > SETTINGS.most or not len(live):
             return held
-        mean = (
-            np.zeros_like(centres[0])
-            + np.eye(rest.lo.shape[-1]) * ~np.isin(np.arange(len(own)), place[live])[:, None, None]
-        )
-        np.add.at(mean, place[live], middle[live])
-        root = np.linalg.cholesky(
-            mean / np.maximum(np.bincount(place[live], minlength=len(own)), 1)[:, None, None]
-        )
+        root = _mean_roots(middle[live], place[live], len(own))
         covers, sure = _covers(ends, centres, root)
-        lowered = sum(centres) - sum(root @ c @ np.swapaxes(root, -1, -2) for c in covers)
+        lowered = centre - root @ np.sum(covers, axis=0) @ np.swapaxes(root, -1, -2)
         inverse = np.linalg.inv(root)[place[live]]  # triangular: regular for certain
         left = inverse @ (_rows(rest, live) + lowered[place[live]]) @ np.swapaxes(inverse, -1, -2)
         blur = left.radius.sum(axis=-1).max(axis=-1)  # what the width of the attitudes takes
@@ -654,6 +647,14 @@ def _covers(ends: list[Interval], centres: list[Array], root: Array) -> tuple[li
         sure &= _positive(end - centre[:, None] + (0.5 * (T + np.swapaxes(T, -1, -2)))[:, None])
         covers.append(cover)
     return covers, sure
+
+
+def _mean_roots(middle: Array, place: Any, count: int) -> Array:
+    """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
+    total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
+    np.add.at(total, place, middle)
+    total[many == 0] = np.eye(middle.shape[-1])
+    return np.asarray(np.linalg.cholesky(total / np.maximum(many, 1)[:, None, None]))
 
 
 def _widest(ends: list[Interval], covers: list[Array], rows: Array) -> int | None:

@@ -23,22 +23,18 @@ from .commands import (
     pd_commands,
 )
 from .problem import Problem
-from .quadratic import Spread, search
+from .quadratic import search
 from .result import SETTINGS, Quadratic, Region
 
 # Levels of V, J, below and above which a region counts as none and as everything.
 _LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
 _FAILS = "the conditions derived from the model do not hold"
+_PARAMETERS = "with parameters as in the file, not over their intervals"
 _NO_THRUST = "commands are not proved to stay within their limits for any error"
 
 
-def region(
-    problem: Problem,
-    holds: bool,
-    start: Mapping[str, float] | None = None,
-    spread: Mapping[str, tuple[float, float]] | None = None,
-) -> Region:
+def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = None) -> Region:
     """The largest region that is certified for a law, every axis pushed.
 
     Parameters
@@ -50,12 +46,9 @@ def region(
     start : mapping, optional
         Largest errors to begin with, m and rad: a box, at rest with integrals at zero, that the region has to
         hold. Without it the largest of some usual boxes is taken.
-    spread : mapping, optional
-        Parameters of inertia and damping that are somewhere between two values, SI: a quadratic V is looked
-        for that falls for all of them, then one for the values of the file.
     """
     try:
-        found = _region(problem, holds, start, spread or {})
+        found = _region(problem, holds, start)
     except UndertowError as error:
         found = _none(str(error))
     except np.linalg.LinAlgError:
@@ -65,7 +58,7 @@ def region(
     return replace(found, start=dict(start), start_held=_holds(problem, found, start))
 
 
-def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None, spread: Spread) -> Region:
+def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None) -> Region:
     commands, law = Commands(problem), problem.gains.law.id
     fault = _holding_fault(commands)
     if fault:
@@ -76,7 +69,7 @@ def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None, sp
         found = _pd(commands)
         if found.kind != "none" and (start is None or _holds(problem, found, start)):
             return found
-    return _quadratic(problem, start, spread)
+    return _quadratic(problem, start)
 
 
 def _none(reason: str) -> Region:
@@ -209,12 +202,12 @@ def _starts(problem: Problem, level: float) -> dict[str, float]:
 
 
 # --- a quadratic V ----------------------------------------------------------------------------------
-def _quadratic(problem: Problem, start: Mapping[str, float] | None, spread: Spread) -> Region:
+def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
     """The level set of a quadratic V that holds the start, or the largest usual start that one holds."""
     reason = "no quadratic V was found that falls and holds the start within all limits"
     for box in [start] if start else _usual(problem):
         try:
-            found = search(problem, box, spread)
+            found = search(problem, box)
         except UndertowError as error:
             if start:
                 raise
@@ -235,14 +228,13 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     if _scales(problem) and not len(commands.limits):
         return Region(
             "everywhere",
-            "everywhere: inertia and damping do not depend on speed or attitude; V falls with "
-            + _over(problem, found),
+            f"everywhere: inertia and damping do not depend on speed or attitude; V is proved {_PARAMETERS}",
             quadratic=found,
         )
     text = (
         f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
-        f"every attitude in it, {found.matrices} corners of speeds and signs, {_over(problem, found)}"
+        f"every attitude in it, {found.matrices} corners of speeds and signs, {_PARAMETERS}"
     )
     whole = Region(
         "level",
@@ -255,12 +247,6 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         quadratic=found,
     )
     return whole
-
-
-def _over(problem: Problem, found: Quadratic) -> str:
-    """For which parameters V falls, in words."""
-    known = [n for n in found.spread if n in map(str, problem.plant.numbers)]
-    return f"{', '.join(known)} anywhere in their intervals" if known else "parameters as in the file"
 
 
 def _scales(problem: Problem) -> bool:

@@ -136,7 +136,6 @@ class Quadratic:
     commands: Array  # bound on the magnitude of each limited command
     start: float  # bound on V over the start box
     matrices: int  # corners of the velocities that were looked at, for every box of angles
-    spread: dict[str, tuple[float, float]] = field(default_factory=dict)  # parameters anywhere between these
 
 
 @dataclass(frozen=True)
