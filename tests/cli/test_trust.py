@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from undertow.codegen.library import Library
 
 from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, contents, each_once, refusal
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen.compiler import find_compiler
+from undertow.codegen.library import Library
 from undertow.model.loading import load_vehicle
 
 Capture = pytest.CaptureFixture[str]
@@ -335,9 +335,10 @@ def test_a_thruster_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys
     if compiler is None:
         pytest.skip("no C compiler")
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
+    folder = case / "b" / "usv"
     done = subprocess.run(
-        [*compiler.command, *strict, "-Isrc", *map(str, folder.rglob("*.c"))],
-        cwd=case / "b" / "usv",
+        [*compiler.command, *strict, "-Isrc", *map(str, folder.resolve().rglob("*.c"))],
+        cwd=folder,
         capture_output=True,
         text=True,
     )
@@ -365,7 +366,7 @@ def test_a_vehicle_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys:
     folder = Library(load_vehicle(case / "evil.toml")).write(case / "b").folder
     assert folder.parent == case / "b"
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-    command = [*compiler.command, *strict, "-Isrc", *map(str, folder.rglob("*.c"))]
+    command = [*compiler.command, *strict, "-Isrc", *map(str, folder.resolve().rglob("*.c"))]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from undertow.codegen.library import Library
 
 from benchmarks.shape.hulls import box_mesh, spheroid_mesh, stl
 from tests.cli.bad import refusal
 from tests.identification.test_panels import BOX, needs_capytaine
 from undertow.cli.main import main
 from undertow.codegen.functions import Functions
+from undertow.codegen.library import Library
 from undertow.codegen.simulate import Simulator
 from undertow.model.loading import load_vehicle
 from undertow.model.plausibility import hints, mass_matrix_at

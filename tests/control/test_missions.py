@@ -306,6 +306,25 @@ def test_integral_line_of_sight_finds_the_side_slip_of_the_current() -> None:
     assert without[-1, 1] == pytest.approx(5.0 * math.tan(math.asin(0.5 / 1.5)), rel=1e-4)
 
 
+@pytest.mark.parametrize("turn", [0.0, 60.0, 90.0, 180.0])
+def test_the_integral_is_turned_with_the_current_at_the_end_of_a_leg(turn: float) -> None:
+    """What a steady current is across the next leg, of what is known: its part across this one."""
+    way = np.radians(turn)
+    points = [{"x": 0.0}, {"x": 20.0}, {"x": 20.0 + 9 * float(np.cos(way)), "y": 9 * float(np.sin(way))}]
+    gains = ship("pd")
+    legs = mission("legs", points, guidance={"lookahead": 5.0, "acceptance": 1.0, "integral": 0.2})
+    controller = Controller(gains, legs.reference(gains))
+    names, k = list(controller.state_names), controller.gain_values()
+    s = np.array(controller.initial_states())
+    s[[names.index(n) for n in ("started", "cross_integral", "depth_integral")]] = 1.0, 4.0, 2.0
+    for x, factor in ((10.0, 1.0), (19.5, np.cos(way))):
+        y = [x, 0.0, 0.0, 0.4, 0.0, 0.0]
+        after = np.asarray(controller.sampled(y, controller.mission_numbers, s, k, 0.1)[1]).ravel()
+        assert after[names.index("leg")] == (x > 19)
+        assert after[names.index("cross_integral")] == pytest.approx(4.0 * factor, abs=1e-12)
+        assert after[names.index("depth_integral")] == pytest.approx(2.0)  # trim knows of no turn
+
+
 @pytest.fixture(scope="module")
 def remus() -> GainSet:
     return load_gains(EXAMPLES / "remus100-gains.toml", load_vehicle("remus100"))
