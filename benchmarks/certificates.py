@@ -496,6 +496,9 @@ command, or does not come to rest. A second attack also turns every parameter of
 up or down: a quadratic V is proved for the parameters of the file alone, so that this is no breach, but says
 what room there is in practice.
 
+A start at which a command meets its limit is refused: no sector condition of the saturation is used. With six
+degrees of freedom gains that tell x, y and z apart leave P with every heading to serve, and are seldom certified.
+
 | degrees of freedom | called | loops | certified | broken | left with parameters off | median, s of processor | longest, s |
 |---|---|---|---|---|---|---|---|"""  # noqa: E501
 WHY = """

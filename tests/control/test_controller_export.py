@@ -164,7 +164,5 @@ def test_what_is_current_and_what_is_stale(tmp_path: Path) -> None:
     library.write(tmp_path)
     assert library.check(tmp_path).changes == ()
     stiffer = replace(gains, values=gains.values | {"K_P_x": 7.0})
-    assert library_of(vehicle, [stiffer]).check(tmp_path).changes == (
-        f"{source} has changed",
-    )
+    assert library_of(vehicle, [stiffer]).check(tmp_path).changes == (f"{source} has changed",)
     assert Library(vehicle).check(tmp_path).changes == (f"{source} is no part any more",)

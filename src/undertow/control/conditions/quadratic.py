@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -18,6 +18,7 @@ from .commands import Commands
 from .embedding import Boxes, Corners, Embedding, certainly_positive
 from .problem import Problem
 from .result import Quadratic
+from .semidefinite import Form, solved
 
 
 @dataclass(frozen=True)
@@ -340,15 +341,15 @@ class Program:
         cost = np.concatenate([np.zeros(k), [float(np.sum(start[g][:1] ** 2)) for g in groups]])
         zero = np.zeros((size, size))
         falls = (-(C.T @ (B @ A + np.swapaxes(A, -1, -2) @ B) @ C) for A in loops)
-        forms = [_Form(zero, self._with_groups(fall)) for fall in falls]
-        forms += [_Form(-1e-6 * np.eye(size), self._with_groups(self.basis))]
+        forms = [Form(zero, self._with_groups(fall)) for fall in falls]
+        forms += [Form(-1e-6 * np.eye(size), self._with_groups(self.basis))]
         for row, bound in self._rows():
             forms.append(self._within(row @ T, bound))
         errors = slice(size - 2 * n, size - n)
         slots = np.zeros((len(groups), n, n))
         for s, g in zip(slots, groups, strict=True):
             s[g, g] = 1.0
-        forms.append(_Form(np.zeros((n, n)), np.concatenate([-B[:, errors, errors], slots])))
+        forms.append(Form(np.zeros((n, n)), np.concatenate([-B[:, errors, errors], slots])))
         self.search.forms += len(forms)
         if self.search.forms > SETTINGS.most_forms:
             raise UndertowError("no quadratic V was found within the time that the search may take")
@@ -360,7 +361,7 @@ class Program:
     def _with_groups(self, forms: Array) -> Array:
         return np.concatenate([forms, np.zeros((len(self.loop.groups), *forms.shape[1:]))])
 
-    def _within(self, row: Array, bound: float) -> _Form:
+    def _within(self, row: Array, bound: float) -> Form:
         """[P, row; row', bound^2] >= 0 on the states that belong to the row: |row z| < bound on V < 1."""
         B = self.basis
         touched: Flags = row != 0
@@ -374,7 +375,7 @@ class Program:
         # Divided by the bound, so that numbers are near one.
         constant[:m, m] = constant[m, :m] = row[own] / bound
         constant[m, m] = (1 - SETTINGS.slack) ** 2
-        return _Form(constant, self._with_groups(forms))
+        return Form(constant, self._with_groups(forms))
 
     def _rows(self) -> list[tuple[Array, float]]:
         """What has to stay within its bound: speeds, tilts, half a turn, commands."""
@@ -699,49 +700,3 @@ def _bounded(P: Array, rows: Interval, bounds: Array) -> Flags:
         rows.lo[..., None, :], rows.hi[..., None, :]
     )
     return _positive(P - outer)
-
-
-# --- the solver -----------------------------------------------------------------------------------
-class _Form(NamedTuple):
-    """constant + sum x_k forms_k has to be positive semidefinite."""
-
-    constant: Array
-    forms: Array
-
-
-def solved(cost: Array, forms: Sequence[_Form]) -> Array | None:
-    """x of least cost' x for which every form is positive semidefinite, or None where there is none."""
-    clarabel = _solver()
-    from scipy.sparse import csc_matrix
-
-    rows = [_packed(f.forms).T for f in forms]
-    A = csc_matrix(-np.concatenate(rows))
-    b = np.concatenate([_packed(f.constant[None])[0] for f in forms])
-    cones = [clarabel.PSDTriangleConeT(len(f.constant)) for f in forms]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_iter = 80
-    settings.max_threads = 1
-    none = csc_matrix((len(cost), len(cost)))
-    solution = clarabel.DefaultSolver(none, cost, A, b, cones, settings).solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        return None
-    return np.array(solution.x)
-
-
-def _packed(matrices: Array) -> Array:
-    """Upper triangles column by column with sqrt 2 off the diagonal, as the solver takes them."""
-    n = matrices.shape[-1]
-    j, i = np.tril_indices(n)
-    return np.asarray(matrices[:, i, j] * np.where(i == j, 1.0, np.sqrt(2)))
-
-
-def _solver() -> Any:
-    try:
-        import clarabel
-    except ImportError:
-        raise UndertowError(
-            "searching for V needs a solver of semidefinite programs, which is not installed: "
-            "pip install 'undertow[certificates]'"
-        ) from None
-    return clarabel
