@@ -104,7 +104,7 @@ NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
             ("vehicles show mini-auv", NO_NUMBERS),
             ("audit mini-auv", NO_NUMBERS),
             ("added-mass sphere --diameter 0.3", {"pint", *NO_NUMBERS}),
-            ("codegen mini-auv", NO_NUMBERS - {"casadi"}),
+            ("export c mini-auv", NO_NUMBERS - {"casadi"}),
             (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
             ("linearize mini-auv", {"polars", "plotly", "undertow.identification"}),
         ],

@@ -345,7 +345,7 @@ def test_a_file_that_cannot_take_its_place_takes_the_others_back(
 
 
 _WRITERS = {
-    "codegen": ["codegen", "mini-auv", "--controller", "paper-pd"],
+    "export": ["export", "c", "mini-auv", "--controller", "paper-pd"],
     "simulate": ["simulate", "mini-auv", "paper-pd", "--to", "0,0,0.1", "--for", "1"],
     "update": ["update", "mini-auv", "--gains", "paper-pd"],
 }

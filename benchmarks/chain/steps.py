@@ -95,7 +95,7 @@ class Chain(Shell):
     def write_c(self) -> Said:
         """Guidance and law, and the observer, in C."""
         words = ["--controller", "tuned.toml", "--path", MISSION, "--observer", "observer.toml"]
-        return self.undertow("codegen", "rov.toml", *words)
+        return self.undertow("export", "c", "rov.toml", *words)
 
     def followed(self) -> Record:
         """The run of `follow` with everything that pictures need."""

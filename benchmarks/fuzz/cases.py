@@ -22,7 +22,7 @@ _SIMULATE = "simulate mini-auv {} --to 1,0,1 --for 3 --dt 0.01 --out out.csv --j
 _VEHICLE_COMMANDS = (
     "vehicles show {}",
     "audit {}",
-    "codegen {} --out out",
+    "export c {} --out out",
     "linearize {}",
     "update {} --out out",
     "added-mass box --length 1 --beam 1 --height 1 --into {} --out out.toml",
@@ -47,7 +47,7 @@ _GAINS_COMMANDS = (
     "gains mini-auv {}",
     _SIMULATE,
     "linearize mini-auv --gains {}",
-    "codegen mini-auv --controller {} --out out",
+    "export c mini-auv --controller {} --out out",
 )
 _MAPPING_COMMANDS = (
     "doctor vehicle.toml log.csv --map {} --mend out.toml --json out.json",

@@ -14,7 +14,7 @@ import polars as pl
 from benchmarks.hidden_effects import make_case
 from benchmarks.hidden_effects.files import toml_text
 from benchmarks.shape.hulls import box_mesh, stl
-from undertow.codegen.export import Export
+from undertow.codegen.library import Library
 from undertow.control.gains import bundled_gains
 from undertow.control.linear.report import Snapshot
 from undertow.fleet.diagnose import Store
@@ -179,7 +179,7 @@ def _snapshot() -> bytes:
 
 
 def _manifest() -> bytes:
-    export = Export(load_vehicle("box-hull"))
+    export = Library(load_vehicle("box-hull"))
     return export.manifest.to_json({"model.c": "", "model.h": ""}, "cc 1.0").encode()
 
 

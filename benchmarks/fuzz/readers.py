@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from undertow.codegen.export import Export, Report
+from undertow.codegen.library import Library
+from undertow.codegen.manifest import Report
 from undertow.control.gains import load_gains
 from undertow.control.linear.report import Snapshot, changes
 from undertow.errors import UndertowError
@@ -145,12 +146,12 @@ def _snapshot(path: Path) -> Snapshot:
 
 
 @cache
-def _export() -> Export:
-    return Export(load_vehicle("box-hull"))
+def _export() -> Library:
+    return Library(load_vehicle("box-hull"))
 
 
 def _manifest(path: Path) -> Report:
-    """The manifest of generated code as `codegen --check` meets it, which calls a damaged one stale."""
+    """The manifest of generated code as `export c --check` meets it, which calls a damaged one stale."""
     folder = path.parent / _export().folder_name
     folder.mkdir(exist_ok=True)
     (folder / "manifest.json").write_bytes(path.read_bytes())

@@ -28,7 +28,7 @@ CALLS = {
     "audit-tables": "audit-tables",
     "audit": "audit mini-auv",
     "added-mass": "added-mass sphere --diameter 0.3",
-    "codegen": "codegen mini-auv --out built",
+    "export c": "export c mini-auv --out built",
     "gains": "gains mini-auv paper-pd",
     "linearize": "linearize mini-auv",
     "design": f"design mini-auv {_ERRORS}",

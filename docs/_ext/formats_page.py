@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from undertow.control.guidance.mission import MissionTable
 from undertow.files import write_whole
 from undertow.identification.compare.comparison import ComparisonResult
 from undertow.identification.diagnosis.result import Diagnosis
@@ -54,6 +55,14 @@ thrusters. A column that has the name and the unit of a channel needs no entry. 
 writes a first file with guesses and questions, and `undertow doctor VEHICLE LOG --map FILE` tries the
 usual mistakes on it.
 """
+_MISSION = """\
+# The mission file
+
+A mission file is TOML. It says where a vehicle goes and how fast; north is x, east is y and down is z. A
+quantity is a number in SI units or a text with a unit. `undertow simulate --path FILE` follows it,
+`undertow gains --path FILE` checks the conditions for the error along it, `undertow export c --path FILE`
+writes it in C. How each kind is followed: [Missions](missions.md).
+"""
 _RESULTS = """\
 # Results as JSON
 
@@ -65,6 +74,7 @@ units and signs of the vehicle file.
 PAGES = {
     "vehicle-file": Page(_VEHICLE, (VehicleTable,), ""),
     "mapping-file": Page(_MAPPING, (LogMapping,), "-log"),
+    "mission-file": Page(_MISSION, (MissionTable,), "-mission"),
     "results-json": Page(_RESULTS, (Diagnosis, FitResult, AdditionResult, ComparisonResult)),
 }
 # What keys mean, where no comment in the source says it of the key alone.
@@ -145,6 +155,27 @@ _ABOUT = {
     "SurfaceTable.t_R": "share of the drag by steering that the hull takes back",
     "SurfaceTable.source": "where the numbers come from",
     "LogMapping.channels": "channels that are computed from columns, by name; the expression alone will do",
+    "MissionTable.schema": "the format and its number",
+    "MissionTable.name": "of the mission",
+    "MissionTable.description": "one line about it",
+    "MissionTable.kind": "how it is followed; `legs` is line of sight",
+    "MissionTable.speed": "largest speed of the reference; on legs the speed that is held",
+    "MissionTable.heading": "a heading that is held, or `along` the way",
+    "MissionTable.limits": "what the reference keeps to",
+    "MissionTable.guidance": "of legs, and only there",
+    "MissionTable.current": "of the simulation",
+    "MissionTable.waypoints": "one `[[waypoints]]` each, in their order",
+    "WaypointTable.x": "north",
+    "WaypointTable.y": "east",
+    "WaypointTable.z": "down",
+    "LimitTable.acceleration": "of the speed",
+    "LimitTable.turn_rate": "of heading and pitch",
+    "LimitTable.turn_acceleration": "of heading and pitch",
+    "GuidanceTable.lookahead": "how far ahead on the leg it steers for",
+    "GuidanceTable.acceptance": "distance from the end of a leg at which the next one begins",
+    "GuidanceTable.steepest": "largest pitch that is asked for",
+    "CurrentTable.north": "of the water",
+    "CurrentTable.east": "of the water",
     "Channel.expression": "arithmetic in the cells of columns",
     "Channel.unit": "unit of the result; the SI unit of the channel if none is given",
 }

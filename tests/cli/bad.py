@@ -15,7 +15,7 @@ Columns = dict[str, np.ndarray]
 Refused = Callable[..., str]
 
 LOG_COMMANDS = [name for name in ("compare", "diagnose", "add", "fit") if name in commands()]
-VEHICLE_COMMANDS = [*LOG_COMMANDS, "codegen"]
+VEHICLE_COMMANDS = [*LOG_COMMANDS, "export"]
 
 
 def each_once(commands: Sequence[str], faults: Iterable[str]) -> list[tuple[str, str]]:

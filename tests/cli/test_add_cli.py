@@ -96,8 +96,8 @@ def test_the_code_is_regenerated(case: Path, capsys: Capture) -> None:
     assert main(words) == 0
     name = load_vehicle(case / "new.toml").name
     assert "wrote the code in" in capsys.readouterr().out
-    assert "V_N" in (case / "code" / name / "model.h").read_text(encoding="utf-8")
-    assert main(["codegen", "new.toml", "--check", "--out", "code"]) == 0
+    assert "V_N" in (case / "code" / name / f"src/{name}_vehicle.h").read_text(encoding="utf-8")
+    assert main(["export", "c", "new.toml", "--check", "--out", "code"]) == 0
 
 
 @pytest.mark.parametrize(

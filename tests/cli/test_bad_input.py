@@ -38,8 +38,8 @@ ROOT = Path(__file__).parents[2]
 
 
 def _words(command: str, vehicle: object = "usv.toml", log: object = "train.csv") -> list[object]:
-    first = ["add", "constant_force"] if command == "add" else [command]
-    return [*first, vehicle] if command == "codegen" else [*first, vehicle, log]
+    first = {"add": ["add", "constant_force"], "export": ["export", "c"]}.get(command, [command])
+    return [*first, vehicle] if command == "export" else [*first, vehicle, log]
 
 
 # --- the vehicle file ----------------------------------------------------------------------------
@@ -105,7 +105,7 @@ def test_a_vehicle_that_is_not_there_is_refused(vehicle: str, case: Path, capsys
         (["effects", "check", "broken.py"], "SyntaxError"),
         (["effects", "--effects", "two_lines.py"], "ValueError: one two"),
         (["effects", "check", "empty.py"], "holds no effect"),
-        (["codegen", "usv.toml", "--effects", "nothing.py"], "'nothing.py'"),
+        (["export", "c", "usv.toml", "--effects", "nothing.py"], "'nothing.py'"),
     ],
 )
 def test_effects_that_are_not_there_are_refused(
@@ -339,7 +339,7 @@ OUTPUTS = [
     ("add", ["--force", "--no-codegen", "--out", "{}/out.toml"]),
     ("add", ["--picture", "{}/out.png"]),
     ("fit", ["--out", "{}/out.toml"]),
-    ("codegen", ["--out", "{}"]),
+    ("export", ["--out", "{}"]),
 ]
 
 
@@ -514,7 +514,7 @@ def test_ctrl_c_in_the_middle(command: str, outputs: list[str], quick: Path, cap
             ["compare", "usv.toml", "train.csv", "--json", "o.json"],
             "undertow.identification.logs.reading.read_table",
         ),
-        (["codegen", "usv.toml", "--out", "out"], "undertow.codegen.export.plain_c"),
+        (["export", "c", "usv.toml", "--out", "out"], "undertow.codegen.spelling.plain_c"),
     ],
 )
 def test_ctrl_c_in_reading_and_writing(

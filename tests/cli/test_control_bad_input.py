@@ -70,7 +70,7 @@ def test_poles_of_a_vehicle_that_has_nothing_to_be_found(here: Path, capsys: Cap
     "words",
     [
         ["linearize", "bare.toml", "--gains", "left-out.toml"],
-        ["codegen", "bare.toml", "--controller", "left-out.toml"],
+        ["export", "c", "bare.toml", "--controller", "left-out.toml"],
         ["simulate", "bare.toml", "left-out.toml", "--to", "1", "--for", "1", "--dt", "0.01"],
         ["update", "bare.toml", "--gains", "left-out.toml"],
     ],

@@ -30,11 +30,11 @@ from undertow.codegen.cache import library_for
 from undertow.codegen.compiler import find_compiler
 import casadi, numpy, polars, rich.table, scipy.linalg, scipy.optimize, scipy.stats, tomlkit
 import undertow.cli.identification.add, undertow.cli.identification.fit
-import undertow.codegen.export, undertow.identification.api
+import undertow.codegen.library, undertow.identification.api
 import undertow.identification.report.pictures, undertow.model.saving
 with tempfile.TemporaryDirectory() as name, redirect_stdout(sys.stderr):  # what is loaded late is loaded now
-    main(["codegen", "box-hull", "--out", name])
-    main(["codegen", "box-hull", "--out", name, "--check"])
+    main(["export", "c", "box-hull", "--out", name])
+    main(["export", "c", "box-hull", "--out", name, "--check"])
 
 SOURCE = \"\"\"#include <math.h>
 __attribute__((visibility("default"))) double answer(void) { return 42.0; }
@@ -178,9 +178,9 @@ def half_written(found: dict[str, str], *sound: dict[str, str]) -> list[str]:
 @pytest.fixture
 def older(case: Path, driver: Driver) -> Path:
     """A folder with the code of a vehicle, whose file has been edited since."""
-    done = driver.run(case, "codegen usv.toml --out out")
-    (case / "out" / "usv").mkdir(parents=True)
+    done = driver.run(case, "export c usv.toml --out out")
     for name in done.after.keys() - {"usv.toml", "train.csv", "holdout.csv"}:
+        (case / name).parent.mkdir(parents=True, exist_ok=True)
         (case / name).write_text(done.after[name])
     text = (case / "usv.toml").read_text()
     assert "I_z = 1.76" in text
@@ -194,10 +194,10 @@ def before(folder: Path) -> dict[str, str]:
 
 
 def test_the_code_of_a_vehicle_is_old_or_new_file_by_file(older: Path, driver: Driver) -> None:
-    words, check = "codegen usv.toml --out out", "codegen usv.toml --out out --check"
+    words, check = "export c usv.toml --out out", "export c usv.toml --out out --check"
     whole, old = driver.run(older, words), before(older)
     assert whole.code == 0
-    assert whole.after["out/usv/model.c"] != old["out/usv/model.c"]
+    assert whole.after["out/usv/src/usv_vehicle.c"] != old["out/usv/src/usv_vehicle.c"]
     for at in moments(whole.count, 8, seed=1):
         killed = driver.run(older, words, [check, words], at=at)
         assert killed.code == KILLED, at

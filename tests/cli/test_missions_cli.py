@@ -1,4 +1,4 @@
-"""Missions in commands: simulate --path, gains --path and codegen --path; what they write and refuse."""
+"""Missions in commands: simulate --path, gains --path and export c --path; what they write and refuse."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ def test_the_conditions_on_a_mission_are_told(here: Path, capsys: Capture) -> No
 
 
 def test_a_controller_for_a_mission_is_written(here: Path, capsys: Capture) -> None:
-    words = ["codegen", "cybership2", "--controller", "g.toml", "--path", "m.toml", "--out", "out"]
+    words = ["export", "c", "cybership2", "--controller", "g.toml", "--path", "m.toml", "--out", "out"]
     assert main(words) == 0
-    header = next(Path("out").rglob("controller.h")).read_text()
-    assert "extern const double cybership2_ship_mission[];" in header
+    header = next(Path("out").rglob("cybership2_ship.h")).read_text()
+    assert "extern const cybership2_ship_mission cybership2_ship_mission_default;" in header
     assert "mission_time" in header
     assert main([*words, "--check"]) == 0
-    assert main([*words[:4], "--out", "out", "--check"]) == 1  # the one without a mission is another one
+    assert main([*words[:5], "--out", "out", "--check"]) == 1  # the one without a mission is another one
 
 
 SHIP = ["simulate", "cybership2", "g.toml"]
@@ -96,7 +96,7 @@ BAD = {
         ["gains", "cybership2", "g.toml", "--path", "m.toml", "--observer", "o.toml"],
         ["--observer o.toml", "true states", "simulate"],
     ),
-    "code without a law": (["codegen", "cybership2", "--path", "m.toml"], ["give --controller GAINS"]),
+    "code without a law": (["export", "c", "cybership2", "--path", "m.toml"], ["give --controller GAINS"]),
 }
 
 

@@ -1,4 +1,4 @@
-"""undertow simulate and undertow codegen --controller: what they refuse, in one line."""
+"""undertow simulate and undertow export c --controller: what they refuse, in one line."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_a_vehicle_without_thrusters_is_refused(here: Path, capsys: Capture) -> 
     (here / "bare.toml").write_text(text[: text.index("[[thrusters]]")])
     line = refusal(["simulate", "bare.toml", "mine.toml", "--to", "1,1,1"], capsys, here)
     assert "asks for a force in surge, heave, yaw" in line
-    line = refusal(["codegen", "bare.toml", "--controller", "mine.toml"], capsys, here)
+    line = refusal(["export", "c", "bare.toml", "--controller", "mine.toml"], capsys, here)
     assert "no thruster" in line
 
 
@@ -112,5 +112,5 @@ def test_two_runs_have_no_place_in_one_log(here: Path, capsys: Capture) -> None:
 
 def test_gains_that_are_not_there_are_refused(here: Path, capsys: Capture) -> None:
     assert "'paper-pd'" in refusal(["simulate", "mini-auv", "papr-pd", "--to", "1,1,1"], capsys, here)
-    assert "'paper-pd'" in refusal(["codegen", "mini-auv", "--controller", "papr-pd"], capsys, here)
+    assert "'paper-pd'" in refusal(["export", "c", "mini-auv", "--controller", "papr-pd"], capsys, here)
     assert not (here / "build").exists()

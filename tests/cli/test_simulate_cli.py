@@ -1,4 +1,4 @@
-"""undertow simulate and undertow codegen --controller: what is written, and what is refused."""
+"""undertow simulate and undertow export c --controller: what is written, and what is refused."""
 
 from __future__ import annotations
 
@@ -168,17 +168,17 @@ def test_without_a_compiler_it_runs_too(here: Path, monkeypatch: pytest.MonkeyPa
         assert one["final_error"] == pytest.approx(other["final_error"], abs=1e-12)
 
 
-def test_codegen_writes_the_controller_and_checks_it(here: Path, capsys: Capture) -> None:
-    words = ["codegen", "mini-auv", "--controller", "paper-pid"]
+def test_the_controller_is_written_in_c_and_checked(here: Path, capsys: Capture) -> None:
+    words = ["export", "c", "mini-auv", "--controller", "paper-pid"]
     assert main([*words, "--check"]) == 1
     assert main(words) == 0
-    assert (here / "build" / "mini-auv" / "paper-pid" / "controller.c").is_file()
-    assert (here / "build" / "mini-auv" / "model.c").is_file()
+    made = here / "build" / "mini-auv" / "src"
+    assert (made / "mini_auv_vehicle.c").is_file()
     assert main([*words, "--check"]) == 0
-    header = here / "build" / "mini-auv" / "paper-pid" / "controller.h"
+    header = made / "mini_auv_paper_pid.h"
     header.write_text("")
     capsys.readouterr()
     assert main([*words, "--check"]) == 1
     said = capsys.readouterr().out
-    assert "controller.h is not as it would be generated" in said
-    assert "run undertow codegen mini-auv --controller paper-pid" in said
+    assert "mini_auv_paper_pid.h is not as it was generated" in said
+    assert "run undertow export c mini-auv --controller paper-pid" in said

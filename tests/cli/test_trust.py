@@ -20,7 +20,7 @@ from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, contents, each_once, r
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen.compiler import find_compiler
-from undertow.codegen.export import Export
+from undertow.codegen.library import Library
 from undertow.model.loading import load_vehicle
 
 Capture = pytest.CaptureFixture[str]
@@ -40,8 +40,8 @@ PAYLOADS = {
 
 
 def _words(command: str, vehicle: str = "evil.toml", log: str = "train.csv") -> list[str]:
-    first = ["add", "constant_force"] if command == "add" else [command]
-    return [*first, vehicle] if command == "codegen" else [*first, vehicle, log]
+    first = {"add": ["add", "constant_force"], "export": ["export", "c"]}.get(command, [command])
+    return [*first, vehicle] if command == "export" else [*first, vehicle, log]
 
 
 def _replaced(case: Path, old: str, new: str) -> None:
@@ -81,7 +81,7 @@ def test_code_in_free_text_of_a_vehicle_file_stays_text(payload: str, case: Path
     _replaced(case, 'name = "usv"', f"name = {text}\ndescription = {text}\nsource = {text}")
     evil = (case / "evil.toml").read_text()
     (case / "evil.toml").write_text(evil.replace('"guess, good to 15 %"', text))
-    for command in ("codegen", "compare"):
+    for command in ("export", "compare"):
         assert main(_words(command)) == 0, capsys.readouterr().err
     assert main(["vehicles", "show", "evil.toml"]) == 0
     assert not (case / "owned").exists()
@@ -294,7 +294,7 @@ def test_names_reach_the_terminal_as_they_are(case: Path, capsys: Capture) -> No
 @pytest.mark.parametrize("name", ["a\x1b[31mb", "a\nb", "a\x00b", "a\u202eb"])
 def test_control_characters_are_no_part_of_a_name(name: str, case: Path, capsys: Capture) -> None:
     _replaced(case, 'name = "usv"', f"name = {json.dumps(name)}")
-    assert "printable" in refusal(_words("codegen"), capsys, case)
+    assert "printable" in refusal(_words("export"), capsys, case)
 
 
 @pytest.mark.slow
@@ -328,16 +328,17 @@ REFUSED = ["f-1", "f 1", "1f", "x" * 41, "é", "", 'f"; int y;', "f*/", "u", "ps
 def test_a_thruster_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys: Capture) -> None:
     _replaced(case, 'name = "f2"', f'name = "{name}"')
     if not re.match("[A-Za-z]", name):  # names begin with a letter
-        assert f"'{name}'" in refusal(_words("codegen"), capsys, case)
+        assert f"'{name}'" in refusal(_words("export"), capsys, case)
         return
-    assert main([*_words("codegen"), "--out", "b"]) == 0, capsys.readouterr().err
+    assert main([*_words("export"), "--out", "b"]) == 0, capsys.readouterr().err
     compiler = find_compiler()
     if compiler is None:
         pytest.skip("no C compiler")
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
+    folder = case / "b" / "usv"
     done = subprocess.run(
-        [*compiler.command, *strict, "model.c", "main.c"],
-        cwd=case / "b" / "usv",
+        [*compiler.command, *strict, "-Isrc", *map(str, folder.resolve().rglob("*.c"))],
+        cwd=folder,
         capture_output=True,
         text=True,
     )
@@ -347,7 +348,7 @@ def test_a_thruster_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys
 @pytest.mark.parametrize("name", first_quick(REFUSED, 4))
 def test_a_thruster_with_no_name_or_a_taken_one_is_refused(name: str, case: Path, capsys: Capture) -> None:
     _replaced(case, 'name = "f2"', f"name = {json.dumps(name)}")
-    for command in ("codegen", "compare"):
+    for command in ("export", "compare"):
         line = refusal(_words(command), capsys, case)
         assert "evil.toml" in line
         assert name in line
@@ -362,10 +363,10 @@ def test_a_vehicle_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys:
     if compiler is None:
         pytest.skip("no C compiler")
     _replaced(case, 'name = "usv"', f"name = {json.dumps(name)}")
-    folder = Export(load_vehicle(case / "evil.toml")).write(case / "b").folder
+    folder = Library(load_vehicle(case / "evil.toml")).write(case / "b").folder
     assert folder.parent == case / "b"
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-    command = [*compiler.command, *strict, "model.c", "main.c"]
+    command = [*compiler.command, *strict, "-Isrc", *map(str, folder.resolve().rglob("*.c"))]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

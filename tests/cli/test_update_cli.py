@@ -34,7 +34,8 @@ def test_an_update_tells_what_an_edit_changes(folder: Path, capsys: Capture) -> 
     assert main(["update", "auv.toml", "--gains", "paper-pid", "--at", "u=0.5"]) == 0
     assert "first time" in capsys.readouterr().out
     made = {p.name for p in Path("build/mini-auv").rglob("*") if p.is_file()}
-    assert {"model.c", "controller.c", "vehicle-bode.png", "paper-pid-step.png", "update.json"} <= made
+    assert {"mini_auv_vehicle.c", "mini_auv_paper_pid.c", "update.json"} <= made
+    assert {"vehicle-bode.png", "paper-pid-step.png"} <= made
     _edit('X_u = { forward = "0.142306 kg/s"', 'X_u = { forward = "0.4 kg/s"')
     assert main(["update", "auv.toml"]) == 0
     out = capsys.readouterr().out
@@ -43,7 +44,7 @@ def test_an_update_tells_what_an_edit_changes(folder: Path, capsys: Capture) -> 
     assert re.search(r"0\.00319834 ± 0\.0380541i +-0\.00513736 ± 0\.0306214i", out)
     assert re.search(r"paper-pid, hovering forward, force_surge: delay +0 s +9\.127 s", out)
     assert re.search(r"paper-pid, hovering forward +unstable +stable", out)
-    assert "0.4" in Path("build/mini-auv/model.c").read_text()
+    assert "0.4" in Path("build/mini-auv/src/mini_auv_vehicle.c").read_text()
 
 
 def test_a_second_update_finds_nothing_new(folder: Path, capsys: Capture) -> None:
@@ -85,8 +86,8 @@ def _gains(path: str, name: str) -> str:
 @pytest.mark.parametrize(
     ("one", "other", "words"),
     [
-        (("a.toml", "soft PD"), ("b.toml", "Soft-pd"), r"b\.toml .* folder 'soft-pd', .* of a\.toml"),
-        (("a.toml", "soft"), ("b.toml", "Figures"), "'Figures' would have the folder 'figures'"),
+        (("a.toml", "soft PD"), ("b.toml", "Soft-pd"), r"'Soft-pd' .* mini_auv_soft_pd\.c, .* taken"),
+        (("a.toml", "soft"), ("b.toml", "Vehicle"), r"'Vehicle' .* mini_auv_vehicle\.c, .* taken"),
         (("a.toml", "soft"), ("b/a.toml", "hard"), r"b/a\.toml .* pictures 'a', .* of a\.toml"),
         (("a.toml", "soft"), ("vehicle.toml", "hard"), "pictures 'vehicle', which is that of the vehicle"),
     ],
@@ -96,11 +97,6 @@ def test_nothing_is_written_over_something_else(
 ) -> None:
     files = [word for pair in (one, other) for word in ("--gains", _gains(*pair))]
     assert re.search(words, refusal(["update", "auv.toml", *files], capsys, folder))
-
-
-def test_a_controller_in_the_folder_of_the_pictures_is_refused(folder: Path, capsys: Capture) -> None:
-    line = refusal(["codegen", "auv.toml", "--controller", _gains("a.toml", "figures")], capsys, folder)
-    assert "give it another name" in line
 
 
 @pytest.mark.slow

@@ -12,8 +12,8 @@ from benchmarks.shape.hulls import box_mesh, spheroid_mesh, stl
 from tests.cli.bad import refusal
 from tests.identification.test_panels import BOX, needs_capytaine
 from undertow.cli.main import main
-from undertow.codegen.export import Export
 from undertow.codegen.functions import Functions
+from undertow.codegen.library import Library
 from undertow.codegen.simulate import Simulator
 from undertow.model.loading import load_vehicle
 from undertow.model.plausibility import hints, mass_matrix_at
@@ -69,7 +69,7 @@ def test_the_first_vehicle_is_shown_generated_and_simulated(
     vehicle = made(hulls, "--cg", "0,0,0.02")
     assert main(["vehicles", "show", "my.toml"]) == 0
     assert "added_mass" in capsys.readouterr().out
-    assert Export(vehicle).write(hulls / "build").folder.is_dir()
+    assert Library(vehicle).write(hulls / "build").folder.is_dir()
     heeled = np.zeros(12)
     heeled[3] = 0.2
     x = simulated(vehicle, heeled, np.zeros(6))

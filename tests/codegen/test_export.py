@@ -27,7 +27,8 @@ from undertow import UndertowError
 from undertow.cli.main import main
 from undertow.codegen import Simulator
 from undertow.codegen.compiler import Compiler
-from undertow.codegen.export import Export
+from undertow.codegen.library import Library
+from undertow.codegen.manifest import sha256
 from undertow.model.loading import bundled_vehicles
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
@@ -38,9 +39,14 @@ pytestmark = posix
 
 
 def _compile(compiler: Compiler, folder: Path, *flags: str) -> None:
-    command = [*compiler.command, *STRICT, *flags, "model.c", "main.c", "-lm", "-o", "example"]
+    command = [*compiler.command, *STRICT, *flags, *_vehicle_sources(folder), "-lm", "-o", "example"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def _vehicle_sources(folder: Path) -> list[str]:
+    name = next((folder / "src").glob("*_vehicle.c")).name
+    return ["-Isrc", f"src/{name}", "examples/vehicle/main.c"]
 
 
 def _table(folder: Path) -> tuple[list[str], np.ndarray]:
@@ -54,7 +60,7 @@ def _table(folder: Path) -> tuple[list[str], np.ndarray]:
 
 
 def _export(name: str, out: Path) -> Path:
-    return Export(named_vehicle(name)).write(out).folder
+    return Library(named_vehicle(name)).write(out).folder
 
 
 # --- the code -----------------------------------------------------------------------------------
@@ -81,11 +87,12 @@ def test_the_example_steps_the_model(name: str, c_compiler: Compiler, tmp_path: 
 @pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"], 2))
 def test_every_function_equals_the_virtual_machine(name: str, c_compiler: Compiler, tmp_path: Path) -> None:
     folder = _export(name, tmp_path)
-    command = [*c_compiler.command, *STRICT, "-O1", "-shared", "-fPIC", "model.c", "-lm", "-o", "model.so"]
+    identifier = folder.name.replace("-", "_")
+    sources = [f"src/{identifier}_{part}.c" for part in ("vehicle", "jacobians")]
+    command = [*c_compiler.command, *STRICT, "-O1", "-shared", "-fPIC", *sources, "-lm", "-o", "model.so"]
     subprocess.run(command, cwd=folder, check=True)
     library = ctypes.CDLL(str(folder / "model.so"))
     functions = functions_of(name)
-    identifier = folder.name.replace("-", "_")
     point = random_point(functions, 8)
     values = {"x": point.x, "nu_dot": point.nu_dot, "u": point.u, "p": point.p, "t": point.t}
     for kind in ("dynamics", "jacobians", "residual_function", "regressor", "outputs"):
@@ -191,9 +198,10 @@ def test_the_header_serves_c_plus_plus(tmp_path: Path) -> None:
     if compiler is None:
         pytest.skip("no C++ compiler on this machine")
     folder = _export("mini-auv", tmp_path)
-    (folder / "user.cpp").write_text('#include "model.h"\nint main() { return MINI_AUV_STATES - 8; }\n')
+    text = '#include "mini_auv_jacobians.h"\nint main() { return MINI_AUV_STATES - 8; }\n'
+    (folder / "user.cpp").write_text(text)
     subprocess.run(
-        [compiler, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "user.cpp"], cwd=folder, check=True
+        [compiler, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Isrc", "user.cpp"], cwd=folder, check=True
     )
     assert subprocess.run(["./a.out"], cwd=folder).returncode == 0
 
@@ -205,13 +213,13 @@ def test_cmake_builds_the_example(c_compiler: Compiler, tmp_path: Path) -> None:
     folder = _export("box-hull", tmp_path)
     subprocess.run([cmake, "-S", folder, "-B", folder / "out"], check=True, capture_output=True)
     subprocess.run([cmake, "--build", folder / "out"], check=True, capture_output=True)
-    assert (folder / "out" / "box_hull_example").is_file()
+    assert (folder / "out" / "box_hull_vehicle").is_file()
 
 
 def test_a_vehicle_without_inputs_is_valid_c(c_compiler: Compiler, tmp_path: Path) -> None:
     base = vehicle_with(dofs=("surge",), thrusters=0)
     vehicle = Vehicle("adrift", ("surge",), base.effects, {"m": Value(3.0), "X_u": Value(-1.0)})
-    folder = Export(vehicle).write(tmp_path).folder
+    folder = Library(vehicle).write(tmp_path).folder
     _compile(c_compiler, folder)
     assert np.array_equal(_table(folder)[1][-1], [10, 0, 0])
 
@@ -230,14 +238,14 @@ def test_any_name_gives_valid_c_in_its_own_folder(
     name: str, folder: str, c_compiler: Compiler, tmp_path: Path
 ) -> None:
     base = vehicle_with(dofs=("surge",), thrusters=0)
-    found = Export(Vehicle(name, ("surge",), base.effects, {"m": Value(3.0)})).write(tmp_path).folder
+    found = Library(Vehicle(name, ("surge",), base.effects, {"m": Value(3.0)})).write(tmp_path).folder
     assert found == tmp_path / folder
     _compile(c_compiler, found)
 
 
 def test_a_name_without_letters_is_told() -> None:
     with pytest.raises(UndertowError, match="folder name"):
-        Export(replace(named_vehicle("box-hull"), name="///"))
+        Library(replace(named_vehicle("box-hull"), name="///"))
 
 
 # --- manifest and changes -----------------------------------------------------------------------
@@ -246,7 +254,7 @@ def test_a_name_without_letters_is_told() -> None:
 def test_the_manifest_records_the_model(tmp_path: Path) -> None:
     vehicle = vehicle_with("lift", "actuation_delay", "thruster_lag", "radiation_memory", thrusters=2)
     vehicle = replace(vehicle, values={"m": Value(12.5), "delay": Value(0.3)})
-    folder = Export(vehicle).write(tmp_path).folder
+    folder = Library(vehicle).write(tmp_path).folder
     content = json.loads((folder / "manifest.json").read_text())
     assert content["effects"] == [e.id for e in vehicle.effects]
     assert [p["name"] for p in content["parameters"]] == list(vehicle.parameter_names)
@@ -262,8 +270,9 @@ def test_the_manifest_records_the_model(tmp_path: Path) -> None:
     )
     assert [i["unit"] for i in content["inputs"]] == ["command", "command", "N", "N m"]
     assert content["input_delay"] == 0.3
-    assert content["model"] == content["files"]["model.c"]
-    assert "0.3 s late" in (folder / "model.h").read_text()
+    header = next((folder / "src").glob("*_vehicle.h"))
+    assert content["files"][f"src/{header.name}"] == sha256(header.read_text())
+    assert "0.3 s late" in header.read_text()
 
 
 def test_outputs_that_come_late_are_told(tmp_path: Path) -> None:
@@ -273,23 +282,25 @@ def test_outputs_that_come_late_are_told(tmp_path: Path) -> None:
     told = _changes(prompt, late, tmp_path)
     assert "output delay of u: 0 -> 0.15 s" in told
     assert not any(line.startswith("rows changed") for line in told)
-    folder = tmp_path / Export(late).folder_name
+    folder = tmp_path / Library(late).folder_name
     assert json.loads((folder / "manifest.json").read_text())["output_delay"] == dict.fromkeys("uvw", 0.15)
-    assert "outputs u, v, w are reported 0.15 s late" in (folder / "model.h").read_text()
-    assert Export(late).check(tmp_path).changes == ()
+    assert (
+        "outputs u, v, w are reported 0.15 s late" in next((folder / "src").glob("*_vehicle.h")).read_text()
+    )
+    assert Library(late).check(tmp_path).changes == ()
 
 
 def _changes(before: Vehicle, after: Vehicle, out: Path) -> tuple[str, ...]:
-    Export(before).write(out)
-    return Export(after).write(out).changes
+    Library(before).write(out)
+    return Library(after).write(out).changes
 
 
 def test_the_same_model_has_no_changes(tmp_path: Path) -> None:
     vehicle = named_vehicle("mini-auv")
-    assert Export(vehicle).write(tmp_path).first
-    report = Export(vehicle).write(tmp_path)
+    assert Library(vehicle).write(tmp_path).first
+    report = Library(vehicle).write(tmp_path)
     assert (report.first, report.changes) == (False, ())
-    assert Export(vehicle).check(tmp_path).changes == ()
+    assert Library(vehicle).check(tmp_path).changes == ()
 
 
 def test_a_new_effect_is_told_with_its_parameters_and_rows(tmp_path: Path) -> None:
@@ -335,33 +346,41 @@ def test_another_order_and_another_vehicle_are_told(tmp_path: Path) -> None:
 
 def test_a_damaged_manifest_is_told_and_replaced(tmp_path: Path) -> None:
     vehicle = named_vehicle("box-hull")
-    folder = Export(vehicle).write(tmp_path).folder
-    for text in ("{", "[]", '{"schema": "undertow/codegen/9"}', '{"schema": "undertow/codegen/1"}', "\xff"):
+    folder = Library(vehicle).write(tmp_path).folder
+    for text in ("{", "[]", '{"schema": "undertow/codegen/9"}', '{"schema": "undertow/codegen/2"}', "\xff"):
         (folder / "manifest.json").write_text(text, encoding="latin-1")
-        assert "manifest.json" in Export(vehicle).check(tmp_path).changes[0]
-    Export(vehicle).write(tmp_path)
-    assert Export(vehicle).check(tmp_path).changes == ()
+        assert "manifest.json" in Library(vehicle).check(tmp_path).changes[0]
+    Library(vehicle).write(tmp_path)
+    assert Library(vehicle).check(tmp_path).changes == ()
 
 
 def test_an_edited_example_is_kept_and_edited_code_is_not(tmp_path: Path) -> None:
     vehicle = named_vehicle("box-hull")
-    folder = Export(vehicle).write(tmp_path).folder
-    for name in ("main.c", "model.c"):
+    folder = Library(vehicle).write(tmp_path).folder
+    example, source = "examples/vehicle/main.c", "src/box_hull_vehicle.c"
+    for name in (example, source):
         (folder / name).write_text("/* mine */")
-    assert Export(vehicle).check(tmp_path).changes == ("model.c is not as it was generated",)
+    assert Library(vehicle).check(tmp_path).changes == (f"{source} is not as it was generated",)
     for _ in range(2):
-        assert Export(vehicle).write(tmp_path).changes == ("main.c was edited and is kept",)
-    assert (folder / "main.c").read_text() == "/* mine */"
-    assert Export(vehicle).check(tmp_path).changes == ()
-    (folder / "main.c").unlink()
-    assert Export(vehicle).write(tmp_path).changes == ()
-    assert (folder / "main.c").is_file()
+        assert Library(vehicle).write(tmp_path).changes == (f"{example} was edited and is kept",)
+    assert (folder / example).read_text() == "/* mine */"
+    assert Library(vehicle).check(tmp_path).changes == ()
+    (folder / example).unlink()
+    assert Library(vehicle).write(tmp_path).changes == ()
+    assert (folder / example).is_file()
+
+
+def test_files_that_were_not_generated_are_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "box-hull").mkdir()
+    (tmp_path / "box-hull" / "README.md").write_text("mine")
+    with pytest.raises(UndertowError, match=r"README\.md' was there before and was not generated"):
+        Library(named_vehicle("box-hull")).write(tmp_path)
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "build").write_text("a file")
     with pytest.raises(UndertowError, match="cannot make folder"):
-        Export(named_vehicle("box-hull")).write(tmp_path / "build")
+        Library(named_vehicle("box-hull")).write(tmp_path / "build")
 
 
 # --- the command --------------------------------------------------------------------------------
@@ -374,19 +393,19 @@ def test_the_command_writes_and_checks(tmp_path: Path, capsys: pytest.CaptureFix
     folder = tmp_path / "build" / "box-hull"
 
     def run(*options: str) -> tuple[int, str]:
-        code = main(["codegen", str(file), "--out", out, *options])
+        code = main(["export", "c", str(file), "--out", out, *options])
         return code, capsys.readouterr().out
 
-    assert run("--check") == (1, f"{folder}: missing; run undertow codegen {file}\n")
+    assert run("--check") == (1, f"{folder}: missing; run undertow export c {file}\n")
     assert not folder.exists()
     assert run() == (0, f"{folder}: written\n  first time\n")
     assert run("--check") == (0, f"{folder}: current\n")
     assert run() == (0, f"{folder}: written\n  nothing has changed since the last time\n")
     file.write_text(file.read_text().replace("60.48 kg", "61 kg"))
     stale = "  parameters changed: m 60.48 kg -> 61.0 kg\n"
-    before = {p: p.read_bytes() for p in folder.iterdir()}
-    assert run("--check") == (1, f"{folder}: stale; run undertow codegen {file}\n{stale}")
-    assert {p: p.read_bytes() for p in folder.iterdir()} == before
+    before = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    assert run("--check") == (1, f"{folder}: stale; run undertow export c {file}\n{stale}")
+    assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == before
     assert run() == (0, f"{folder}: written\n{stale}")
 
 
@@ -418,20 +437,20 @@ def test_the_command_takes_effects_of_the_user_only_when_told(
         .replace('signs = "sname"', 'signs = "sname"\neffects_from = ["rope.py"]')
     )
     file.write_text(text + '\n[effects.rope]\nk_rope = "2 N/m"\n')
-    assert main(["codegen", str(file), "--out", str(tmp_path / "build")]) == 2
+    assert main(["export", "c", str(file), "--out", str(tmp_path / "build")]) == 2
     assert "--effects" in capsys.readouterr().err
     effects = str(tmp_path / "rope.py")
-    assert main(["codegen", str(file), "--out", str(tmp_path / "build"), "--effects", effects]) == 0
-    assert "k_rope = 2.0 N/m" in (tmp_path / "build" / "box-hull" / "model.h").read_text()
+    assert main(["export", "c", str(file), "--out", str(tmp_path / "build"), "--effects", effects]) == 0
+    assert "k_rope; /* N/m */" in (tmp_path / "build/box-hull/src/box_hull_vehicle.h").read_text()
 
 
 def test_the_command_needs_no_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERTOW_NO_COMPILER", "1")
-    assert main(["codegen", "box-hull", "--out", str(tmp_path)]) == 0
+    assert main(["export", "c", "box-hull", "--out", str(tmp_path)]) == 0
     assert json.loads((tmp_path / "box-hull" / "manifest.json").read_text())["compiler"] == "none"
 
 
 def test_an_unknown_vehicle_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["codegen", "boxhull", "--out", str(tmp_path)]) == 2
+    assert main(["export", "c", "boxhull", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not list(tmp_path.iterdir())

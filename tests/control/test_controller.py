@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from undertow.control.allocation import Allocation, allocation_of
-from undertow.control.controller import Controller, thruster_commands
+from undertow.control.controller import Controller, Sharing, thruster_commands
 from undertow.control.gains import AllocationTable, GainSet, ScheduleTable, load_gains
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -46,7 +46,7 @@ def test_the_paper_s_allocation_comes_out() -> None:
 
 def commands(allocation: Allocation, force: Sequence[float]) -> np.ndarray:
     wanted = ca.SX.sym("force", len(allocation.matrix))
-    function = ca.Function("allocate", [wanted], [thruster_commands(allocation, wanted)])
+    function = ca.Function("allocate", [wanted], [thruster_commands(Sharing.of(allocation), wanted)])
     return np.asarray(ca.densify(function(force))).ravel()
 
 

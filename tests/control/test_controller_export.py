@@ -5,19 +5,34 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from undertow.codegen.compiler import Compiler, find_compiler
-from undertow.control.controller import Controller, ControllerExport
+from undertow.codegen.library import Library
+from undertow.codegen.spelling import slug
+from undertow.control.api import library_of
+from undertow.control.controller import Controller
+from undertow.control.controller_c import controller_c
 from undertow.control.gains import GainTable, gains_from_table, load_gains
 from undertow.control.laws import LAWS
 from undertow.model.loading import load_vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
+STRICT = (
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Werror",
+    "-O1",
+    "-ffp-contract=off",
+    "-Isrc",
+)
 GAIN = {
     "K_1": 0.3,
     "K_2": 0.05,
@@ -53,11 +68,15 @@ def auv(law: str) -> Controller:
 
 def compiled(controller: Controller, compiler: Compiler, folder: Path) -> tuple[ctypes.CDLL, str]:
     """The exported files as a library, and the prefix of its functions."""
-    made = ControllerExport(controller).write(folder).folder
-    command = [*compiler.command, *STRICT, "-fPIC", "-shared", "controller.c", "-lm", "-o", "controller.so"]
+    library = Library(
+        controller.gains.plant.vehicle, [(controller.gains.name, lambda c: controller_c(controller, c))]
+    )
+    made, part = library.write(folder).folder, slug(controller.gains.name).replace("-", "_")
+    source = f"src/{library.name}_{part}.c"
+    command = [*compiler.command, *STRICT, "-fPIC", "-shared", source, "-lm", "-o", f"{part}.so"]
     done = subprocess.run(command, cwd=made, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return ctypes.CDLL(str(made / "controller.so")), "_".join(made.parts[-2:]).replace("-", "_")
+    return ctypes.CDLL(str(made / f"{part}.so")), f"{library.name}_{part}"
 
 
 def pointer(array: np.ndarray) -> ctypes.c_void_p:
@@ -78,9 +97,9 @@ def test_six_degrees_of_freedom_and_eight_thrusters(compiler: Compiler, tmp_path
 def assert_same(controller: Controller, compiler: Compiler, folder: Path) -> None:
     """A walk of the reports towards the set-point; the states are carried on by each side on its own."""
     library, name = compiled(controller, compiler, folder)
-    k = np.array(controller.gain_values())
-    assert (np.array((ctypes.c_double * len(k)).in_dll(library, f"{name}_gains")) == k).all()
-    function = controller.sampled
+    k, p = np.array(controller.gain_values()), np.array(list(controller.numbered().values.values()))
+    assert (np.array((ctypes.c_double * len(p)).in_dll(library, f"{name}_parameters_default")) == p).all()
+    function, numbered = controller.sampled, controller.numbered().control
     n, n_u = function.size1_in("r"), function.size1_out("u")
     s, expected = np.full(function.size1_in("s"), 7.0), np.array(controller.initial_states())
     getattr(library, f"{name}_start")(pointer(s))
@@ -92,9 +111,13 @@ def assert_same(controller: Controller, compiler: Compiler, folder: Path) -> Non
         y[:n] += 0.02 * (r - y[:n]) + 0.01 * random.normal(size=n)
         y[n:] = 0.1 * random.normal(size=n)
         dt = 0.05 + 0.01 * (i % 3)
-        arguments = map(pointer, (y, r, k))
-        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(dt), *map(pointer, (s, u, tau)))
-        found = [np.asarray(v).ravel() for v in function(y, r, expected, k, dt)]
+        arguments = map(pointer, (y, r, s, p))
+        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(dt), *map(pointer, (u, s, tau)))
+        found = [np.asarray(v).ravel() for v in numbered(y, r, expected, p, dt)]
+        # With the numbers as constants CasADi sums in another order, and a thruster at its limit leaves a
+        # system that only its damping makes regular: eight digits of sixteen are lost in what is left.
+        for constant, python in zip(function(y, r, expected, k, dt), found, strict=True):
+            assert np.asarray(constant).ravel() == pytest.approx(python, abs=1e-9, rel=1e-8)
         expected = found[1]
         for mine, python in zip((u, s, tau), found, strict=True):
             assert mine == pytest.approx(python, abs=1e-12, rel=1e-12)
@@ -117,21 +140,29 @@ def test_the_heading_rule_goes_along(compiler: Compiler, tmp_path: Path) -> None
 
 
 def test_the_source_needs_nothing_but_math() -> None:
-    text = ControllerExport(auv("pid")).texts["controller.c"]
-    assert [line for line in text.splitlines() if line.startswith("#include")] == [
-        '#include "controller.h"',
+    library = library_of(auv("pid").gains.plant.vehicle, [auv("pid").gains])
+    lines = [line for text in library.texts.values() for line in text.splitlines()]
+    assert {line for line in lines if line.startswith("#include <")} == {
         "#include <math.h>",
-    ]
+        "#include <stdio.h>",
+    }
+    own = library.texts["src/mini_auv_all_of_pid.c"].splitlines()
+    assert [line for line in own if line.startswith("#include")] == ['#include "mini_auv_all_of_pid.h"']
 
 
 def test_what_is_current_and_what_is_stale(tmp_path: Path) -> None:
-    export = ControllerExport(auv("pd"))
-    assert export.check(tmp_path).first
-    folder = export.write(tmp_path).folder
-    assert folder == tmp_path / "mini-auv" / "all-of-pd"
-    assert sorted(p.name for p in folder.iterdir()) == ["controller.c", "controller.h"]
-    assert export.check(tmp_path).changes == ()
-    (folder / "controller.c").write_text("int x;\n")
-    assert export.check(tmp_path).changes == ("controller.c is not as it would be generated",)
-    assert export.write(tmp_path).changes
-    assert export.check(tmp_path).changes == ()
+    gains = auv("pd").gains
+    vehicle = gains.plant.vehicle
+    library = library_of(vehicle, [gains])
+    assert library.check(tmp_path).first
+    folder = library.write(tmp_path).folder
+    assert folder == tmp_path / "mini-auv"
+    assert library.check(tmp_path).changes == ()
+    source = "src/mini_auv_all_of_pd.c"
+    (folder / source).write_text("int x;\n")
+    assert library.check(tmp_path).changes == (f"{source} is not as it was generated",)
+    library.write(tmp_path)
+    assert library.check(tmp_path).changes == ()
+    stiffer = replace(gains, values=gains.values | {"K_P_x": 7.0})
+    assert library_of(vehicle, [stiffer]).check(tmp_path).changes == (f"{source} has changed",)
+    assert Library(vehicle).check(tmp_path).changes == (f"{source} is no part any more",)

@@ -15,11 +15,14 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from undertow.codegen.library import Library
+from undertow.codegen.spelling import slug
 from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.tracking import _coriolis, check_mission, damping_corners
 from undertow.control.conditions.whole import certify
-from undertow.control.controller import Controller, ControllerExport
+from undertow.control.controller import Controller
+from undertow.control.controller_c import controller_c
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.guidance.line_of_sight import Guidance, LineOfSight
 from undertow.control.guidance.mission import Mission, MissionTable, load_mission, mission_from_table
@@ -303,6 +306,25 @@ def test_integral_line_of_sight_finds_the_side_slip_of_the_current() -> None:
     assert without[-1, 1] == pytest.approx(5.0 * math.tan(math.asin(0.5 / 1.5)), rel=1e-4)
 
 
+@pytest.mark.parametrize("turn", [0.0, 60.0, 90.0, 180.0])
+def test_the_integral_is_turned_with_the_current_at_the_end_of_a_leg(turn: float) -> None:
+    """What a steady current is across the next leg, of what is known: its part across this one."""
+    way = np.radians(turn)
+    points = [{"x": 0.0}, {"x": 20.0}, {"x": 20.0 + 9 * float(np.cos(way)), "y": 9 * float(np.sin(way))}]
+    gains = ship("pd")
+    legs = mission("legs", points, guidance={"lookahead": 5.0, "acceptance": 1.0, "integral": 0.2})
+    controller = Controller(gains, legs.reference(gains))
+    names, k = list(controller.state_names), controller.gain_values()
+    s = np.array(controller.initial_states())
+    s[[names.index(n) for n in ("started", "cross_integral", "depth_integral")]] = 1.0, 4.0, 2.0
+    for x, factor in ((10.0, 1.0), (19.5, np.cos(way))):
+        y = [x, 0.0, 0.0, 0.4, 0.0, 0.0]
+        after = np.asarray(controller.sampled(y, controller.mission_numbers, s, k, 0.1)[1]).ravel()
+        assert after[names.index("leg")] == (x > 19)
+        assert after[names.index("cross_integral")] == pytest.approx(4.0 * factor, abs=1e-12)
+        assert after[names.index("depth_integral")] == pytest.approx(2.0)  # trim knows of no turn
+
+
 @pytest.fixture(scope="module")
 def remus() -> GainSet:
     return load_gains(EXAMPLES / "remus100-gains.toml", load_vehicle("remus100"))
@@ -435,7 +457,9 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
     controller = Controller(
         gains, (mission("spline", SQUARE) if kind == "spline" else survey).reference(gains)
     )
-    made = ControllerExport(controller).write(tmp_path).folder
+    library = Library(gains.plant.vehicle, [(gains.name, lambda c: controller_c(controller, c))])
+    made = library.write(tmp_path).folder
+    name = f"{library.name}_{slug(gains.name).replace('-', '_')}"
     flags = (
         "-std=c99",
         "-Wall",
@@ -448,15 +472,16 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
         "-shared",
     )
     done = subprocess.run(
-        [compiler, *flags, "controller.c", "-lm", "-o", "c.so"], cwd=made, capture_output=True,
+        [compiler, *flags, f"src/{name}.c", "-lm", "-o", "c.so"], cwd=made, capture_output=True,
         text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    library, name = ctypes.CDLL(str(made / "c.so")), "_".join(made.parts[-2:]).replace("-", "_")
+    library = ctypes.CDLL(str(made / "c.so"))
     r = np.array(controller.mission_numbers)
-    assert (np.array((ctypes.c_double * len(r)).in_dll(library, f"{name}_mission")) == r).all()
+    assert (np.array((ctypes.c_double * len(r)).in_dll(library, f"{name}_mission_default")) == r).all()
     function, random = controller.sampled, np.random.default_rng(2)
     s, k = np.zeros(function.size1_in("s")), np.array(controller.gain_values())
+    p = np.array(list(controller.numbered().values.values()))
     getattr(library, f"{name}_start")(_pointer(s))
     n, expected = function.size1_in("y") // 2, np.array(controller.initial_states())
     u, tau = np.zeros(function.size1_out("u")), np.zeros(n)
@@ -466,8 +491,8 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
             size=2
         )
         y[2:] = 0.2 * random.normal(size=2 * n - 2)
-        arguments = map(_pointer, (y, r, k))
-        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(_pointer, (s, u, tau)))
+        arguments = map(_pointer, (y, r, s, p))
+        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(_pointer, (u, s, tau)))
         found = [np.asarray(v).ravel() for v in function(y, r, expected, k, 0.1)]
         expected = found[1]
         for mine, python in zip((u, s, tau), found, strict=True):

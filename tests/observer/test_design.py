@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.observer_log import auv
 from undertow.codegen.compiler import find_compiler
+from undertow.codegen.library import Library
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.gains import load_gains
 from undertow.control.linear.systems import SettledObserver, close_loop
@@ -19,8 +20,8 @@ from undertow.control.linear.trim import find_trim
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 from undertow.observer.design import Design, ObserverTable, design, load_observer
-from undertow.observer.export import ObserverExport
 from undertow.observer.filters import Observer, Reports
+from undertow.observer.observer_c import observer_c
 from undertow.observer.process import AT_REST
 
 SENSORS = {
@@ -54,16 +55,27 @@ def test_the_filter_in_c_is_that_of_python(tmp_path: Path) -> None:
     if compiler is None:
         pytest.skip("no C compiler on this machine")
     observer = with_current()
-    folder = ObserverExport(observer).write(tmp_path).folder
-    strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
-    command = [*compiler.command, *strict, "-fPIC", "-shared", "observer.c", "-lm", "-o", "observer.so"]
+    library = Library(observer.process.vehicle, [("usbl", lambda c: observer_c(observer, c))])
+    folder = library.write(tmp_path).folder
+    strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off", "-Isrc")
+    command = [
+        *compiler.command,
+        *strict,
+        "-fPIC",
+        "-shared",
+        "src/mini_auv_usbl.c",
+        "-lm",
+        "-o",
+        "observer.so",
+    ]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     library = ctypes.CDLL(str(folder / "observer.so"))
     n, rows, dt = observer.process.x.numel(), 40, 0.1
     x, P = np.zeros(n), np.zeros((n, n))
-    library.mini_auv_usbl_start(_pointer(x), _pointer(P))
-    np.testing.assert_array_equal(P, AT_REST.covariance(observer.process))
+    p = ctypes.c_void_p(ctypes.addressof(ctypes.c_double.in_dll(library, "mini_auv_usbl_parameters_default")))
+    library.mini_auv_usbl_start(_pointer(x), _pointer(P), p)
+    np.testing.assert_allclose(P, AT_REST.covariance(observer.process), rtol=1e-15)
     t, rng = dt * np.arange(rows), np.random.default_rng(5)
     u = np.column_stack([np.full(rows, -7.15), np.sin(t), np.full(rows, -7.15), np.cos(t)])
     y = np.full((rows, 8), np.nan)
@@ -76,17 +88,17 @@ def test_the_filter_in_c_is_that_of_python(tmp_path: Path) -> None:
         held = np.ascontiguousarray(u[max(k - 1, 0)])
         if k:
             now, step = ctypes.c_double(t[k - 1]), ctypes.c_double(t[k] - t[k - 1])
-            library.mini_auv_usbl_predict(_pointer(x), _pointer(P), _pointer(held), now, step)
+            new = _pointer(x), _pointer(P)
+            library.mini_auv_usbl_predict(*new, _pointer(held), p, now, step, *new)
         for name, i in zip(observer.sensors, observer.channels, strict=True):
             if np.isfinite(y[k, i]):
                 update = getattr(library, f"mini_auv_usbl_update_{name}")
                 update.restype = ctypes.c_double
                 report = ctypes.c_double(y[k, i])
-                nis = update(_pointer(x), _pointer(P), _pointer(held), ctypes.c_double(t[k]), report)
+                nis = update(_pointer(x), _pointer(P), _pointer(held), p, ctypes.c_double(t[k]), report)
                 assert nis == pytest.approx(python.innovation[k, i] ** 2 / python.variance[k, i], rel=1e-9)
         np.testing.assert_allclose(x, python.mean[k], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(P, python.covariance[k], rtol=1e-10, atol=1e-12)
-    assert ObserverExport(observer).check(tmp_path).changes == ()
 
 
 def _pointer(array: np.ndarray) -> ctypes.c_void_p:

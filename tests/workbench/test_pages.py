@@ -263,7 +263,7 @@ def test_out_gives_the_command_lines(place: Workspace, monkeypatch: pytest.Monke
         logs = f"{DEMO / 'train_1.csv.gz'} --holdout {DEMO / 'holdout.csv.gz'}"
         assert f"undertow diagnose vehicle.toml {logs} --json diagnosis.json" in said
         assert f"undertow add lift vehicle.toml {logs} --out model-1.toml" in said
-        assert "undertow codegen model-1.toml" in said
+        assert "undertow export c model-1.toml" in said
         user.find(marker="write-vehicle").click()
         await _soon(lambda: bench.work is None)
         assert bench.said == "wrote vehicle-better.toml"

@@ -27,6 +27,8 @@ from ._terminal import insisting
 _TAKING_SEVERAL = {"--holdout"}
 # Commands that stand in the file of another one, which is about the same; their help is the function's.
 _IN_FILE_OF = {"audit-tables": "audit"}
+# Commands of the last release, for one release.
+_RENAMED = {"codegen": "export c"}
 
 
 def commands() -> dict[str, str]:
@@ -235,14 +237,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done; 1 the answer is no (``codegen --check``), or a bug; 2 a mistake in the input; 130 interrupted.
+        0 done; 1 the answer is no (``export c --check``) or a bug; 2 a mistake in the input; 130 interrupted.
     """
     # Matrices are small here: threads of the linear algebra only get into each other's way.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_streams()
     if arguments is None:  # the process is ours
         keep_warnings_back()
-    return run(lambda: _root().main(_verbose_first(arguments), prog_name="undertow", standalone_mode=False))
+    words = _verbose_first(arguments)
+    return run(lambda: _root().main(_present(words), prog_name="undertow", standalone_mode=False))
+
+
+def _present(words: list[str] | None) -> list[str] | None:
+    """The words, unless they ask for a command of the last release."""
+    first = next((word for word in words or () if not word.startswith("-")), "")
+    if first in _RENAMED:
+        raise UndertowError(f"'undertow {first}' is 'undertow {_RENAMED[first]}' now, with the same options")
+    return words
 
 
 def _root() -> Any:

@@ -73,11 +73,12 @@ def signature(
     words: Words = PLAIN,
     shared: Collection[str] = (),
     structs: Structs | None = None,
+    by_value: Collection[str] = ("t",),
 ) -> str:
     """`void name(const double *x, ..., double t, double *out)`; matrices are stored row by row."""
     types = {n: "double" if n in shared else words.real for n in function.name_in()}
     types |= {n: of for n, (of, _) in (structs or {}).items()}
-    inputs = [f"{of} {n}" if n == "t" else f"const {of} *{n}" for n, of in types.items()]
+    inputs = [f"{of} {n}" if n in by_value else f"const {of} *{n}" for n, of in types.items()]
     return f"void {name}({', '.join([*inputs, *(f'{words.real} *{n}' for n in function.name_out())])})"
 
 
@@ -90,13 +91,14 @@ def plain_c(
     words: Words = PLAIN,
     shared: Collection[str] = (),
     structs: Structs | None = None,
+    by_value: Collection[str] = ("t",),
 ) -> str:
     """C99 source of a CasADi function with dense inputs.
 
     Parameters
     ----------
     function : casadi.Function
-        The function; an input called t is passed by value.
+        The function.
     name : str
         Name in C.
     packed : collection of str
@@ -109,6 +111,8 @@ def plain_c(
         Inputs that are doubles, the same in all lanes.
     structs : mapping, optional
         Inputs that are structs: type and members by name of the input.
+    by_value : collection of str
+        Inputs that are numbers and no pointers to them.
 
     Raises
     ------
@@ -116,10 +120,10 @@ def plain_c(
         If the function has an operation without a counterpart in C.
     """
     flat = function if function.is_a("SXFunction") else function.expand()
-    body = _Body(flat, packed, words, shared, structs or {})
+    body = _Body(flat, packed, words, shared, structs or {}, by_value)
     # All is computed before anything is written: an output may lie where an input was.
     lines = [*body.unused(), *body.statements, *body.cleared(), *body.results]
-    head = signature(flat, name, words=words, shared=shared, structs=structs)
+    head = signature(flat, name, words=words, shared=shared, structs=structs, by_value=by_value)
     return f"{prefix}{head} {{\n" + "".join(f"  {line}\n" for line in lines) + "}\n"
 
 
@@ -133,8 +137,9 @@ class _Body:
         words: Words,
         shared: Collection[str],
         structs: Structs,
+        by_value: Collection[str],
     ) -> None:
-        self._structs = structs
+        self._structs, self._by_value = structs, by_value
         self._function, self._words, self._shared = function, words, shared
         self._inputs, self._outputs = function.name_in(), function.name_out()
         self._place = [_places(function.sparsity_out(n), n in packed) for n in self._outputs]
@@ -249,7 +254,7 @@ class _Body:
 
     def _element(self, operands: list[int]) -> str:
         name = self._inputs[operands[0]]
-        element = name if name == "t" else f"{name}[{operands[1]}]"
+        element = name if name in self._by_value else f"{name}[{operands[1]}]"
         if name in self._structs:
             element = f"{name}->{self._structs[name][1][operands[1]]}"
         return self._spread(element) if name in self._shared else element

@@ -5,23 +5,28 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undertow.codegen.export import Export
-from undertow.codegen.export import Report as Written
+from undertow.codegen.library import Library
+from undertow.codegen.manifest import Report as Written
+from undertow.codegen.spelling import slug
 from undertow.errors import UndertowError
 from undertow.files import check_folder, make_folder, read_json, together, write_whole
 from undertow.model.vehicle import Vehicle
-from undertow.observer.design import load_observer
+from undertow.observer.design import Design, load_observer
+from undertow.observer.observer_c import observer_c
 from undertow.typing import Progress
 
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
 from .conditions.whole import certify, verdicts
-from .controller import PICTURES, Controller, ControllerExport
+from .controller import Controller
+from .controller_c import controller_c
 from .gains import GainSet, load_gains
+from .guidance.mission import Mission
 
 if TYPE_CHECKING:
     import control as ct
@@ -30,7 +35,7 @@ if TYPE_CHECKING:
     from .linear.report import Snapshot
 
 _log = logging.getLogger(__name__)
-_STATE, _OWN = "update.json", "vehicle"
+_STATE, _OWN, _PICTURES = "update.json", "vehicle", "figures"
 
 
 def check_gains(
@@ -138,11 +143,11 @@ def linearize(
 # --- bringing up to date what follows from a vehicle ------------------------------------------------
 @dataclass(frozen=True)
 class Update:
-    """What an update has written: C code by folder, pictures, and the state before (if any) and now."""
+    """What an update has written: C code, pictures, and the state before (if any) and now."""
 
     old: Snapshot | None
     new: Snapshot
-    written: list[Written]
+    written: Written
     pictures: list[Path]
 
 
@@ -150,7 +155,7 @@ def last_update(vehicle: Vehicle, out: Path) -> Snapshot | None:
     """What the last update of a vehicle left in its folder below `out`; None where there was none."""
     from .linear.report import Snapshot
 
-    folder = out / Export(vehicle).folder_name
+    folder = out / slug(vehicle.name)
     check_folder(folder)
     path = folder / _STATE
     if not path.is_file():
@@ -179,7 +184,7 @@ def update(
     vehicle : Vehicle
         The model.
     out : Path
-        Folder that gets a folder for the vehicle and one for each controller.
+        Folder that gets a folder for the vehicle.
     gains : sequence of str
         Gain files, or names of bundled ones.
     at, at_words : mapping, sequence of str
@@ -199,22 +204,18 @@ def update(
     from .linear.numeric import as_input_error
     from .linear.report import snapshot
 
-    export = Export(vehicle)
     with as_input_error():
         sets = {name: load_gains(name, vehicle) for name in gains}
-        controllers = {name: ControllerExport(Controller(g)) for name, g in sets.items()}
-        _check_apart({name: one.folder.name for name, one in controllers.items()}, "folder", {})
-        _check_apart({n: Path(n).stem for n in sets}, "name of pictures", {_OWN: "the vehicle"})
-        exports: list[Export | ControllerExport] = [export, *controllers.values()]
-        for one in exports:
-            assert one.texts  # what cannot be stated in C is refused before anything is written
+        _check_apart(gains)
+        library = library_of(vehicle, list(sets.values()))
+        assert library.texts  # what cannot be stated in C is refused before anything is written
         progress(0.3, "eigenvalues, margins and conditions")
         new, loops = snapshot(vehicle, sets, at, at_words, verdicts)
         progress(0.6, "pictures")
         drawn = _pictures(vehicle, sets, at, loops)
         with together():
-            written = [one.write(out) for one in exports]
-            folder = out / export.folder_name / PICTURES
+            written = library.write(out)
+            folder = written.folder / _PICTURES
             make_folder(folder)
             for name, picture in drawn.items():
                 save_png(picture, folder / f"{name}.png")
@@ -223,15 +224,34 @@ def update(
         return Update(old, new, written, [folder / f"{name}.png" for name in drawn])
 
 
-def _check_apart(wanted: Mapping[str, str], what: str, taken: Mapping[str, str]) -> None:
-    """Refuse gain files of which one would be written over another, or over what is `taken`."""
-    owners = dict(taken)
-    for name, place in wanted.items():
+def library_of(
+    vehicle: Vehicle,
+    gains: Sequence[GainSet] = (),
+    observers: Sequence[Design] = (),
+    mission: Mission | None = None,
+) -> Library:
+    """The C library of a vehicle with controllers, which follow the mission if there is one, and observers.
+
+    Raises
+    ------
+    UndertowError
+        If two of them have the same name, or the mission is not for these gains.
+    """
+    controllers = [Controller(g, mission.reference(g) if mission else None) for g in gains]
+    parts = [(c.gains.name, partial(controller_c, c)) for c in controllers]
+    return Library(vehicle, [*parts, *((d.name, partial(observer_c, d)) for d in observers)])
+
+
+def _check_apart(gains: Sequence[str]) -> None:
+    """Refuse gain files whose pictures would be written over others, or over those of the vehicle."""
+    owners = {_OWN: "the vehicle"}
+    for name in gains:
+        place = Path(name).stem
         owner = owners.setdefault(place.lower(), name)
         if owner != name:
             raise UndertowError(
-                f"gain file {name} would have the {what} '{place}', which is that of {owner}: give "
-                f"{'the set' if what == 'folder' else 'the file'} another name"
+                f"gain file {name} would have the name of pictures '{place}', which is that of {owner}: "
+                "give the file another name"
             )
 
 

@@ -1,27 +1,23 @@
-"""A control law as it runs aboard: sampled, scheduled, allocated, with limits; and its C code."""
+"""A control law as it runs aboard: sampled, scheduled, allocated, with limits."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from importlib.resources import files
 from math import inf, isfinite, pi
-from pathlib import Path
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import sympy as sm
 
 from undertow.codegen.convert import Converter
-from undertow.codegen.export import Entry, Report, comment, filled, identifier, listing, slug, strings
 from undertow.codegen.functions import solve_symmetric
-from undertow.codegen.plain import plain_c
 from undertow.errors import UndertowError
-from undertow.files import make_folder, together, write_whole
-from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.symbols import FORCE, POSE
 from undertow.model.units import to_si
-from undertow.version import __version__
 
 from .allocation import Allocation, allocation_of
 from .gains import GainSet
@@ -43,7 +39,59 @@ SETTINGS = ControllerSettings()
 
 
 # --- allocation -------------------------------------------------------------------------------
-def thruster_commands(allocation: Allocation, force: ca.SX) -> ca.SX:
+@dataclass(frozen=True)
+class Sharing:
+    """An allocation as expressions: constants, or symbols whose values the caller has.
+
+    Attributes
+    ----------
+    allocation : Allocation
+        What it is made of: its zeros and infinite limits are constants in any case.
+    acting, weights, limits : casadi.SX
+        Shapes (k, m), (m, 1) and (m, 1).
+    """
+
+    allocation: Allocation
+    acting: ca.SX
+    weights: ca.SX
+    limits: ca.SX
+
+    @classmethod
+    def of(cls, allocation: Allocation) -> Sharing:
+        """The numbers of an allocation as constants."""
+        acting = ca.sparsify(ca.SX(ca.DM(allocation.acting)))
+        return cls(allocation, acting, ca.SX(allocation.weights), ca.SX(allocation.limits))
+
+    @classmethod
+    def with_names(cls, allocation: Allocation, commands: Sequence[str], forces: Sequence[str]) -> Sharing:
+        """The same with a symbol for every number that is neither zero nor infinite."""
+        named = [
+            [_symbol_or(v, f"{f}_of_{c}", 0.0) for v, c in zip(row, commands, strict=True)]
+            for row, f in zip(allocation.acting, forces, strict=True)
+        ]
+        weights = [ca.SX.sym(f"weight_{c}") for c in commands]
+        limits = [_symbol_or(v, f"limit_{c}", inf) for v, c in zip(allocation.limits, commands, strict=True)]
+        acting = ca.vertcat(*[ca.horzcat(*row) for row in named])
+        return cls(allocation, acting, ca.vertcat(*weights), ca.vertcat(*limits))
+
+    def numbers(self) -> list[tuple[ca.SX, float]]:
+        """Symbols and their values."""
+        own = self.allocation
+        values = [*own.acting.ravel(order="F"), *own.weights, *own.limits]
+        entries = [e for part in (self.acting, self.weights, self.limits) for e in ca.vertsplit(ca.vec(part))]
+        return [(e, float(v)) for e, v in zip(entries, values, strict=True) if e.is_symbolic()]
+
+    def unlimited(self, wanted: ca.SX) -> ca.SX:
+        """Commands without regard to limits, f = W^-1 B' (B W^-1 B')^-1 tau."""
+        b, cheap = self.acting, 1 / self.weights
+        return cheap * (b.T @ solve_symmetric(b @ ca.diag(cheap) @ b.T, wanted))
+
+
+def _symbol_or(value: float, name: str, constant: float) -> ca.SX:
+    return ca.SX(constant) if value == constant else ca.SX.sym(name)
+
+
+def thruster_commands(sharing: Sharing, force: ca.SX) -> ca.SX:
     """Commands for a wanted force in all degrees of freedom, shape (n, 1) to (m, 1).
 
     Without limits f = W^-1 B' (B W^-1 B')^-1 tau, the solution with the least f' W f. With limits the same
@@ -52,47 +100,61 @@ def thruster_commands(allocation: Allocation, force: ca.SX) -> ca.SX:
     their limits, no round leaves more of tau than the one before, and within the limits the result is that of
     the pseudo-inverse.
     """
+    allocation = sharing.allocation
     wanted = force[list(allocation.rows)]
-    step = _constant(allocation.pseudo_inverse) @ wanted
+    step = sharing.unlimited(wanted)
     if not allocation.limited:
         return step
-    b, m = _constant(allocation.acting), len(allocation.limits)
-    limits = ca.DM(allocation.limits)
+    b, m, limits = sharing.acting, len(allocation.limits), sharing.limits
     commands, free = ca.SX.zeros(m, 1), ca.SX.ones(m, 1)
     short: ca.SX = ca.SX(1)
     for _ in range(int(np.isfinite(allocation.limits).sum()) + 1):
-        ratios = [_room(commands[i], step[i], float(allocation.limits[i])) for i in range(m)]
+        ratios = [_room(commands[i], step[i], limits[i]) for i in range(m)]
         share = ca.fmin(1, reduce(ca.fmin, ratios))
         commands = ca.fmax(-limits, ca.fmin(limits, commands + share * step))
         short = short * (share < 1)
         free = free * (ca.vertcat(*ratios) > share)
-        step = short * _step(allocation, b, free, wanted - b @ commands)
+        step = short * _step(sharing, b, free, wanted - b @ commands)
     return commands
 
 
-def _constant(matrix: np.ndarray) -> ca.SX:
-    return ca.sparsify(ca.SX(ca.DM(matrix)))
-
-
-def _room(command: ca.SX, step: ca.SX, limit: float) -> ca.SX:
+def _room(command: ca.SX, step: ca.SX, limit: ca.SX) -> ca.SX:
     """Which part of a step a command can make before it is at its limit."""
-    if not isfinite(limit):
+    if limit.is_constant() and not isfinite(float(limit)):
         return ca.SX(inf)
     return ca.if_else(step == 0, inf, (limit - ca.sign(step) * command) / ca.fabs(step))
 
 
-def _step(allocation: Allocation, b: ca.SX, free: ca.SX, left: ca.SX) -> ca.SX:
+def _step(sharing: Sharing, b: ca.SX, free: ca.SX, left: ca.SX) -> ca.SX:
     """Change of the free commands that brings the rest of the force, or as much of it as they can."""
-    acting, weights, k = allocation.acting, allocation.weights, len(allocation.rows)
-    cheap = free / ca.DM(weights)
+    k, cheap = len(sharing.allocation.rows), free / sharing.weights
     gram = b @ ca.diag(cheap) @ b.T
-    damping = SETTINGS.damping * np.trace(acting @ (acting / weights).T) / k
+    damping = SETTINGS.damping * ca.trace(b @ ca.diag(1 / sharing.weights) @ b.T) / k
     return cheap * (b.T @ solve_symmetric(gram + damping * ca.SX.eye(k), left))
 
 
 GATE = "gate"
 # What waits for the heading, and the motions that the law does not even brake meanwhile.
 _WAITING, _IDLE = ("x", "y"), ("u", "v")
+
+
+class Numbered(NamedTuple):
+    """A controller with its numbers p as an input.
+
+    Attributes
+    ----------
+    control : casadi.Function
+        `(u, s_next, tau) = control(y, r, s, p, dt)`: `Controller.sampled`.
+    allocate : casadi.Function
+        `u = allocate(tau, p)`: `thruster_commands`.
+    values : mapping
+        The values of p by name: gains; masses, weight and the like that the law is stated in; matrix, weights
+        and limits of the allocation.
+    """
+
+    control: ca.Function
+    allocate: ca.Function
+    values: Mapping[str, float]
 
 
 class Controller:
@@ -106,6 +168,7 @@ class Controller:
     def __init__(self, gains: GainSet, reference: Reference | None = None) -> None:
         self.gains, self.reference = gains, reference
         self.allocation: Allocation = allocation_of(gains)
+        self._sharing, self._opening = Sharing.of(self.allocation), ca.SX(self.gate)
         self._coordinates = gains.plant.vehicle.pose_names
         self._check_schedule()
         self._numbers = {s: ca.SX(float(v)) for s, v in gains.plant.numbers.items()}
@@ -204,21 +267,32 @@ class Controller:
         at = ca.SX.ones(self._at.shape)  # the time goes on; a reference that has more is sampled
         return self._function("law", [], [commands, ca.vertcat(rates, at, 0), force], ["u", "s_dot", "tau"])
 
-    def with_numbers(self) -> tuple[ca.Function, dict[str, float]]:
-        """`(u, s_next, tau) = control(y, r, s, k, dt, m)`: as `sampled`, with the plant's numbers as m.
-
-        Also the values of m, by name: masses, weight and the like that the law is stated in.
-        """
-        other, numbers = copy(self), self.gains.plant.numbers
-        m = ca.SX.sym("m", len(numbers))
-        other._numbers = dict(zip(numbers, ca.vertsplit(m), strict=True))
-        results = other._sample()
-        used = [i for i in range(m.numel()) if any(ca.depends_on(e, m[i]) for e in results)]
-        names = [str(n) for n in numbers]
-        kept = ca.SX.sym("m", len(used))
-        results = ca.substitute(results, [m[i] for i in used], ca.vertsplit(kept))
-        function = self._function("control", [self._dt, kept], results, ["u", "s_next", "tau"])
-        return function, {names[i]: float(numbers[list(numbers)[i]]) for i in used}
+    def numbered(self) -> Numbered:
+        """The controller with every number of the files as an input."""
+        other, vehicle = copy(self), self.gains.plant.vehicle
+        plant = [(s, ca.SX.sym(str(s)), float(v)) for s, v in self.gains.plant.numbers.items()]
+        other._numbers = {s: e for s, e, _ in plant}
+        rows = [f"tau_{FORCE[vehicle.dof_indices[i]]}" for i in self.allocation.rows]
+        other._sharing = sharing = Sharing.with_names(self.allocation, self.command_names, rows)
+        other._opening = ca.SX.sym(GATE)
+        gains = [ca.SX.sym(name) for name in self.gain_names]
+        known = [
+            *zip(gains, self.gain_values(), strict=True),
+            *((e, v) for _, e, v in plant),
+            *sharing.numbers(),
+            (other._opening, self.gate),
+        ]
+        tau = ca.SX.sym("tau", len(self._coordinates))
+        asked = ca.substitute(other._sample(), [self._k], [ca.vertcat(*gains)])
+        results = [ca.densify(o) for o in (*ca.cse(asked), thruster_commands(sharing, tau))]
+        used = {e.element_hash() for e in ca.symvar(ca.vertcat(*map(ca.vec, results)))}
+        own = [(e, v) for e, v in known if e.element_hash() in used]
+        p = ca.vertcat(*[e for e, _ in own])
+        states = ca.vertcat(self._own, self._at, self._passed)
+        given = [self._y, self._r, states, p, self._dt], results[:3]
+        control = ca.Function("control", *given, ["y", "r", "s", "p", "dt"], ["u", "s_next", "tau"])
+        allocate = ca.Function("allocate", [tau, p], results[3:], ["tau", "p"], ["u"])
+        return Numbered(control, allocate, {e.name(): v for e, v in own})
 
     def _function(self, name: str, more: list[ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
         states = ca.vertcat(self._own, self._at, self._passed)
@@ -256,7 +330,7 @@ class Controller:
         if not self._by_turns:
             return ca.SX(1)
         heading = self._error[self._coordinates.index("psi")]
-        return ca.fmax(self._passed, ca.fabs(heading) <= self.gate)
+        return ca.fmax(self._passed, ca.fabs(heading) <= self._opening)
 
     def _open(self, gate: ca.SX, coordinates: tuple[str, ...]) -> ca.SX:
         """For every coordinate, whether it is driven: those that wait only when the gate is open."""
@@ -271,7 +345,7 @@ class Controller:
         convert = self._converter(opened * self._error, states, gate)
         # A force that nothing gives is left out where it is asked for, so that it counts as no limit.
         force = _only(convert.matrix(law.force(signals)), self.allocation.rows)
-        commands = thruster_commands(self.allocation, force)
+        commands = thruster_commands(self._sharing, force)
         early = self.gains.schedule.integrators == "start"
         rates = self._converter(self._error, self._own, ca.SX(1)) if early else convert
         moving = rates.matrix(law.rates(signals)) if law.states else ca.SX(0, 1)
@@ -286,7 +360,7 @@ class Controller:
         if not (allocation.limited and rates.numel() and self.gains.allocation.anti_windup == "hold"):
             return rates
         rows = list(allocation.rows)
-        lacking = (force - _constant(allocation.matrix) @ commands)[rows]
+        lacking = force[rows] - self._sharing.acting @ commands
         short = ca.sumsqr(lacking) > SETTINGS.rounding**2 * ca.sumsqr(force[rows])
         slope = convert.matrix(self.gains.law.force(signals).jacobian(signals.states))[rows, :]
         pushes = (slope.T @ lacking) * rates > 0
@@ -341,137 +415,3 @@ def _is_angle(coordinate: str) -> bool:
 def _wrapped(angle: ca.SX) -> ca.SX:
     """The same angle between minus and plus half a turn."""
     return angle - 2 * ca.pi * ca.floor((angle + ca.pi) / (2 * ca.pi))
-
-
-PICTURES = "figures"
-_NAMES = (*POSE, *VELOCITY, *(f"tau_{f}" for f in FORCE))
-_UNITS = dict(zip(_NAMES, (*("m",) * 3, *("rad",) * 3, *VELOCITY_UNITS, *FORCE_UNITS), strict=True))
-_HEADING = """\
-/* Desired heading from where the vehicle begins to the set-point, rad. */
-double @LOWER@_heading(double x_0, double y_0, double x_d, double y_d)"""
-_RULES = {
-    "atan2": "  return atan2(y_d - y_0, x_d - x_0);",
-    "atan": """\
-  if (x_d == x_0) return y_d > y_0 ? acos(0.0) : y_d < y_0 ? -acos(0.0) : 0.0;
-  return atan((y_d - y_0) / (x_d - x_0));""",
-}
-
-
-class ControllerExport:
-    """The generated files of a controller, in `folder` under the folder of all that is generated."""
-
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self._vehicle = controller.gains.plant.vehicle
-        self.folder = Path(slug(self._vehicle.name)) / slug(controller.gains.name)
-        if self.folder.name == PICTURES:
-            raise UndertowError(
-                f"gain set '{controller.gains.name}' would have the folder '{PICTURES}', which is that of "
-                "the pictures: give it another name"
-            )
-        self._name = identifier("-".join(self.folder.parts))
-        self._mission = controller.reference.numbers if controller.reference else []
-
-    def write(self, out: Path) -> Report:
-        """Write controller.c and controller.h to a folder of their own in that of the vehicle."""
-        report = self.check(out)
-        with together():
-            make_folder(report.folder)
-            for name, text in self.texts.items():
-                write_whole(report.folder / name, text)
-        return report
-
-    def check(self, out: Path) -> Report:
-        """Compare what lies in `out` with the controller; without changes it is current."""
-        folder = out / self.folder
-        found = {name: _text(folder / name) for name in self.texts}
-        changed = [
-            f"{name} is not as it would be generated" for name in found if found[name] != self.texts[name]
-        ]
-        first = not any(found.values())
-        return Report(folder, first, () if first else tuple(changed))
-
-    @cached_property
-    def texts(self) -> dict[str, str]:
-        """Text of each file by name."""
-        template = files("undertow.control") / "templates" / "controller.h"
-        header = filled(template.read_text(encoding="utf-8"), self._fields)
-        return {"controller.c": self._source(), "controller.h": header}
-
-    # --- the entries ------------------------------------------------------------------------------
-    def _entries(self) -> dict[str, list[Entry]]:
-        controller, law = self._controller, type(self._controller.gains.law)
-        pose, velocity = self._vehicle.pose_names, self._vehicle.velocity_names
-        units = {str(g.symbol(c)): g.unit(c) for g in law.gains for c in pose}
-        gains = zip(controller.gain_names, controller.gain_values(), strict=True)
-        forces = [f"tau_{FORCE[i]}" for i in self._vehicle.dof_indices]
-        return {
-            "report": [Entry(n, _UNITS[n]) for n in (*pose, *velocity)],
-            "desired": [Entry(n.name, n.unit, n.value) for n in self._mission]
-            or [Entry(n, _UNITS[n]) for n in pose],
-            "state": [Entry(n, "") for n in controller.state_names],
-            "gain": [Entry(n, units[n], value) for n, value in gains],
-            "command": [Entry(n, _UNITS.get(n, "command")) for n in controller.command_names],
-            "force": [Entry(n, _UNITS[n]) for n in forces],
-        }
-
-    @cached_property
-    def _fields(self) -> dict[str, object]:
-        entries = self._entries()
-        sizes = dict(zip(("NY", "NR", "NS", "NK", "NU", "NT"), map(len, entries.values()), strict=True))
-        words = ("REPORTS", "DESIRED", "STATES", "GAINS", "COMMANDS", "FORCES")
-        lists = dict(zip(words, map(listing, entries.values()), strict=True))
-        gains = self._controller.gains
-        named = {"LOWER": self._name, "UPPER": self._name.upper(), "VERSION": __version__}
-        titles = {"TITLE": comment(gains.name), "VEHICLE": comment(self._vehicle.name), "LAW": gains.law.id}
-        declared = f"\n{filled(_HEADING, named)};\n" if self._plane else ""
-        followed = {"WANTED": "desired pose", "R": "r", "MISSION_DECLARED": ""}
-        if self._mission:
-            own = f"{self._name}_mission"
-            followed = {"WANTED": f"numbers of the mission ({own} has those of its file)", "R": own}
-            followed["MISSION_DECLARED"] = (
-                f"\n/* The mission: values of r. */\nextern const double {own}[];\n"
-            )
-        return {**named, **titles, **sizes, **lists, **followed, "HEADING_DECLARED": declared}
-
-    @property
-    def _plane(self) -> bool:
-        return {"x", "y", "psi"} <= set(self._vehicle.pose_names) and not self._mission
-
-    # --- the source -------------------------------------------------------------------------------
-    def _source(self) -> str:
-        name, entries = self._name, self._entries()
-        gains = self._controller.gains
-        head = f"/* Controller '{comment(gains.name)}', generated by undertow; see controller.h. */"
-        named = ("report", "state", "gain", "command")
-        lines = [head, '#include "controller.h"', "", "#include <math.h>", ""]
-        lines += [strings(f"{name}_{what}_names", entries[what]) for what in named]
-        values = ", ".join(map(repr, self._controller.gain_values()))
-        lines += [f"const double {name}_gains[] = {{{values}}};", ""]
-        if self._mission:
-            numbers = ", ".join(repr(n.value) for n in self._mission)
-            lines += [f"const double {name}_mission[] = {{{numbers}}};", ""]
-        lines += [plain_c(self._controller.sampled, f"{name}_sample", prefix="static "), self._functions()]
-        return "\n".join(lines)
-
-    def _functions(self) -> str:
-        name, start = self._name, self._controller.initial_states()
-        states = "\n".join(f"  s[{i}] = {value!r};" for i, value in enumerate(start))
-        arguments = (
-            "const double *y, const double *r, const double *k, double dt, double *s, double *u, double *tau"
-        )
-        parts = [
-            f"void {name}_start(double *s) {{\n{states}\n}}",
-            f"void {name}_step({arguments}) {{\n  {name}_sample(y, r, s, k, &dt, u, s, tau);\n}}",
-        ]
-        if self._plane:
-            rule = _RULES[self._controller.gains.schedule.heading]
-            parts.append(f"{filled(_HEADING, {'LOWER': name})} {{\n{rule}\n}}")
-        return "\n\n".join(parts) + "\n"
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return ""

@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.export import identifier, slug
 from undertow.codegen.functions import Functions
+from undertow.codegen.spelling import identifier, slug
 from undertow.errors import UndertowError
 from undertow.model.effect import Effect, Wrench
 from undertow.model.symbols import DOFS

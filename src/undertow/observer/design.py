@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -61,6 +61,29 @@ class ObserverTable(FileTable):
     disturbance: dict[str, Annotated[float, Field(gt=0)]]
 
 
+class Numbers(NamedTuple):
+    """What the functions of an observer take as given, as constants or as symbols."""
+
+    vehicle: ca.SX
+    densities: ca.SX
+    variance: ca.SX
+    gate: ca.SX
+
+
+class Numbered(NamedTuple):
+    """The functions of an observer with its numbers p as an input, and the values of p by name."""
+
+    predict: ca.Function
+    updates: Mapping[str, ca.Function]
+    values: Mapping[str, float]
+
+
+def _function(name: str, given: Mapping[str, ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
+    """A function of what is given, without p where there is none."""
+    own = {n: e for n, e in given.items() if n != "p" or e.numel()}
+    return ca.Function(name, list(own.values()), outputs, list(own), names)
+
+
 @dataclass(frozen=True, eq=False)
 class Design:
     """An observer for one vehicle.
@@ -96,29 +119,65 @@ class Design:
 
     # --- functions ----------------------------------------------------------------------------
     @cached_property
+    def _numbers(self) -> Numbers:
+        return Numbers(*map(ca.SX, (self.process.values, self.densities, self.variance, FILTER.gate)))
+
+    @cached_property
     def predict(self) -> ca.Function:
         """`(x, P) = predict(x, P, u, t, dt)` with the parameters of the vehicle."""
+        return self._prediction(self._numbers, ca.SX(0, 1))
+
+    def _prediction(self, numbers: Numbers, p: ca.SX) -> ca.Function:
         x, P, u, t = self._symbols
         dt = ca.SX.sym("dt")
-        f = self.process
-        new = predicted(f, x, P, u, ca.SX(f.values), ca.SX(self.densities), t, dt)[:2]
-        outputs = ca.cse([ca.densify(o) for o in new])
-        return ca.Function("predict", [x, P, u, t, dt], outputs, ["x", "P", "u", "t", "dt"], ["xn", "Pn"])
+        new = predicted(self.process, x, P, u, numbers.vehicle, numbers.densities, t, dt)[:2]
+        outputs = [ca.densify(o) for o in ca.cse(list(new))]
+        return _function("predict", {"x": x, "P": P, "u": u, "p": p, "t": t, "dt": dt}, outputs, ["xn", "Pn"])
 
     def update(self, sensor: int) -> ca.Function:
         """`(x, P, nis) = update(x, P, u, t, y)` with a report; nis beyond the gate was not believed."""
+        return self._updating(sensor, self._numbers, ca.SX(0, 1))
+
+    def _updating(self, sensor: int, numbers: Numbers, p: ca.SX) -> ca.Function:
         x, P, u, t = self._symbols
         y = ca.SX.sym("y")
-        got = self._believed(sensor, x, P, u, t, y, ca.SX(1))
-        outputs = [ca.densify(o) for o in (got.x, got.P, got.innovation**2 / got.variance)]
-        names = ["x", "P", "u", "t", "y"], ["xn", "Pn", "nis"]
-        return ca.Function("update", [x, P, u, t, y], ca.cse(outputs), *names)
+        got = self._believed(sensor, x, P, u, t, y, ca.SX(1), numbers)
+        outputs = [ca.densify(o) for o in ca.cse([got.x, got.P, got.innovation**2 / got.variance])]
+        given = {"x": x, "P": P, "u": u, "p": p, "t": t, "y": y}
+        return _function("update", given, outputs, ["xn", "Pn", "nis"])
+
+    def numbered(self) -> Numbered:
+        """The same with the numbers of vehicle and observer as an input p, noise as standard deviations."""
+        process = self.process
+        noise, drive = (
+            [ca.SX.sym(f"{what}_{name}") for name in names]
+            for what, names in (("noise", self.sensors), ("disturbance", process.driven_names))
+        )
+        vehicle = [ca.SX.sym(name) for name in process.vehicle.parameter_names]
+        gate = ca.SX.sym("gate")
+        numbers = Numbers(ca.vertcat(*vehicle), ca.vertcat(*drive) ** 2, ca.vertcat(*noise) ** 2, gate)
+        roots = [*np.sqrt(self.variance), *np.sqrt(self.densities)]
+        values = [*process.values.tolist(), *map(float, roots), FILTER.gate]
+        symbols = [*vehicle, *noise, *drive, gate]
+        p = ca.vertcat(*symbols)
+        updates = {name: self._updating(k, numbers, p) for k, name in enumerate(self.sensors)}
+        named = {e.name(): v for e, v in zip(symbols, values, strict=True)}
+        return Numbered(self._prediction(numbers, p), updates, named)
 
     def _believed(
-        self, sensor: int, x: ca.SX, P: ca.SX, u: ca.SX, t: ca.SX, y: ca.SX, there: ca.SX
+        self,
+        sensor: int,
+        x: ca.SX,
+        P: ca.SX,
+        u: ca.SX,
+        t: ca.SX,
+        y: ca.SX,
+        there: ca.SX,
+        numbers: Numbers | None = None,
     ) -> Believed:
-        f, channel, r = self.process, self.channels[sensor], ca.SX(float(self.variance[sensor]))
-        return corrected(f, channel, x, P, u, ca.SX(f.values), t, y, r, there, ca.SX(FILTER.gate))
+        own, channel = numbers or self._numbers, self.channels[sensor]
+        r = own.variance[sensor]
+        return corrected(self.process, channel, x, P, u, own.vehicle, t, y, r, there, own.gate)
 
     @property
     def _symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

@@ -462,7 +462,7 @@ def commands(place: Workspace) -> list[str]:
             word, _, effect = task.partition(" ")
             own += [f"{effect}.py"] if effect else []
             found.append(_asked(word, effect, place, place.line(name, own)))
-    return [*found, f"undertow codegen {shlex.quote(name)}"]
+    return [*found, f"undertow export c {shlex.quote(name)}"]
 
 
 def _asked(task: str, effect: str, place: Workspace, line: CommandLine) -> str:

@@ -407,9 +407,9 @@ def write_report(job: Job) -> Result:
 
 def write_code(job: Job) -> Result:
     """Write the C code of the present model."""
-    from undertow.codegen.export import Export
+    from undertow.codegen.library import Library
 
-    done = Export(job.vehicle).write(Path(job.args["out"]))
+    done = Library(job.vehicle).write(Path(job.args["out"]))
     return {"written": [str(done.folder)]}
 
 

@@ -33,7 +33,7 @@ from .._options import (
 from .._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
-    from undertow.codegen.export import Report
+    from undertow.codegen.manifest import Report
     from undertow.identification.diagnosis.addition import Addition
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
@@ -130,10 +130,10 @@ def _draw(addition: Addition, out: Path) -> None:
 
 
 def _code_of(vehicle: Path, options: LogOptions, build: Path) -> Report:
-    from undertow.codegen.export import Export
+    from undertow.codegen.library import Library
     from undertow.model.loading import load_vehicle
 
-    return Export(load_vehicle(vehicle, effect_files=options.effects or ())).write(build)
+    return Library(load_vehicle(vehicle, effect_files=options.effects or ())).write(build)
 
 
 def _show_written(files: Sequence[Path | None], code: Report | None) -> None:

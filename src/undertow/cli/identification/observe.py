@@ -51,7 +51,7 @@ _BIAS = typer.Option("--bias", metavar="NAMES", help="Estimate biases of velocit
 _OUT = typer.Option("--out", metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
 _TRUST_MODEL = typer.Option("--trust-model", help="Write --out also where the model made the velocities.")
 _SAVE = typer.Option(
-    "--save", metavar="NEW.toml", help="Write an observer file for simulate, linearize and codegen."
+    "--save", metavar="NEW.toml", help="Write an observer file for simulate, linearize and export c."
 )
 _PLOT = typer.Option("--plot", metavar="OUT.png", help="Draw estimates with two sigma, and the NIS.")
 
@@ -136,6 +136,11 @@ def show(found: Observed) -> None:
     say(verdict(found), "bold")
 
 
+_KINEMATIC = (
+    "noise is not as stated, or the acceleration jumps (thrusters that step), where kinematics are too sure"
+)
+
+
 def verdict(found: Observed) -> str:
     """One line on the whole."""
     whole = found.nis[-1]
@@ -144,5 +149,5 @@ def verdict(found: Observed) -> str:
     faults = [] if whole.honest else [f"NIS {whole.mean:.3f}, not {whole.low:.3f} to {whole.high:.3f}"]
     coloured = [one.name for one in found.white if not one.white]
     faults += [f"innovations of {', '.join(coloured)} are not white"] if coloured else []
-    what = "noise or model are not as stated" if found.process == "model" else "noise is not as stated"
+    what = "noise or model are not as stated" if found.process == "model" else _KINEMATIC
     return f"{'; '.join(faults)}: {what}, so that standard deviations do not hold"

@@ -3,7 +3,7 @@
     undertow export fmu bluerov2 --out bluerov2.fmu
     undertow export sdf bluerov2 --out bluerov2.sdf
     undertow export mujoco bluerov2 --out bluerov2.xml
-    undertow export c mini-auv --controller paper-pid --out mini_auv
+    undertow export c mini-auv --controller paper-pid
 
 What the other program cannot say is listed; docs/export.md has the whole of it.
 """
@@ -17,11 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from undertow.errors import UndertowError
+
 from .._options import EffectsOption, NewForceOption, VehicleArgument, new_file
 from .._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
-    from undertow.export.library import Library
+    from undertow.codegen.library import Library
+    from undertow.codegen.manifest import Report
 
 app = typer.Typer(add_completion=False)
 
@@ -128,51 +131,93 @@ def mujoco(
     _lost(model.losses)
 
 
-_CONTROLLER = typer.Option("--controller", metavar="GAINS", help="Gain file or name of a controller.")
-_FOLDER = typer.Option("--out", metavar="FOLDER", help="New folder for the library; NAME by default.")
+_CONTROLLER = typer.Option(
+    "--controller", metavar="GAINS", help="Gain file (TOML), or name of a bundled one; may be repeated."
+)
+_OBSERVER = typer.Option("--observer", metavar="FILE", help="Observer file (TOML); may be repeated.")
+_PATH = typer.Option("--path", metavar="MISSION.toml", help="The controllers follow this mission.")
+_FOLDER = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
+_CHECK = typer.Option("--check", help="Write nothing; exit with 1 when the code is missing or stale.")
 _SIZES = typer.Option("--sizes", metavar="COMPILER", help="Print flash and stack with this compiler and -Os.")
 
 
 @app.command()
 def c(
     vehicle: VehicleArgument,
-    controller: Annotated[str | None, _CONTROLLER] = None,
-    out: Annotated[Path | None, _FOLDER] = None,
+    controller: Annotated[list[str] | None, _CONTROLLER] = None,
+    path: Annotated[Path | None, _PATH] = None,
+    observer: Annotated[list[Path] | None, _OBSERVER] = None,
+    out: Annotated[Path, _FOLDER] = Path("build"),
+    check: Annotated[bool, _CHECK] = False,
     sizes: Annotated[str | None, _SIZES] = None,
-    force: NewForceOption = False,
     effects: EffectsOption = None,
-) -> None:
-    """Write a C library for boards: vehicle, controller, allocation from newtons to servo pulses.
+) -> int:
+    """Write a C library into build/NAME/: model, Jacobians, thrusters, controllers, observers.
 
     \b
-    undertow export c mini-auv --controller paper-pid --out mini_auv
+    undertow export c mini-auv --controller paper-pid
     undertow export c mini-auv --sizes "arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb -DMINI_AUV_SINGLE"
 
-    float or double, every parameter in a struct, nothing allocated; with CMakeLists.txt (install target),
-    library.properties for Arduino and PlatformIO, README and an example main for each part.
-    """
-    from undertow.control.gains import load_gains
-    from undertow.errors import UndertowError
-    from undertow.export.library import Library
-    from undertow.model.loading import load_vehicle
+    C99 in float or double with math.h behind it, nothing allocated, every number of the files in a struct;
+    with CMakeLists.txt (install target), library.properties for Arduino and PlatformIO, README, an example
+    main for each module and a manifest. What has changed since the last time is printed. Examples that were
+    edited are kept.
 
+    A controller is one step function with schedule, thrust allocation and anti-windup; with --path it follows
+    a mission: reference or line of sight, and law. An observer is predict, and one update for each sensor
+    (undertow observe --save writes its file from a log). With --check nothing is written; the exit code is 1
+    when the code does not fit the files any more.
+    """
+    from undertow.control.api import library_of
+    from undertow.control.gains import load_gains
+    from undertow.control.guidance.mission import load_mission
+    from undertow.model.loading import load_vehicle
+    from undertow.observer.design import load_observer
+
+    if path is not None and not controller:
+        raise UndertowError(f"--path {path} is followed by a controller: give --controller GAINS, too")
     with progress("writing C", None):
         model = load_vehicle(vehicle, effect_files=effects or [])
-        library = Library(model, load_gains(controller, model) if controller else None)
-        folder = out or Path(library.name)
-        taken = [name for name in library.texts if (folder / name).exists()]
-        if taken and not force:
-            raise UndertowError(
-                f"'{folder / taken[0]}' exists already: name another folder with --out, or give --force"
-            )
-        library.write(folder)
-    say(f"wrote {folder}: {len(library.texts)} files")
+        library = library_of(
+            model,
+            [load_gains(g, model) for g in controller or []],
+            [load_observer(f, model) for f in observer or []],
+            load_mission(path) if path else None,
+        )
+        assert library.texts  # what cannot be stated in C is refused before anything is written
+        report = library.check(out) if check else library.write(out)
+    options = [f"--controller {g}" for g in controller or []] + ([f"--path {path}"] if path else [])
+    again = " ".join(["undertow export c", vehicle, *options, *(f"--observer {f}" for f in observer or [])])
+    code = _checked(report, again) if check else _written(report)
+    _lost(library.losses)
     if sizes:
         _print_sizes(library, sizes)
+    return code
+
+
+def _written(report: Report) -> int:
+    say(f"{report.folder}: written")
+    _say(["first time"] if report.first else report.changes or ["nothing has changed since the last time"])
+    return 0
+
+
+def _checked(report: Report, again: str) -> int:
+    stale = report.first or report.changes
+    if not stale:
+        say(f"{report.folder}: current")
+        return 0
+    say(f"{report.folder}: {'missing' if report.first else 'stale'}; run {again}")
+    _say(report.changes)
+    return 1
+
+
+def _say(lines: Sequence[str]) -> None:
+    for line in lines:
+        say(f"  {line}")
 
 
 def _print_sizes(library: Library, compiler: str) -> None:
-    from undertow.export.library import sizes
+    from undertow.codegen.sizes import sizes
 
     flash, stacks = sizes(library, *shlex.split(compiler))
     section("Flash", table(("module", "bytes"), ((name, str(size)) for name, size in flash.items())))

@@ -1,7 +1,7 @@
 """Bring everything that follows from a vehicle file up to date after an edit, and say what has changed.
 
-Written into build/NAME/: the model's C code, and pictures of its poles, of the loops and of their steps; for
-each gain file its controller in C, in a folder of its own beside. The conditions on gains are checked again.
+Written into build/NAME/: the C library of the model and of each gain file's controller (that of undertow
+export c), and pictures of poles, loops and their steps. The conditions on gains are checked again.
 What has changed since the last time is printed: parameters, eigenvalues, margins, verdicts.
 
     undertow update rov.toml --gains pd.toml --gains pid.toml --at u=0.5
@@ -26,7 +26,7 @@ from .._terminal import progress, say, section, table
 from ..control.linearize import held
 
 if TYPE_CHECKING:
-    from undertow.codegen.export import Report
+    from undertow.codegen.manifest import Report
     from undertow.control.api import Update
     from undertow.control.linear.report import Change, Snapshot
 
@@ -79,10 +79,9 @@ def show(done: Update) -> None:
     """Print what was written, and what has changed."""
     from undertow.control.linear.report import changes
 
-    for report in done.written:
-        say(f"{report.folder}: written")
-        for line in _of_equations(report):
-            say(f"  {line}")
+    say(f"{done.written.folder}: written")
+    for line in _of_equations(done.written):
+        say(f"  {line}")
     say(f"{done.pictures[0].parent}: {', '.join(p.name for p in done.pictures)}")
     if done.old is None:
         say("first time: from now on, changes are reported")
@@ -97,8 +96,7 @@ def _of_equations(report: Report) -> list[str]:
     """Changes of the code besides those of values, which are shown below."""
     if report.first:
         return ["first time"]
-    kept = [line for line in report.changes if not line.startswith("parameters changed")]
-    return [line.replace("is not as it would be generated", "has changed") for line in kept]
+    return [line for line in report.changes if not line.startswith("parameters changed")]
 
 
 def _show_changes(title: str, found: Sequence[Change]) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sm
@@ -109,27 +110,55 @@ Boxes = dict[str, Interval]
 
 
 @dataclass(frozen=True)
-class Vertices:
-    """Corners of a box of velocities, cut where parameters or magnitudes switch sign, and matrices there."""
+class Matrices:
+    """What the loop is made of at some velocities, or what a velocity adds to it."""
 
     inverse: Interval  # of the mass matrix, shape (k, n, n)
     moving: Interval  # C + D
     turning: Interval  # S(omega) of the translations, zero elsewhere
     yaw: Interval  # rows that give the rate of the heading from velocities on the angles, shape (k, n, 1)
 
-    def of(self, places: Sequence[int] | slice) -> Vertices:
-        """Some of them."""
-        return Vertices(*(Interval(p.lo[places], p.hi[places]) for p in self._parts))
-
     @property
-    def hull(self) -> Vertices:
+    def hull(self) -> Matrices:
         """One interval of each matrix that holds all of them."""
-        parts = (Interval(p.lo.min(axis=0)[None], p.hi.max(axis=0)[None]) for p in self._parts)
-        return Vertices(*parts)
+        return Matrices(*(Interval(p.lo.min(axis=0)[None], p.hi.max(axis=0)[None]) for p in self.parts))
 
     @property
-    def _parts(self) -> tuple[Interval, ...]:
+    def parts(self) -> tuple[Interval, ...]:
+        """The four of them."""
         return self.inverse, self.moving, self.turning, self.yaw
+
+
+@dataclass(frozen=True)
+class Corners:
+    """The corners of a box of velocities as sums: A = A_rest + sum over velocities of what its end adds.
+
+    No entry has a product of two velocities, so that a corner of the box is one end for each of them. Where a
+    sign changes the mass matrix, or stands beside another velocity, each sign is a case of its own.
+
+    Attributes
+    ----------
+    rest : Matrices
+        Without motion, by case of the signs.
+    ends : sequence of Matrices
+        By velocity: what its ends add, the ends of the first case before those of the second.
+    bend : Matrices
+        One interval around all that velocities do, with the mass matrices of all cases.
+    """
+
+    rest: Matrices
+    ends: Sequence[Matrices]
+    bend: Matrices
+
+    @property
+    def cases(self) -> int:
+        """How many cases of the signs there are."""
+        return len(self.rest.inverse.lo)
+
+    @property
+    def count(self) -> int:
+        """Corners of the box in all cases."""
+        return self.cases * math.prod(len(e.inverse.lo) // self.cases for e in self.ends)
 
 
 class Embedding:
@@ -143,7 +172,8 @@ class Embedding:
         E_dot = Omega E - N w,   integral_dot = Omega integral + E,
         w_dot = L_dot L' w + L M^-1 [L' N' (K_P E + K_I integral - K_V N w) - (C + D) L' w].
 
-    Entries are affine in every velocity while no sign changes, so A(nu) is within the hull of its vertices.
+    Entries are affine in every velocity while no sign changes, and no entry has a product of two velocities,
+    so A(nu) is A at rest and for each velocity something within the hull of its ends.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -229,8 +259,8 @@ class Embedding:
 
     # --- velocities -----------------------------------------------------------------------------
     @cached_property
-    def _moving(self) -> tuple[list[sm.Symbol], Callable[..., Interval], Callable[..., Interval], list[int]]:
-        """C + D and M as functions of velocities, their magnitudes and signs; how many corners each needs."""
+    def _moving(self) -> _Moving:
+        """C + D and M as functions of velocities, their magnitudes and signs."""
         plant, nu = self.plant, list(self.plant.nu)
         sizes = [sm.Symbol(f"size_{v}") for v in nu]
         signs = [sm.Symbol(f"sign_{v}") for v in nu]
@@ -238,24 +268,59 @@ class Embedding:
         plain |= {sm.sign(v): s for v, s in zip(nu, signs, strict=True)}
         moving = (plant.C + plant.D).xreplace(plain).xreplace(plant.numbers).applyfunc(sm.expand)
         inertia = plant.M.xreplace(plain).xreplace(plant.numbers)
-        _require_affine(moving, nu, sizes)
-        used = moving.free_symbols | inertia.free_symbols
-        corners = [
-            4 if s in used else 3 if a in used else 2 for s, a in zip(signs, sizes, strict=True)
-        ]  # a velocity turns the frame at least
-        names = [*nu, *sizes, *signs]
-        return names, enclosing(names, moving), enclosing(signs, inertia), corners
+        switching = _switching(moving, inertia, nu, sizes, signs)
+        first = [sm.Symbol(f"first_{v}") for v in nu]
+        rest = moving.xreplace(dict.fromkeys([*nu, *sizes], sm.Integer(0)))
+        added = (moving - rest.xreplace(dict(zip(signs, first, strict=True)))).applyfunc(sm.expand)
+        used = moving.free_symbols
+        kinds = zip(signs, sizes, strict=True)  # a velocity turns the frame at least
+        counts = [2 if i in switching else 4 if s in used else 3 if a in used else 2
+                  for i, (s, a) in enumerate(kinds)]  # fmt: skip
+        return _Moving(
+            enclosing(signs, rest),
+            enclosing([*nu, *sizes, *signs, *first], added),
+            enclosing(signs, inertia),
+            switching,
+            counts,
+        )
 
-    def vertices(self, speeds: Array) -> Vertices:
+    def corners(self, speeds: Array) -> Corners:
         """The corners of |nu_i| <= speeds_i."""
-        _, moving, inertia, corners = self._moving
-        places = [_corners(b, count) for b, count in zip(speeds, corners, strict=True)]
-        rows = np.array(list(product(*places)))  # (k, n, 2): value and sign
-        nu, signs = rows[..., 0], rows[..., 1]
-        columns = [enclose(c) for c in (*nu.T, *np.abs(nu).T, *signs.T)]
-        return Vertices(
-            _inverse(inertia(*columns[2 * self.n :])),
-            moving(*columns),
+        m, n = self._moving, self.n
+        cases = np.ones((2 ** len(m.switching), n))
+        cases[:, m.switching] = list(product((1.0, -1.0), repeat=len(m.switching)))
+        inverse = _inverse(m.inertia(*_columns(cases)))
+        zero = np.zeros((len(cases), n))
+        rest = Matrices(
+            inverse, m.rest(*_columns(cases)), enclose(self._turning(zero)), enclose(zero[..., None])
+        )
+        ends = [self._ends(i, float(speeds[i]), cases, inverse) for i in range(n)]
+        nu = Interval(-speeds[None], speeds[None])
+        either = Interval(-np.ones((1, n)), np.ones((1, n)))
+        hull = inverse.lo.min(axis=0)[None], inverse.hi.max(axis=0)[None]
+        moving = m.rest(*_columns(either)) + m.added(
+            *_columns(nu), *_columns(abs(nu)), *_columns(either), *_columns(either)
+        )
+        most = self._turning(np.array(speeds, dtype=float)[None])
+        turning = Interval(-np.abs(most), np.abs(most))
+        bend = Matrices(Interval(*hull), moving, turning, Interval(nu.lo[..., None], nu.hi[..., None]))
+        return Corners(rest, ends, bend)
+
+    def _ends(self, i: int, speed: float, cases: Array, inverse: Interval) -> Matrices:
+        """What the ends of one velocity add in every case."""
+        m, switched = self._moving, i in self._moving.switching
+        rows = []
+        for k, case in enumerate(cases):
+            own = [(case[i] * speed, case[i]), (0.0, case[i])] if switched else _corners(speed, m.counts[i])
+            rows += [(k, value, sign) for value, sign in own]
+        place = np.array([k for k, _, _ in rows])
+        nu, signs = np.zeros((len(rows), self.n)), cases[place].copy()
+        nu[:, i], signs[:, i] = [v for _, v, _ in rows], [s for _, _, s in rows]
+        points = [enclose(c) for c in (*nu.T, *np.abs(nu).T, *signs.T)]
+        added = m.added(*points, *_columns(cases[place]))
+        return Matrices(
+            Interval(inverse.lo[place], inverse.hi[place]),
+            added,
             enclose(self._turning(nu)),
             enclose(nu[..., None]),
         )
@@ -275,25 +340,37 @@ class Embedding:
         return found
 
     # --- the loop -------------------------------------------------------------------------------
-    def loop(self, at: Vertices, angles: Mapping[str, Interval]) -> Interval:
-        """A at every vertex for every box of angles, shape (boxes, k, size, size)."""
-        return block(self._cells(at, {m: self._at(m, angles) for m in self._matrices}))  # type: ignore[no-any-return]
+    def rest(self, at: Corners, angles: Mapping[str, Interval]) -> Interval:
+        """A without motion in every case for every box of angles, shape (boxes, cases, size, size)."""
+        found = {m: self._at(m, angles) for m in self._matrices}
+        return block(self._cells(at.rest, found))  # type: ignore[no-any-return]
 
-    def bend(self, at: Vertices, angles: Mapping[str, Interval], by: str) -> Array:
+    def added(self, at: Corners, angles: Mapping[str, Interval]) -> list[Interval]:
+        """What the ends of each velocity add to A, each of shape (boxes, cases, ends, size, size).
+
+        With a single box where no attitude changes it.
+        """
+        if self._turned_by_body:
+            angles = {a: Interval(v.lo[:1], v.hi[:1]) for a, v in angles.items()}
+        found = {m: self._at(m, angles) for m in self._matrices}
+        blocks = [block(self._cells(e, found, at_rest=False)) for e in at.ends]
+        shape = (at.cases, -1, self.size, self.size)
+        return [Interval(*(v.reshape(len(v), *shape) for v in (b.lo, b.hi))) for b in blocks]
+
+    def bend(self, at: Corners, angles: Mapping[str, Interval], by: str) -> Array:
         """Bound on |second derivative of A by one angle| in each box, shape (boxes, size, size)."""
         jets = {
             m: Jet(self._at(m, angles), self._at(m, angles, by, 1), self._at(m, angles, by, 2))
             for m in self._matrices
         }
-        cells = [[_jet(c).bend for c in row] for row in self._cells(at.hull, jets)]
+        cells = [[_jet(c).bend for c in row] for row in self._cells(at.bend, jets)]
         return np.asarray(block(cells).size[:, 0])
 
-    def _cells(self, at: Vertices, matrices: Mapping[str, Any]) -> list[list[Any]]:
-        """A in blocks of (integral, error, velocity), of intervals or with derivatives."""
+    def _cells(self, at: Matrices, matrices: Mapping[str, Any], *, at_rest: bool = True) -> list[list[Any]]:
+        """A in blocks of (integral, error, velocity), intervals or with derivatives; or what motion adds."""
         L, N = matrices["L"], matrices["N"]
         K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
         push = L @ at.inverse  # L M^-1
-        spring = push @ (L.T @ N.T)
         spin: Any = enclose(np.zeros_like(at.turning.lo))
         if self._turned_by_body:
             spin, swing = -at.turning, spin
@@ -301,8 +378,14 @@ class Embedding:
             if self._follows_heading:
                 spin = (matrices["rate"] @ at.yaw) * self._level_turn
             swing = L @ at.turning @ L.T + spin
-        brake = -(spring @ K["K_V"] @ N) - push @ at.moving @ L.T + swing
+        brake = -(push @ at.moving @ L.T) + swing
         none, unit = np.zeros((1, self.n, self.n)), np.eye(self.n)[None]
+        if not at_rest:
+            still = enclose(np.zeros_like(brake.lo))
+            rows = [[spin, still], [still, brake]]
+            return [[spin, still, still], *([still, *row] for row in rows)] if self.integral else rows
+        spring = push @ (L.T @ N.T)
+        brake = brake - spring @ K["K_V"] @ N
         pull = spring @ K["K_P"]
         if not self.integral:
             return [[spin, -N], [pull, brake]]
@@ -346,18 +429,45 @@ def _one(rows: Interval) -> Interval:
 
 def _corners(speed: float, count: int) -> list[tuple[float, float]]:
     """Values and signs of one velocity that bound everything between."""
-    forward, backward = [(speed, 1.0), (0.0, 1.0)], [(-speed, -1.0), (0.0, -1.0)]
-    return {2: [forward[0], backward[0]], 3: [*forward, backward[0]], 4: forward + backward}[count]
+    first, still, turned, last = (speed, 1.0), (0.0, 1.0), (0.0, -1.0), (-speed, -1.0)
+    return {2: [first, last], 3: [first, still, last], 4: [first, still, turned, last]}[count]
 
 
-def _require_affine(moving: sm.Matrix, nu: list[sm.Symbol], sizes: list[sm.Symbol]) -> None:
-    """Refuse what is not affine in every velocity while no sign changes."""
+class _Moving(NamedTuple):
+    """Functions of signs and velocities."""
+
+    rest: Callable[..., Interval]  # C + D without motion, of the signs
+    added: Callable[..., Interval]  # what motion adds, of velocities, magnitudes, signs and signs at rest
+    inertia: Callable[..., Interval]  # M, of the signs
+    switching: list[int]  # velocities each of whose signs is a case of its own
+    counts: list[int]  # ends that each velocity has
+
+
+def _columns(rows: Array | Interval) -> list[Interval]:
+    own = rows if isinstance(rows, Interval) else enclose(rows)
+    return [Interval(own.lo[..., i], own.hi[..., i]) for i in range(own.lo.shape[-1])]
+
+
+def _switching(
+    moving: sm.Matrix,
+    inertia: sm.Matrix,
+    nu: list[sm.Symbol],
+    sizes: list[sm.Symbol],
+    signs: list[sm.Symbol],
+) -> list[int]:
+    """Velocities whose sign has to be known; what is not affine or has products of velocities is refused."""
     n = len(nu)
+    found = {i for i in range(n) if signs[i] in inertia.free_symbols}
     for entry in moving:
-        if not entry.is_polynomial(*nu, *sizes):
+        if not entry.is_polynomial(*nu, *sizes, *signs):
             raise UndertowError("damping is no polynomial in velocities and their magnitudes")
-        for powers in sm.Poly(entry, *nu, *sizes).monoms():
-            if any(powers[k] + powers[n + k] > 1 for k in range(n)):
+        for powers in sm.Poly(entry, *nu, *sizes, *signs).monoms():
+            degree = [powers[k] + powers[n + k] for k in range(n)]
+            if sum(degree) > 1:
                 raise UndertowError(
                     "damping grows faster than in proportion to a velocity: no quadratic V is searched for"
                 )
+            own = {k for k in range(n) if powers[2 * n + k]}
+            if len(own | {k for k in range(n) if degree[k]}) > 1 or any(powers[2 * n + k] > 1 for k in own):
+                found |= own
+    return sorted(found)

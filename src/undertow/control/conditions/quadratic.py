@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -15,9 +15,10 @@ from undertow.typing import Array, Flags
 
 from .attitude import Interval, enclose
 from .commands import Commands
-from .embedding import Boxes, Embedding, Vertices, certainly_positive
+from .embedding import Boxes, Corners, Embedding, certainly_positive
 from .problem import Problem
 from .result import Quadratic
+from .semidefinite import Form, solved
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,14 @@ class QuadraticSettings:
     headings: int = 12  # headings in the program; the proof has every one
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
-    most: float = 1.5e8  # size^3 of all matrices that one proof may look at: seconds
-    batch: int = 1024  # matrices at a time: memory
-    most_in_program: int = 25_000  # corners with all attitudes: memory
+    most: float = 2e9  # size^3 of all matrices that one proof may look at: seconds
+    batch: int = 1024  # attitudes and signs at a time: memory
+    looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
+    starts: int = 3  # eigenvectors from which that corner is looked for, and
+    steps: int = 4  # turns between the corner and its eigenvector
+    # What bounds of proofs are widened by, relative: beyond all rounding of 64-bit numbers.
+    room: float = 1e-7
+    most_forms: int = 800  # matrix inequalities that the solver is given in one search: seconds
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     tries: int = 7  # boxes of speeds that are tried
@@ -61,6 +67,10 @@ class Proposal(NamedTuple):
     start: float  # V of the worst corner of the start box; the level is one
 
 
+Key = tuple[int, int, tuple[int, ...]]
+"""A corner: its attitude, its case of the signs, and the end of each velocity."""
+
+
 class Bounds(NamedTuple):
     """A box that the level set V < 1 has to stay in."""
 
@@ -82,10 +92,11 @@ def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
 class Search:
     """The search for one start box."""
 
-    def __init__(self, problem: Problem, start: Mapping[str, float], loop: Embedding | None = None) -> None:
-        self.problem, self.loop = problem, loop or Embedding(problem)
+    def __init__(self, problem: Problem, start: Mapping[str, float]) -> None:
+        self.problem, self.loop = problem, Embedding(problem)
         self.commands = Commands(problem)
-        self.chosen: set[int] = set()  # corners that the programs so far were about
+        self.forms = 0  # what the solver was given so far
+        self.chosen: set[Key] = set()  # corners that the programs so far were about
         self.start = self._mixed(np.array([start.get(c, 0.0) for c in problem.coordinates]))
 
     def _mixed(self, start: Array) -> Array:
@@ -118,6 +129,8 @@ class Search:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
         if not len(self.commands.limits):
             return
+        tilts = {a: self._tilt(e) for a, e in self._tilted(self._filled(self.start)).items()}
+        _left(self.problem, self.commands, tilts)  # refuses where nothing is
         level = {a: _point(np.zeros(1)) for a in self.loop.angles}
         springs = np.abs(self.commands.share) @ (self.problem.values["K_P"] * self.start)
         rows = self.loop.commands_of(self.commands, level).middle[0]
@@ -171,35 +184,32 @@ class Search:
         return Bounds(np.maximum(most, bounds.speeds / SETTINGS.most_more), tilts)
 
 
+def _left(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
+    """What the limits leave beside the weight, within the tilts."""
+    left = commands.limits - commands.at_rest(problem.attitudes.boxes(dict(tilts)))
+    if len(left) and left.min() <= 0:
+        raise UndertowError("holding the weight at the roll and pitch of the start takes all of a thruster")
+    return np.asarray(left)
+
+
 class Program:
     """The semidefinite program of one box of speeds and tilts, and the proof of what it finds."""
 
     def __init__(self, search: Search, bounds: Bounds) -> None:
         self.search, self.bounds, self.loop = search, bounds, search.loop
-        self.vertices = self.loop.vertices(bounds.speeds)
-        self.count = len(self.vertices.inverse.lo)
+        self.corners: Corners = self.loop.corners(bounds.speeds)
         self.samples = self._samples()
-        self._require_few()
+        self._looked = 0.0
         self._scale = self._scaling()
 
     def _samples(self) -> Boxes:
-        """Attitudes in the program: an even keel and the extremes of roll and pitch, at every heading."""
+        """Attitudes in the program: roll and pitch at none and at their extremes, at every heading."""
         ends = self.bounds.tilts
         tilts = [dict(zip(ends, s, strict=True)) for s in product((-1.0, 0.0, 1.0), repeat=len(ends))]
-        tilts = [t for t in tilts if 0.0 not in t.values() or not any(t.values())]
         count = SETTINGS.headings if "psi" in self.loop.angles else 1
         headings = np.linspace(-np.pi, np.pi, count, endpoint=False)
         rows = [{a: t[a] * ends[a] for a in ends} | {"psi": float(h)} for t in tilts for h in headings]
         return {a: _point(np.array([r[a] for r in rows])) for a in self.loop.angles}
-
-    def _require_few(self) -> None:
-        total = self.count * max(_count(self.samples), 1)
-        if total > SETTINGS.most_in_program:
-            raise UndertowError(
-                f"a quadratic V would have to fall at {total} corners of speeds and attitudes, and the "
-                f"limit is {SETTINGS.most_in_program}: give x, y and z the same gains, so that the heading "
-                "drops out"
-            )
 
     def _scaling(self) -> Array:
         """Sizes of the states: errors of the start, speeds of the box, integrals by what they hold."""
@@ -232,58 +242,117 @@ class Program:
         return found
 
     @cached_property
-    def loops(self) -> Array:
-        """A at every sample and vertex, scaled, shape (samples, vertices, size, size)."""
-        return np.asarray(self._scaled(self.loop.loop(self.vertices, self.samples)).middle)
+    def _pieces(self) -> tuple[Array, list[Array]]:
+        """A at rest (samples, cases, size, size) and what each velocity adds (samples, cases, ends, ...)."""
+        rest = self._scaled(self.loop.rest(self.corners, self.samples)).middle
+        ends = [self._scaled(e).middle for e in self.loop.added(self.corners, self.samples)]
+        return rest, [np.broadcast_to(e, (len(rest), *e.shape[1:])) for e in ends]
+
+    def _corner(self, key: Key) -> Array:
+        rest, ends = self._pieces
+        sample, case, places = key
+        return np.asarray(
+            rest[sample, case] + sum(e[sample, case, p] for e, p in zip(ends, places, strict=True))
+        )
 
     @cached_property
     def rate(self) -> float:
         """The decay that is asked for, 1/s."""
-        rest = self.loop.vertices(0 * self.bounds.speeds)
-        found = self._scaled(self.loop.loop(rest, self.samples)).middle
-        slowest = -float(np.max(np.linalg.eigvals(found).real))
+        slowest = -float(np.max(np.linalg.eigvals(self._pieces[0]).real))
         return SETTINGS.decay * slowest
 
     def solve(self) -> Proposal | None:
         """P by cutting planes: corners come in as they are violated."""
-        loops = self.loops.reshape(-1, self.loop.size, self.loop.size)
-        loops = loops + self.rate * np.eye(self.loop.size)
-        step = max(1, len(loops) // SETTINGS.added)
-        chosen = self.search.chosen or set(range(0, len(loops), step))
+        chosen = self.search.chosen or self._first_corners()
         self.search.chosen = chosen
-        for _ in range(SETTINGS.rounds):
-            proposal = self._solved(loops[sorted(chosen)])
+        for turn in range(SETTINGS.rounds):
+            loops = np.array([self._corner(key) for key in sorted(chosen)])
+            proposal = self._solved(loops + self.rate * np.eye(self.loop.size))
             if proposal is None:
                 return None
-            worst = self._violated(loops, proposal.P)
+            worst = self._violated(proposal.P, turn)
             if set(worst) <= chosen:
                 return proposal
             chosen |= set(worst)
         return None
 
-    def _violated(self, loops: Array, P: Array) -> list[int]:
-        """The corners at which V falls too slowly, worst first, some of them."""
-        held = P @ loops
-        values = np.linalg.eigvalsh(held + np.swapaxes(held, -1, -2))[:, -1]
+    def _first_corners(self) -> set[Key]:
+        """Corners here and there."""
+        rest, ends = self._pieces
+        rng = np.random.default_rng(0)
+        return {
+            (int(i), int(rng.integers(rest.shape[1])), tuple(int(rng.integers(e.shape[2])) for e in ends))
+            for i in np.linspace(0, len(rest) - 1, SETTINGS.added)
+        }
+
+    def _violated(self, P: Array, turn: int) -> list[Key]:
+        """The corners at which V falls too slowly, worst first, some of them.
+
+        x' (P A + A' P) x is a sum over the velocities, so the worst corner for a direction x is known, and
+        the worst direction of a corner is an eigenvector: they are taken in turns.
+        """
+        rest, ends = self._pieces
+        places = np.stack(np.unravel_index(np.arange(rest.shape[0] * rest.shape[1]), rest.shape[:2]), 1)
+        if len(places) > SETTINGS.looked_at:
+            places = np.random.default_rng(turn).permutation(places)[: SETTINGS.looked_at]
+        own = rest[places[:, 0], places[:, 1]] + self.rate * np.eye(self.loop.size)
+        added = [e[places[:, 0], places[:, 1]] for e in ends]
+        _, vectors = np.linalg.eigh(_doubled(P, own))
         limit = 0.5 * self.rate * float(np.linalg.eigvalsh(P)[0])  # half of the decay is the proof's
-        order = np.argsort(-values)[: SETTINGS.added]
-        return [int(i) for i in order if values[i] > limit]
+        found: dict[Key, float] = {}
+        for k in range(1, SETTINGS.starts + 1):
+            x = vectors[..., -k]
+            for _ in range(SETTINGS.steps):
+                worst = [np.argmax(_along(P, e, x), axis=-1) for e in added]
+                rows = np.arange(len(own))
+                whole = own + sum(e[rows, w] for e, w in zip(added, worst, strict=True))
+                values, turned = np.linalg.eigh(_doubled(P, whole))
+                x = turned[..., -1]
+            for (i, case), ways, value in zip(places, np.array(worst).T, values[:, -1], strict=True):
+                if value > limit:
+                    found[(int(i), int(case), tuple(map(int, ways)))] = float(value)
+        return sorted(found, key=lambda key: -found[key])[: SETTINGS.added]
+
+    @cached_property
+    def _balance(self) -> tuple[Array, Array]:
+        """Columns T with T' P_0 T = I, and C with C' (P_0 A + A' P_0) C = -I, of the loop at rest.
+
+        Rates of one loop are far apart; in these states the program is well conditioned, and P is near I.
+        """
+        from scipy.linalg import solve_continuous_lyapunov, sqrtm
+
+        together = np.abs(self.basis).sum(axis=0) > 0
+        A = self._pieces[0].mean(axis=(0, 1)) * together
+        unit = np.eye(len(A))
+        W = np.real(sqrtm(A.T @ A))
+        try:
+            P = solve_continuous_lyapunov(A.T, -W)
+            T, C = (np.linalg.inv(np.linalg.cholesky(0.5 * (m + m.T))).T * together for m in (P, W))
+            return T, C
+        except np.linalg.LinAlgError:
+            return unit, unit
 
     def _solved(self, loops: Array) -> Proposal | None:
-        B, n = self.basis, self.loop.n
-        k, size = len(B), self.loop.size
+        (T, C), size, n = self._balance, self.loop.size, self.loop.n
+        back = np.linalg.inv(T)
+        B = back.T @ self.basis @ back  # of P; the program's own unknown is Q = T' P T
+        k = len(B)
         groups, start = self.loop.groups, self.search.start / self._scale[size - 2 * n : size - n]
         cost = np.concatenate([np.zeros(k), [float(np.sum(start[g][:1] ** 2)) for g in groups]])
         zero = np.zeros((size, size))
-        forms = [_Form(zero, self._with_groups(-(B @ A + np.swapaxes(A, -1, -2) @ B))) for A in loops]
-        forms += [_Form(-1e-6 * np.eye(size), self._with_groups(B))]
+        falls = (-(C.T @ (B @ A + np.swapaxes(A, -1, -2) @ B) @ C) for A in loops)
+        forms = [Form(zero, self._with_groups(fall)) for fall in falls]
+        forms += [Form(-1e-6 * np.eye(size), self._with_groups(self.basis))]
         for row, bound in self._rows():
-            forms.append(self._within(row, bound))
+            forms.append(self._within(row @ T, bound))
         errors = slice(size - 2 * n, size - n)
         slots = np.zeros((len(groups), n, n))
         for s, g in zip(slots, groups, strict=True):
             s[g, g] = 1.0
-        forms.append(_Form(np.zeros((n, n)), np.concatenate([-B[:, errors, errors], slots])))
+        forms.append(Form(np.zeros((n, n)), np.concatenate([-B[:, errors, errors], slots])))
+        self.search.forms += len(forms)
+        if self.search.forms > SETTINGS.most_forms:
+            raise UndertowError("no quadratic V was found within the time that the search may take")
         x = solved(cost, forms)
         if x is None:
             return None
@@ -292,7 +361,7 @@ class Program:
     def _with_groups(self, forms: Array) -> Array:
         return np.concatenate([forms, np.zeros((len(self.loop.groups), *forms.shape[1:]))])
 
-    def _within(self, row: Array, bound: float) -> _Form:
+    def _within(self, row: Array, bound: float) -> Form:
         """[P, row; row', bound^2] >= 0 on the states that belong to the row: |row z| < bound on V < 1."""
         B = self.basis
         touched: Flags = row != 0
@@ -306,7 +375,7 @@ class Program:
         # Divided by the bound, so that numbers are near one.
         constant[:m, m] = constant[m, :m] = row[own] / bound
         constant[m, m] = (1 - SETTINGS.slack) ** 2
-        return _Form(constant, self._with_groups(forms))
+        return Form(constant, self._with_groups(forms))
 
     def _rows(self) -> list[tuple[Array, float]]:
         """What has to stay within its bound: speeds, tilts, half a turn, commands."""
@@ -339,13 +408,7 @@ class Program:
     @cached_property
     def left(self) -> Array:
         """What the limits leave beside the weight, within the tilts."""
-        rest = self.commands.at_rest(self.search.problem.attitudes.boxes(self.bounds.tilts))
-        left = self.commands.limits - rest
-        if len(left) and left.min() <= 0:
-            raise UndertowError(
-                "holding the weight at the roll and pitch of the start takes all of a thruster"
-            )
-        return left
+        return _left(self.search.problem, self.commands, self.bounds.tilts)
 
     def _fixed_rows(self) -> list[tuple[Array, float]]:
         n, size = self.loop.n, self.loop.size
@@ -406,23 +469,16 @@ class Program:
 
     def _everywhere(self, P: Array) -> bool:
         """Whether V falls and all bounds hold at every attitude: boxes of angles are halved until it does."""
-        if not self._halving(P, self._within_bounds, 1):
-            return False
-        if self._halving(P, partial(self._falls, vertices=self.vertices.hull), 1):
-            return True
-        return self._halving(P, partial(self._falls, vertices=self.vertices), self.count)
+        return self._halving(P, self._within_bounds) and self._halving(P, self._falls)
 
-    def _halving(self, P: Array, holds: Callable[[Array, Boxes], Flags], each: int) -> bool:
+    def _halving(self, P: Array, holds: Callable[[Array, Boxes], Flags]) -> bool:
         boxes = self.loop.boxes(self.bounds.tilts, {"phi": 2, "theta": 2, "psi": 2 * SETTINGS.headings})
-        looked = 0.0
+        self._looked = 0.0
         for _ in range(SETTINGS.halvings * max(len(boxes), 1)):
-            looked += each * _count(boxes) * 2 ** len(boxes) * self.loop.size**3
-            if looked > SETTINGS.most:
-                return False
             open_ = ~holds(P, boxes)
             if not open_.any():
                 return True
-            if not boxes:
+            if not boxes or self._looked > SETTINGS.most:
                 return False
             boxes = _halved({a: Interval(v.lo[open_], v.hi[open_]) for a, v in boxes.items()})
             if open_.all():
@@ -436,29 +492,87 @@ class Program:
             return speeds
         return speeds & _bounded(P, self._by(self.loop.commands_of(self.commands, boxes)), self.left)
 
-    def _falls(self, P: Array, boxes: Boxes, vertices: Vertices) -> Flags:
-        """Whether V falls at every vertex, or in the one interval around all, at every attitude in each box.
+    def _falls(self, P: Array, boxes: Boxes) -> Flags:
+        """Whether V falls at every corner of velocities at every attitude in each box.
 
         A(angles) differs from what its values at the corners of the box interpolate by h^2/8 times the second
         derivative along each side h at most.
         """
-        batches = min(_count(boxes), -(-_count(boxes) * len(vertices.inverse.lo) // SETTINGS.batch))
-        parts = np.array_split(np.arange(_count(boxes)), batches)
+        batches = -(-_count(boxes) * self.corners.cases // SETTINGS.batch)
+        parts = np.array_split(np.arange(_count(boxes)), min(_count(boxes), batches))
         some = [{a: Interval(v.lo[p], v.hi[p]) for a, v in boxes.items()} for p in parts]
-        return np.concatenate([self._falls_in(each, P, vertices) for each in some])
+        return np.concatenate([self._falls_in(each, P) for each in some])
 
-    def _falls_in(self, boxes: Boxes, P: Array, vertices: Vertices) -> Flags:
+    def _falls_in(self, boxes: Boxes, P: Array) -> Flags:
         ratio = self._scale[None, :] / self._scale[:, None]
         missed = np.zeros((_count(boxes), self.loop.size, self.loop.size))
         for angle, side in boxes.items():
             width = (side.hi - side.lo)[:, None, None]
-            missed += 1.001 * width**2 / 8 * self.loop.bend(self.vertices, boxes, angle) * ratio
+            missed += 1.001 * width**2 / 8 * self.loop.bend(self.corners, boxes, angle) * ratio
         around = Interval(-missed[:, None], missed[:, None])
         held = np.ones(_count(boxes), dtype=bool)
         for corner in product(*(("lo", "hi") for _ in boxes)):
             at = {a: _point(getattr(v, side)) for (a, v), side in zip(boxes.items(), corner, strict=True)}
-            fall = P @ (self._scaled(self.loop.loop(vertices, at)) + around)
-            held &= _positive(-(fall + fall.T))
+            held[held] = self._falls_at(
+                {a: Interval(v.lo[held], v.hi[held]) for a, v in at.items()},
+                Interval(around.lo[held], around.hi[held]) if boxes else around,
+                P,
+            )
+            if not held.any():
+                break
+        return held
+
+    def _falls_at(self, at: Boxes, around: Interval, P: Array) -> Flags:
+        """The same at attitudes that are points; `around` is added to A."""
+        rest = P @ (self._scaled(self.loop.rest(self.corners, at)) + around)
+        falls, shape = -(rest + rest.T), rest.lo.shape[:2]
+        ends = []
+        for end in self.loop.added(self.corners, at):
+            added = P @ self._scaled(end)
+            ends.append(_flat(-(added + added.T)))
+        place = np.arange(shape[0] * shape[1]) % len(ends[0].lo)  # ends are the same at all attitudes, or not
+        held: Flags = self._sums_positive(_flat(falls), place, ends).reshape(shape)
+        return np.asarray(held.all(axis=1))
+
+    def _sums_positive(self, rest: Interval, place: Any, ends: list[Interval]) -> Flags:
+        """By row, whether rest + one of the ends of each is positive definite whichever they are, proved.
+
+        The ends of a row are those at its `place`. With C_i in the middle of the ends and T_i >= C_i - end
+        for each of them, rest + sum of (C_i - T_i) is below every such sum. Where that is not positive, one
+        set of ends is cut into two. (Ben-Tal and Nemirovski 2002, On tractable approximations of uncertain
+        linear matrix inequalities affected by interval uncertainty, SIAM J. Optim. 12, look for T_i by a
+        program.)
+        """
+        held = np.zeros(len(rest.lo), dtype=bool)
+        own, place = np.unique(place, return_inverse=True)
+        ends = [_rows(e, own) for e in ends]
+        centres = [0.5 * (e.middle[:, 0] + e.middle[:, -1]) for e in ends]
+        centre = np.sum(centres, axis=0)
+        middle = rest.middle + centre[place]
+        live = np.flatnonzero(np.linalg.eigvalsh(middle)[:, 0] > 0)
+        work = len(own) * sum(e.lo.shape[1] for e in ends) + len(held)
+        self._looked += work * rest.lo.shape[-1] ** 3
+        if self._looked > SETTINGS.most or not len(live):
+            return held
+        root = _mean_roots(middle[live], place[live], len(own))
+        covers, sure = _covers(ends, centres, root)
+        lowered = centre - root @ np.sum(covers, axis=0) @ np.swapaxes(root, -1, -2)
+        inverse = np.linalg.inv(root)[place[live]]  # triangular: regular for certain
+        left = inverse @ (_rows(rest, live) + lowered[place[live]]) @ np.swapaxes(inverse, -1, -2)
+        blur = left.radius.sum(axis=-1).max(axis=-1)  # what the width of the attitudes takes
+        good = sure[place[live]] & (np.linalg.eigvalsh(left.middle)[:, 0] > blur)
+        held[live[good]] = _positive(_rows(left, good))
+        # Where attitudes alone take everything, cutting ends is of no use.
+        hopeful = live[~held[live] & (blur < 1)]
+        widest = _widest(ends, covers, np.unique(place[hopeful]))
+        if not len(hopeful) or widest is None:
+            return held
+        half = ends[widest].lo.shape[1] // 2
+        for part in (slice(None, half), slice(half, None)):
+            cut = ends.copy()
+            cut[widest] = Interval(ends[widest].lo[:, part], ends[widest].hi[:, part])
+            hopeful = hopeful[self._sums_positive(_rows(rest, hopeful), place[hopeful], cut)]
+        held[hopeful] = True
         return held
 
     def _by(self, rows: Interval) -> Interval:
@@ -481,7 +595,7 @@ class Program:
             starts=1 / np.sqrt(own),
             commands=largest,
             start=float(proposal.start),
-            matrices=self.count,
+            matrices=self.corners.count,
         )
 
 
@@ -503,10 +617,80 @@ def _halved(boxes: Boxes) -> Boxes:
     return {a: Interval(join([lower[a].lo, upper[a].lo]), join([lower[a].hi, upper[a].hi])) for a in boxes}
 
 
+def _rows(stack: Interval, rows: Any) -> Interval:
+    return Interval(stack.lo[rows], stack.hi[rows])
+
+
+def _doubled(P: Array, A: Array) -> Array:
+    """P A + A' P."""
+    held = P @ A
+    return np.asarray(held + np.swapaxes(held, -1, -2))
+
+
+def _along(P: Array, A: Array, x: Array) -> Array:
+    """x' P A x for directions x (k, size) and matrices A (k, ends, size, size)."""
+    return np.asarray(np.einsum("ks,kest,kt->ke", x @ P, A, x))
+
+
+def _flat(stack: Interval) -> Interval:
+    """Attitudes and cases in one row."""
+    return Interval(*(v.reshape(-1, *v.shape[2:]) for v in (stack.lo, stack.hi)))
+
+
+def _covers(ends: list[Interval], centres: list[Array], root: Array) -> tuple[list[Array], Flags]:
+    """T_i in states in which root root' is the identity, and whether they cover every end, proved."""
+    inverse, sure = np.linalg.inv(root), np.ones(len(root), dtype=bool)
+    covers = []
+    for end, centre in zip(ends, centres, strict=True):
+        off = inverse[:, None] @ (centre[:, None] - end.middle) @ np.swapaxes(inverse, -1, -2)[:, None]
+        cover = _cover(off) + SETTINGS.room * np.eye(root.shape[-1])
+        T = root @ cover @ np.swapaxes(root, -1, -2)
+        sure &= _positive(end - centre[:, None] + (0.5 * (T + np.swapaxes(T, -1, -2)))[:, None])
+        covers.append(cover)
+    return covers, sure
+
+
+def _mean_roots(middle: Array, place: Any, count: int) -> Array:
+    """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
+    total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
+    np.add.at(total, place, middle)
+    total[many == 0] = np.eye(middle.shape[-1])
+    return np.asarray(np.linalg.cholesky(total / np.maximum(many, 1)[:, None, None]))
+
+
+def _widest(ends: list[Interval], covers: list[Array], rows: Array) -> int | None:
+    """Of which velocity the ends should be cut, or None where each has one only."""
+    several = [i for i, e in enumerate(ends) if e.lo.shape[1] > 1]
+    if not len(rows):
+        return None
+    return max(several, key=lambda i: np.linalg.eigvalsh(covers[i][rows])[:, -1].sum(), default=None)
+
+
+def _cover(off: Array) -> Array:
+    """T >= each of the matrices off (k, ends, size, size), shape (k, size, size)."""
+    if off.shape[1] == 1:
+        return np.zeros_like(off[:, 0])
+    largest = _part(off[:, 0], np.abs)  # the last end is the same turned round
+    for k in range(1, off.shape[1] - 1):
+        largest = largest + _part(off[:, k] - largest, lambda v: np.maximum(v, 0.0))
+    return largest
+
+
+def _part(matrices: Array, of: Callable[[Array], Array]) -> Array:
+    """Symmetric matrices with a function of their eigenvalues."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.asarray((vectors * of(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
+
+
 def _positive(matrices: Interval) -> Flags:
     """By row of a stack, whether all of its matrices are positive definite, proved."""
-    rows = zip(matrices.lo, matrices.hi, strict=True)
-    return np.array([certainly_positive(Interval(lo, hi)) for lo, hi in rows])
+    count = len(matrices.lo)
+    if count == 0 or certainly_positive(matrices):
+        return np.ones(count, dtype=bool)
+    if count == 1:
+        return np.zeros(1, dtype=bool)
+    halves = slice(None, count // 2), slice(count // 2, None)
+    return np.concatenate([_positive(_rows(matrices, half)) for half in halves])
 
 
 def _bounded(P: Array, rows: Interval, bounds: Array) -> Flags:
@@ -516,49 +700,3 @@ def _bounded(P: Array, rows: Interval, bounds: Array) -> Flags:
         rows.lo[..., None, :], rows.hi[..., None, :]
     )
     return _positive(P - outer)
-
-
-# --- the solver -----------------------------------------------------------------------------------
-class _Form(NamedTuple):
-    """constant + sum x_k forms_k has to be positive semidefinite."""
-
-    constant: Array
-    forms: Array
-
-
-def solved(cost: Array, forms: Sequence[_Form]) -> Array | None:
-    """x of least cost' x for which every form is positive semidefinite, or None where there is none."""
-    clarabel = _solver()
-    from scipy.sparse import csc_matrix
-
-    rows = [_packed(f.forms).T for f in forms]
-    A = csc_matrix(-np.concatenate(rows))
-    b = np.concatenate([_packed(f.constant[None])[0] for f in forms])
-    cones = [clarabel.PSDTriangleConeT(len(f.constant)) for f in forms]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_iter = 80
-    settings.max_threads = 1
-    none = csc_matrix((len(cost), len(cost)))
-    solution = clarabel.DefaultSolver(none, cost, A, b, cones, settings).solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        return None
-    return np.array(solution.x)
-
-
-def _packed(matrices: Array) -> Array:
-    """Upper triangles column by column with sqrt 2 off the diagonal, as the solver takes them."""
-    n = matrices.shape[-1]
-    j, i = np.tril_indices(n)
-    return np.asarray(matrices[:, i, j] * np.where(i == j, 1.0, np.sqrt(2)))
-
-
-def _solver() -> Any:
-    try:
-        import clarabel
-    except ImportError:
-        raise UndertowError(
-            "searching for V needs a solver of semidefinite programs, which is not installed: "
-            "pip install 'undertow[certificates]'"
-        ) from None
-    return clarabel

@@ -30,6 +30,7 @@ from .result import SETTINGS, Quadratic, Region
 _LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
 _FAILS = "the conditions derived from the model do not hold"
+_PARAMETERS = "with parameters as in the file, not over their intervals"
 _NO_THRUST = "commands are not proved to stay within their limits for any error"
 
 
@@ -227,13 +228,13 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     if _scales(problem) and not len(commands.limits):
         return Region(
             "everywhere",
-            "everywhere: inertia and damping do not depend on speed or attitude",
+            f"everywhere: inertia and damping do not depend on speed or attitude; V is proved {_PARAMETERS}",
             quadratic=found,
         )
     text = (
         f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
-        f"every attitude in it, {found.matrices} corners of speeds and signs"
+        f"every attitude in it, {found.matrices} corners of speeds and signs, {_PARAMETERS}"
     )
     whole = Region(
         "level",

@@ -54,7 +54,9 @@ class LineOfSight(Reference):
 
     With the cross-track error e and lookahead D, the heading is chi - atan((e + sigma e_int) / D) and
     e_int_dot = D e / ((e + sigma e_int)^2 + D^2), which grows little where the vehicle is far off. A vehicle
-    that dives by pitching has the same in the vertical plane; another one follows the depth of the leg.
+    that dives by pitching has the same in the vertical plane; another one follows the depth of the leg. At a
+    turn into the next leg e_int is multiplied by the cosine of the turn, as the steady current across a leg
+    is: the law is stated for one leg. The integral of the vertical plane, which holds trim, goes on.
     Heading and pitch pass a model of second order with limited rate and acceleration, the speed one of first.
     The position itself is not held: errors of x and y are zero, and surge has the speed as its reference.
 
@@ -141,8 +143,11 @@ class LineOfSight(Reference):
         for name, error in (("cross_integral", leg.cross), ("depth_integral", leg.below)):
             aim = error + value["integral"] * state[name]
             gain = value["lookahead"] * error / (aim**2 + value["lookahead"] ** 2)
-            sums[name] = stays * (state[name] + dt * gain)
-        following = {
+            sums[name] = state[name] + dt * gain
+        # What is known of a current is its part across the old leg: this is what of it is across the new one.
+        following = self._leg(r, ca.vertcat(state["leg"] + 1, s[1:]), kin)
+        sums["cross_integral"] *= ca.if_else(stays, 1, ca.cos(following.course - leg.course))
+        later = {
             "leg": state["leg"] + (1 - stays),
             "arrived": ca.fmax(state["arrived"], ca.logic_and(reached, last)),
             "started": ca.SX(1),
@@ -150,9 +155,9 @@ class LineOfSight(Reference):
             "speed": state["speed"] + dt * growth["speed"],
         }
         for name in ("heading", "pitch"):
-            following[f"{name}_rate"] = state[f"{name}_rate"] + dt * growth[name]
-            following[name] = state[name] + dt * following[f"{name}_rate"]
-        return ca.vertcat(*[following[n] for n in self.state_names])
+            later[f"{name}_rate"] = state[f"{name}_rate"] + dt * growth[name]
+            later[name] = state[name] + dt * later[f"{name}_rate"]
+        return ca.vertcat(*[later[n] for n in self.state_names])
 
     def _now(self, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
         """States by name; at the first sample heading, pitch and speed are those reported."""

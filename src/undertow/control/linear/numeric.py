@@ -13,7 +13,7 @@ import numpy as np
 
 from undertow.codegen import Compiled, Functions
 from undertow.codegen.compiler import Evaluator
-from undertow.codegen.export import dead_time, describe, output_delay
+from undertow.codegen.manifest import dead_time, describe, output_delay
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
 from undertow.model.effects.ocean_current import OceanCurrent, check_current

@@ -2,7 +2,7 @@
 
    SI units, angles in rad, NED and forward-starboard-down, SNAME signs. C99, math.h and nothing else; nothing is
    allocated, nothing is kept between calls. Numbers are double, or float where @UPPER@_SINGLE is defined.
-@LISTS@*/
+@DELAY@@LISTS@*/
 #ifndef @GUARD@_H
 #define @GUARD@_H
 

@@ -1,0 +1,109 @@
+"""The vehicle's own modules of a C library: the model that is stepped, and its Jacobians."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+from undertow.model.symbols import FORCE, FORCE_UNITS
+
+from .functions import Functions
+from .manifest import Entry, Manifest
+from .spelling import Dialect, Part, Struct, comment, filled
+
+# Step and length of the example's run, s, and rows between two that it prints.
+_STEP, _ROWS, _EVERY = 0.02, 500, 25
+
+
+def _parameters(c: Dialect, manifest: Manifest) -> Struct:
+    return c.struct(f"{c.library}_parameters", manifest.parameters)
+
+
+def vehicle_c(c: Dialect, functions: Functions, manifest: Manifest) -> Part:
+    """The part that steps the model: dynamics, outputs, one Runge-Kutta step."""
+    n, upper = c.library, c.library.upper()
+    p = _parameters(c, manifest)
+    made = {f"{n}_dynamics": functions.dynamics, f"{n}_outputs": functions.outputs}
+    sizes = {"STATES": len(manifest.states), "INPUTS": len(manifest.inputs), "PARAMETERS": len(p.members)}
+    sizes["DOF"] = len(functions.vehicle.degrees_of_freedom)
+    counts = ", ".join(f"{upper}_{what} = {size}" for what, size in sizes.items())
+    template = (files("undertow.codegen") / "templates" / "vehicle.c").read_text(encoding="utf-8")
+    step = filled(template, {"LOWER": n, "UPPER": upper})
+    declared = [
+        f"enum {{ {counts} }};\n",
+        p.declared,
+        "/* Time derivative of the state at time t: x_dot (STATES). */",
+        c.head(functions.dynamics, f"{n}_dynamics", {"p": p}),
+        "\n/* Pose and body velocity as the sensors report them: y (2 DOF). */",
+        c.head(functions.outputs, f"{n}_outputs", {"p": p}),
+        "\n/* One fourth-order Runge-Kutta step of h seconds from t, u held. */",
+        step[step.index("void") : step.index(" {\n")] + ";\n",
+    ]
+    defined = [p.defined, *(c.body(f, name, {"p": p}) for name, f in made.items()), step]
+    notes = {"x, state": manifest.states, "u, input, held by the caller": manifest.inputs}
+    return Part("model", notes, declared, defined, _example(c, manifest), about_model=True)
+
+
+def jacobians_c(c: Dialect, functions: Functions, manifest: Manifest) -> Part:
+    """The part with derivatives of the model, for filters, predictive control and identification."""
+    n = c.library
+    p = _parameters(c, manifest)
+    made = {
+        f"{n}_jacobians": functions.jacobians,
+        f"{n}_residual": functions.residual_function,
+        f"{n}_regressor": functions.regressor,
+    }
+    words = (
+        "/* Dynamics, and derivatives in the state A (STATES x STATES), the input B (STATES x INPUTS) and\n"
+        "   the parameters P (STATES x PARAMETERS, in the order of the struct); matrices row by row. */",
+        "\n/* Sum of forces and moments, N and N m, at an acceleration nu_dot: zero at the true one. */",
+        "\n/* Derivative of the residual in the parameters: Y (DOF x PARAMETERS). */",
+    )
+    heads = [c.head(f, name, {"p": p}) for name, f in made.items()]
+    declared = [
+        f'#include "{n}_vehicle.h"\n',
+        *(x for both in zip(words, heads, strict=True) for x in both),
+        "",
+    ]
+    defined = [c.body(f, name, {"p": p}) for name, f in made.items()]
+    dofs = functions.vehicle.dof_indices
+    notes = {"r, rows": [Entry(f"tau_{FORCE[i]}", FORCE_UNITS[i]) for i in dofs]}
+    what, example = "Jacobians, residual and regressor", _example_of_jacobians(c, functions)
+    return Part(what, notes, declared, defined, example, about_model=True)
+
+
+def _example(c: Dialect, manifest: Manifest) -> str:
+    """Steps the model for 10 s from rest under constant inputs and prints the states as CSV."""
+    n, upper, real = c.library, c.library.upper(), c.real
+    u = ", ".join(c.constant(float(f"{1 / (i + 1):.3g}")) for i in range(len(manifest.inputs))) or c.constant(
+        0
+    )
+    head = ",".join(["t", *(comment(e.name) for e in manifest.states)])
+    return f"""\
+  const {real} h = {c.constant(_STEP)}, u[] = {{{u}}};
+  const {n}_parameters p = {n}_parameters_default; /* change what differs on your vehicle */
+  {real} x[{upper}_STATES] = {{0}};
+  printf("{head}\\n");
+  for (int k = 0; k <= {_ROWS}; k++) {{
+    if (k % {_EVERY} == 0) {{
+      printf("%.17g", (double)(({real})k * h));
+      for (int i = 0; i < {upper}_STATES; i++) {{
+        printf(",%.17g", (double)x[i]);
+      }}
+      printf("\\n");
+    }}
+    {n}_vehicle_step(x, u, &p, ({real})k * h, h);
+  }}"""
+
+
+def _example_of_jacobians(c: Dialect, functions: Functions) -> str:
+    n, upper, real = c.library, c.library.upper(), c.real
+    outs = functions.jacobians.name_out()
+    sizes = [functions.jacobians.numel_out(name) for name in outs]
+    arrays = ", ".join(f"{name}[{max(size, 1)}]" for name, size in zip(outs, sizes, strict=True))
+    return f"""\
+  const {real} x[{upper}_STATES] = {{0}}, u[{max(functions.u.numel(), 1)}] = {{0}};
+  static {real} {arrays};
+  {n}_jacobians(x, u, &{n}_parameters_default, {c.constant(0)}, {", ".join(outs)});
+  for (int i = 0; i < {upper}_STATES; i++) {{
+    printf("%.9g\\n", (double)A[i]);
+  }}"""
