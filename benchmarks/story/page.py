@@ -105,7 +105,8 @@ def _draw_runs(axis: Any, folder: Path, title: str, runs: dict[str, tuple[str, s
     axis.axhline(np.degrees(0.1), color=FAINT, linewidth=0.8)
     axis.set(xlabel="time [s]", ylabel="heading [degrees]", title=title)
     axis.grid()
-    axis.legend()
+    axis.margins(y=0.3)  # room for the legend
+    axis.legend(loc="upper right")
 
 
 def _column(path: Path, name: str) -> tuple[Array, Array]:

@@ -86,4 +86,4 @@ class Story(Shell):
 
     def write_c(self) -> Said:
         """The controller in C."""
-        return self.undertow("codegen", "complete.toml", "--controller", "second.toml")
+        return self.undertow("export", "c", "complete.toml", "--controller", "second.toml")
