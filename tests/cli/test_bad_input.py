@@ -512,7 +512,7 @@ def test_ctrl_c_in_the_middle(command: str, outputs: list[str], quick: Path, cap
     [
         (
             ["compare", "usv.toml", "train.csv", "--json", "o.json"],
-            "undertow.identification.logs.reading.read_table",
+            "undertow.identification.logs.opening.read_table",
         ),
         (["export", "c", "usv.toml", "--out", "out"], "undertow.codegen.spelling.plain_c"),
     ],
