@@ -84,7 +84,7 @@ def test_the_page_tells_the_whole_chain() -> None:
         "mission 'four-legs': all conditions hold",
         "loop that gets its estimate, linearised at rest: stable",
         "--observer observer.toml --dt 0.1",
-        "build/round-rov/observer: written",
+        "build/round-rov: written",
     ]
     places = []
     for step in steps:

@@ -22,7 +22,7 @@ def test_the_story_has_every_step_and_its_words() -> None:
         assert words.strip() in told
     commands = re.findall(r"^\$ undertow (\S+)", told, re.MULTILINE)
     expected = (
-        "added-mass tank tank vehicle design gains simulate diagnose add gains design gains simulate codegen"
+        "added-mass tank tank vehicle design gains simulate diagnose add gains design gains simulate export"
     )
     assert commands == expected.split()
     assert "UNSTABLE" in told
