@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Flow, Measurement
@@ -253,6 +254,21 @@ def _undetermined(finding: FoundEffect, settings: Settings) -> str:
     return ""
 
 
+def _spring(finding: FoundEffect) -> str:
+    """Why a memory of the flow is rather a spring, in words; empty where it is not.
+
+    It would take more inertia from slow motion than the water has, which a memory of waves cannot do; drag
+    that lags the motion can.
+    """
+    model = finding.trial.fit.model
+    functions, values = model.functions, finding.trial.fit.values
+    stated = dict(zip(functions.parameter_names, functions.values(), strict=True))
+    slow = added_mass_at_zero_frequency(functions, np.array([*(stated | values).values()][: len(stated)]))
+    if slow is None or not np.any(np.diag(slow) < 0.0):
+        return ""
+    return "it would take more inertia from slow motion than the water has: a stiffness does so"
+
+
 def _never_turned(finding: FoundEffect, bench: Bench) -> str:
     """Why these logs do not tell a current from a force that goes with the vehicle; empty where they do."""
     if not issubclass(finding.trial.candidate.effect, Flow):
@@ -414,9 +430,8 @@ class _Selector:
         before, *after = self._ahead([bench.base, *(f.trial.fit for f in found.values())])
         ahead = dict(zip(found, after, strict=True))
         worth = {i: Worth.of(before, squares, self._settings) for i, squares in ahead.items()}
-        leading, near = self._leading(
-            [f for i, f in found.items() if worth[i].something(least)], ahead, bench
-        )
+        able = [f for i, f in found.items() if worth[i].something(least)]
+        leading, near = self._leading(self._without_springs(able, worth), ahead, bench)
         worthy = [f for f in leading if worth[f.id].enough(least)]
         # What has run into a bound is not what it is called: to predict, too, others come first.
         worthy.sort(key=lambda f: bool(_undetermined(f, self._settings)))
@@ -441,6 +456,17 @@ class _Selector:
         ]
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
+
+    def _without_springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> list[FoundEffect]:
+        """The candidates without memories that are springs, where another does at least half as much."""
+        springs = {f.id for f in findings if _spring(f)}
+
+        def gained(f: FoundEffect) -> float:
+            return float(np.mean([*worth[f.id].falls.values()]))
+
+        most = max((gained(f) for f in findings if f.id in springs), default=0.0)
+        others = [f for f in findings if f.id not in springs]
+        return others if any(gained(f) >= self._settings.own_share * most for f in others) else findings
 
     def _screened(self, current: Round) -> list[FoundEffect]:
         """The candidates beyond chance that lead as the weak form fits them, by simulation and by residual.

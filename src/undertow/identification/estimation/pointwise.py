@@ -236,10 +236,6 @@ class Cut:
 class Limits:
     """Which parameters a model can have together: matrices that have to be positive.
 
-    At frequency zero the free surface is a rigid wall and the added mass that of the body and its image, the
-    kinetic energy of the water twice over: no memory of the flow takes more from it than there is. A memory
-    that did would be a spring.
-
     Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
     hull hold lift and the Munk moment too, which need not take energy from every motion.
     """
@@ -252,10 +248,6 @@ class Limits:
             _Matrix("mass matrix M > 0", m, free, functions, stated, SETTINGS.least_mass)
             for m in _masses(functions)
         ]
-        if (slow := _added_mass_at_zero_frequency(functions)) is not None:
-            found.append(
-                _Matrix("added mass at frequency zero A(0) >= 0", slow, free, functions, stated, 0.0)
-            )
         if dissipative and (damping := _linear_damping(functions)) is not None:
             found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
         self._all, self._matrices = found, [matrix for matrix in found if matrix.varies]
@@ -340,8 +332,21 @@ def _masses(functions: Functions) -> list[ca.SX]:
     return [ca.substitute(still, f.nu, sign * ca.SX.ones(f.nu.shape)) for sign in (1.0, -1.0)]
 
 
-def _added_mass_at_zero_frequency(functions: Functions) -> ca.SX | None:
-    """Added mass of slow motion, with what the states of effects add to it; None where they add nothing.
+def added_mass_at_zero_frequency(functions: Functions, p: Array) -> Array | None:
+    """Added mass of slow motion, (n, n), with what states of effects add to it; None where they add nothing.
+
+    Of potential flow it is positive: the free surface is a rigid wall at frequency zero, and the water has
+    the kinetic energy of the flow about the body and its image.
+    """
+    expression = _slow_inertia(functions)
+    if expression is None:
+        return None
+    (flat,) = call(ca.Function("slow", [functions.p], [expression]), [p])
+    return flat.reshape(expression.shape, order="F")
+
+
+def _slow_inertia(functions: Functions) -> ca.SX | None:
+    """The same as an expression.
 
     With z' = A z + B nu at rest, slow motion has z = -A^-1 B nu - A^-2 B nu', so that a force C z is one of
     the damping -C A^-1 B and of the inertia C A^-2 B.
