@@ -442,7 +442,9 @@ class _Selector:
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
         if not graded:
             self._worth |= worth
-            reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
+            seen = {f.id for f in (*leading, *near)}
+            passed_over = {i: _spring(f) for i, f in found.items() if i not in seen}
+            reasons = {i: worth[i].lacking(least) or (doubts | passed_over).get(i, "") for i in found}
             shown = (f.id for f in _beyond_chance(current))
             self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in shown}
         if not worthy:
