@@ -254,19 +254,17 @@ def _undetermined(finding: FoundEffect, settings: Settings) -> str:
     return ""
 
 
-def _spring(finding: FoundEffect) -> str:
-    """Why a memory of the flow is rather a spring, in words; empty where it is not.
+def _is_spring(finding: FoundEffect) -> bool:
+    """Whether a memory of the flow would take more inertia from slow motion than the water has.
 
-    It would take more inertia from slow motion than the water has, which a memory of waves cannot do; drag
-    that lags the motion can.
+    A memory of waves cannot do that, and a stiffness does; drag that lags the motion can.
     """
-    model = finding.trial.fit.model
-    functions, values = model.functions, finding.trial.fit.values
-    stated = dict(zip(functions.parameter_names, functions.values(), strict=True))
-    slow = added_mass_at_zero_frequency(functions, np.array([*(stated | values).values()][: len(stated)]))
-    if slow is None or not np.any(np.diag(slow) < 0.0):
-        return ""
-    return "it would take more inertia from slow motion than the water has: a stiffness does so"
+    fit = finding.trial.fit
+    slow = added_mass_at_zero_frequency(fit.model.functions, fit.p[: fit.model.values.size])
+    return slow is not None and bool(np.any(np.diag(slow) < 0.0))
+
+
+_SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
 
 
 def _never_turned(finding: FoundEffect, bench: Bench) -> str:
@@ -431,7 +429,8 @@ class _Selector:
         ahead = dict(zip(found, after, strict=True))
         worth = {i: Worth.of(before, squares, self._settings) for i, squares in ahead.items()}
         able = [f for i, f in found.items() if worth[i].something(least)]
-        leading, near = self._leading(self._without_springs(able, worth), ahead, bench)
+        springs = self._springs(able, worth)
+        leading, near = self._leading([f for f in able if f.id not in springs], ahead, bench)
         worthy = [f for f in leading if worth[f.id].enough(least)]
         # What has run into a bound is not what it is called: to predict, too, others come first.
         worthy.sort(key=lambda f: bool(_undetermined(f, self._settings)))
@@ -442,9 +441,8 @@ class _Selector:
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
         if not graded:
             self._worth |= worth
-            seen = {f.id for f in (*leading, *near)}
-            passed_over = {i: _spring(f) for i, f in found.items() if i not in seen}
-            reasons = {i: worth[i].lacking(least) or (doubts | passed_over).get(i, "") for i in found}
+            doubts |= dict.fromkeys(springs, _SPRING)
+            reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
             shown = (f.id for f in _beyond_chance(current))
             self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in shown}
         if not worthy:
@@ -459,16 +457,13 @@ class _Selector:
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
 
-    def _without_springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> list[FoundEffect]:
-        """The candidates without memories that are springs, where another does at least half as much."""
-        springs = {f.id for f in findings if _spring(f)}
-
-        def gained(f: FoundEffect) -> float:
-            return float(np.mean([*worth[f.id].falls.values()]))
-
-        most = max((gained(f) for f in findings if f.id in springs), default=0.0)
-        others = [f for f in findings if f.id not in springs]
-        return others if any(gained(f) >= self._settings.own_share * most for f in others) else findings
+    def _springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> set[str]:
+        """Ids of memories that are springs, where another candidate does at least half as much."""
+        gained = {f.id: float(np.mean([*worth[f.id].falls.values()])) for f in findings}
+        springs = {f.id for f in findings if _is_spring(f)}
+        most = max((gained[i] for i in springs), default=0.0)
+        enough = any(gained[i] >= self._settings.own_share * most for i in gained.keys() - springs)
+        return springs if enough else set()
 
     def _screened(self, current: Round) -> list[FoundEffect]:
         """The candidates beyond chance that lead as the weak form fits them, by simulation and by residual.

@@ -335,33 +335,28 @@ def _masses(functions: Functions) -> list[ca.SX]:
 def added_mass_at_zero_frequency(functions: Functions, p: Array) -> Array | None:
     """Added mass of slow motion, (n, n), with what states of effects add to it; None where they add nothing.
 
-    Of potential flow it is positive: the free surface is a rigid wall at frequency zero, and the water has
-    the kinetic energy of the flow about the body and its image.
-    """
-    expression = _slow_inertia(functions)
-    if expression is None:
-        return None
-    (flat,) = call(ca.Function("slow", [functions.p], [expression]), [p])
-    return flat.reshape(expression.shape, order="F")
-
-
-def _slow_inertia(functions: Functions) -> ca.SX | None:
-    """The same as an expression.
-
     With z' = A z + B nu at rest, slow motion has z = -A^-1 B nu - A^-2 B nu', so that a force C z is one of
-    the damping -C A^-1 B and of the inertia C A^-2 B.
+    the damping -C A^-1 B and of the inertia C A^-2 B. Of potential flow that inertia is positive: the free
+    surface is a rigid wall at frequency zero, and the water has the kinetic energy of the flow about the body
+    and its image.
     """
     f = functions
     rates = ca.jacobian(f.memory_rates, f.nu)
-    if not f.memory.numel() or not rates.nnz():
+    if not rates.nnz():
         return None
-    own = ca.densify(ca.jacobian(f.memory_rates, f.memory))
-    slow = ca.solve(own, ca.solve(own, ca.densify(rates)))
     weighed = {e.id for e in f.vehicle.all_effects if e.weighed}
     water = sum((w for i, w in f.wrenches.items() if i not in weighed), ca.SX(len(f.vehicle.dof_indices), 1))
-    inertia = ca.jacobian(f.residual, f.memory) @ slow - ca.jacobian(water, f.nu_dot)
+    wanted = [
+        ca.jacobian(f.memory_rates, f.memory),
+        rates,
+        ca.jacobian(f.residual, f.memory),
+        -ca.jacobian(water, f.nu_dot),
+    ]
     around = ca.vertcat(f.eta, f.nu, f.nu_dot, f.memory, f.actuation, f.t)
-    return ca.substitute(ca.densify(inertia), around, ca.SX.zeros(around.shape))
+    still = [ca.substitute(ca.densify(e), around, ca.SX.zeros(around.shape)) for e in wanted]
+    found = call(ca.Function("slow", [f.p], still), [p])
+    own, given, force, inertia = (a.reshape(e.shape, order="F") for a, e in zip(found, wanted, strict=True))
+    return inertia + force @ np.linalg.solve(own, np.linalg.solve(own, given))
 
 
 def _linear_damping(functions: Functions) -> ca.SX | None:
