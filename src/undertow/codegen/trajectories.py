@@ -312,7 +312,12 @@ def products_of(value: Array, slope: Array, measured: Array, weight: Array, grou
         return Products(found.table, found.squares, diverged=True)
     both = np.concatenate([rows, error[..., None]], axis=3)
     for g in range(groups):
-        part = np.where((group == g)[:, :, None, None], both, 0.0).reshape(b, -1, m + 1)
+        inside = group == g
+        there = np.flatnonzero(inside.any(axis=0))
+        if not there.size:
+            continue
+        span = slice(there[0], there[-1] + 1)
+        part = np.where(inside[:, span, None, None], both[:, span], 0.0).reshape(b, -1, m + 1)
         with np.errstate(over="ignore", invalid="ignore"):
             found.table[:, g] = np.swapaxes(part, 1, 2) @ part
     return Products(found.table, squares, diverged=not np.isfinite(found.table).all())

@@ -111,14 +111,14 @@ class Chained:
         x, s = map(drive.at_samples, every)
         reported, slope = shooting.report_slopes(x, s, drive.u, self.windows.t, p)
         end, by_all = x[:, -1, : self._size], s[:, -1, : self._size].copy()
-        both = shooting.differences(p, lambda moved: self._reports_and_ends(moved, starts))
+        both = shooting.differences(p, lambda moved: self._reports_and_ends(moved, starts, near=p))
         for k, values in both.items():
             slope[..., k], by_all[..., k] = values[:, :-1], values[:, -1]
         return self._assembled(reported, slope, end, by_all, starts)
 
-    def _reports_and_ends(self, p: Array, starts: Array) -> Array:
+    def _reports_and_ends(self, p: Array, starts: Array, near: Array) -> Array:
         """Reports of every window, and as a last row its end, shape (b, k + 1, 2n)."""
-        start, drive = self._predictor.start_and_drive(self.windows, p, starts)
+        start, drive = self._predictor.start_and_drive(self.windows, p, starts, near)
         x = drive.at_samples(self._predictor.simulator.run(start, drive.t, drive.held, p))
         reported = self._predictor.reported(x, self.windows.t, drive.u, p)
         return np.concatenate([reported, x[:, -1:, : self._size]], axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -38,12 +38,26 @@ class StartSettings:
     rounds: int = 12
     secant: float = 1e-6
     shares: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.0)  # of a step that are tried together
-    least_fall: float = 1e-6  # of the sum of squares, below which the search ends
+    # Where the search ends: fall of the sum of squares, as a share of it, or of the first fall where the
+    # beginning was known already but for a small change of the parameters.
+    least_fall: float = 1e-6
+    least_further_fall: float = 1e-3
     # Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
     kept: int = 24
 
 
 SETTINGS = StartSettings()
+
+
+@dataclass(frozen=True)
+class Origin:
+    """States at the beginning of every stretch of the logs by one set of parameters.
+
+    state: (stretches, nx); scale: (size,), how far off each own state may be there.
+    """
+
+    state: Array
+    scale: Array
 
 
 class OwnStates:
@@ -61,16 +75,22 @@ class OwnStates:
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(
-        self, windows: Windows, motion: Array, held: Sequence[Array], delay: float, p: Array
-    ) -> Array:
-        """Memory and actuator states at the start of every window, shape (b, size).
+        self,
+        windows: Windows,
+        motion: Array,
+        held: Sequence[Array],
+        delay: float,
+        p: Array,
+        near: Origin | None = None,
+    ) -> tuple[Array, Origin | None]:
+        """Memory and actuator states at the start of every window, (b, size), and where the stretches begin.
 
         `motion` (b, 2n) is the true one at the starts; commands `held`, (N, n_commands) for each run, arrive
-        `delay` s late.
+        `delay` s late. From what was found at parameters close by, `near`, it is a step or two.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
-            return own
+            return own, None
         stretches = _stretches(windows)
         first = np.array([rows[0] for rows in stretches])
         look = _first_windows(windows, first)
@@ -79,16 +99,16 @@ class OwnStates:
             shifted_mean(run.t, u, delay) if delay else u for run, u in zip(windows.runs, held, strict=True)
         ]
         rest = self._at_rest(drive.u[:, 0], look.t[:, 0], p)
-        scale = self._scale(
-            [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
+        if near is None:
+            from_rest = [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
+            near = Origin(np.column_stack([motion[first], rest]), self._scale(from_rest))
+        state = self._best_starts(
+            look, np.column_stack([motion[first], rest]), drive, near, _noise(windows), p
         )
-        begin = self._best_starts(
-            look, np.column_stack([motion[first], rest]), drive, scale, _noise(windows), p
-        )
-        for rows, state in zip(stretches, begin, strict=True):
-            along = self._along(windows, rows, drives, state, p)
+        for rows, begin in zip(stretches, state[:, -self.size :], strict=True):
+            along = self._along(windows, rows, drives, begin, p)
             own[rows] = along[windows.first[rows] - windows.first[rows[0]]]
-        return own
+        return own, replace(near, state=state)
 
     # --- along the log ------------------------------------------------------------------------
     def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
@@ -149,17 +169,17 @@ class OwnStates:
 
     # --- at its beginning ---------------------------------------------------------------------
     def _best_starts(
-        self, look: Windows, start: Array, drive: Drive, scale: Array, noise: Array, p: Array
+        self, look: Windows, start: Array, drive: Drive, near: Origin, noise: Array, p: Array
     ) -> Array:
-        """Own states at the beginning of every stretch."""
+        """States at the beginning of every stretch, sought from those of `near`."""
 
         def report(trials: Array) -> Array:
             rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
             return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
 
         measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
-        width = np.concatenate([SETTINGS.motion * noise, scale])
-        return best_start(report, measured, start, width)[:, -self.size :]
+        width = np.concatenate([SETTINGS.motion * noise, near.scale])
+        return best_start(report, measured, start, width, near.state)
 
 
 def _first_windows(windows: Windows, first: Index) -> Windows:
@@ -188,12 +208,18 @@ def _noise(windows: Windows) -> Array:
 _LOST = 1e300
 
 
-def best_start(report: Callable[[Array], Array], measured: Array, start: Array, width: Array) -> Array:
+def best_start(
+    report: Callable[[Array], Array],
+    measured: Array,
+    start: Array,
+    width: Array,
+    first: Array | None = None,
+) -> Array:
     """Starts (b, m) that explain best what follows, by Gauss-Newton with a prior around the given ones.
 
     `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
     (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
-    deviation of the prior.
+    deviation of the prior; the search begins at `first` (b, m), where given.
     """
     used = np.isfinite(measured)[:, None]
     known = np.where(used, measured[:, None], 0.0)
@@ -204,7 +230,8 @@ def best_start(report: Callable[[Array], Array], measured: Array, start: Array, 
         y = report((start[:, None] + moved * width).reshape(b * r, m))
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
-    moved = np.zeros_like(start)
+    moved = np.zeros_like(start) if first is None else (first - start) / width
+    least = None
     for _ in range(SETTINGS.rounds):
         step = _gauss_newton(residual, moved)
         trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
@@ -214,7 +241,10 @@ def best_start(report: Callable[[Array], Array], measured: Array, start: Array, 
         best = np.argmin(cost, axis=1)
         moved = trials[np.arange(len(best)), best]
         gained = cost[:, -1] - cost[np.arange(len(best)), best]
-        if not np.any(gained > SETTINGS.least_fall):
+        if least is None:
+            share = SETTINGS.least_fall * np.maximum(cost[:, -1], 1.0)
+            least = share if first is None else SETTINGS.least_further_fall * gained
+        if not np.any(gained > least):
             break
     return start + moved * width
 
@@ -233,6 +263,15 @@ def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
     return step
 
 
+@dataclass(frozen=True)
+class _Found:
+    """True motion and own states at the starts of windows, at one set of parameters."""
+
+    motion: Array
+    own: Array
+    origin: Origin | None
+
+
 class Predictor:
     """Predicts windows with one model; keeps its compiled code from one call to the next."""
 
@@ -243,7 +282,7 @@ class Predictor:
         self.sensor_delay = SensorDelay(self.functions)
         self._own_states = OwnStates(self.functions, self._points, self.sensor_delay, self.simulated)
         # Bound as one, so that threads with windows of their own do not mix them up.
-        self._recent: tuple[Callable[[], Windows | None], dict[bytes, tuple[Array, Array]]]
+        self._recent: tuple[Callable[[], Windows | None], dict[bytes, _Found]]
         self._recent = (lambda: None), {}
 
     def another(self) -> Predictor:
@@ -257,27 +296,34 @@ class Predictor:
         """Parameters of the vehicle."""
         return np.array(self.functions.values(), dtype=float)
 
-    def reports(self, windows: Windows, p: Array, motion: Array | None = None) -> Array:
+    def reports(
+        self, windows: Windows, p: Array, motion: Array | None = None, near: Array | None = None
+    ) -> Array:
         """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding.
 
-        `motion` (b, 2n) is the true one at the starts; as measured where not given.
+        `motion` (b, 2n) is the true one at the starts; as measured where not given. `near` are parameters
+        close by, from which the model's own states at the starts are sought.
         """
-        start, drive = self.start_and_drive(windows, p, motion)
+        start, drive = self.start_and_drive(windows, p, motion, near)
         reported = self.simulated(start, windows.t, drive, p, windows.start)
         reported[~windows.inside] = np.nan
         return reported
 
-    def start_and_drive(self, windows: Windows, p: Array, motion: Array | None = None) -> tuple[Array, Drive]:
-        """States at the start of every window, (b, nx), and the commands in it."""
+    def start_and_drive(
+        self, windows: Windows, p: Array, motion: Array | None = None, near: Array | None = None
+    ) -> tuple[Array, Drive]:
+        """States at the start of every window, (b, nx), and the commands in it, as for `reports`."""
+        found = self._found(windows, p, near)
+        drive = self._drive(windows, p)[0]
+        return np.column_stack([found.motion if motion is None else motion, found.own]), drive
+
+    def _drive(self, windows: Windows, p: Array) -> tuple[Drive, list[Array], float]:
+        """Commands as they arrive in every window, as they were sent in every run, and their delay."""
         held = [without_gaps(run.matrix(windows.commands)) for run in windows.runs]
         delay = float(self.functions.dead_time(p))
-        drive = arriving(windows, held, delay)
-        measured, own = self._found(windows, drive.u, held, delay, p)
-        return np.column_stack([measured if motion is None else motion, own]), drive
+        return arriving(windows, held, delay), held, delay
 
-    def _found(
-        self, windows: Windows, u: Array, held: list[Array], delay: float, p: Array
-    ) -> tuple[Array, Array]:
+    def _found(self, windows: Windows, p: Array, near: Array | None = None) -> _Found:
         """Measured motion and own states at the starts, kept for the next calls with the same parameters.
 
         A descent comes back to the same parameters again and again while it moves the starts. Of one set of
@@ -286,14 +332,16 @@ class Predictor:
         of, recent = self._recent
         if of() is not windows:
             of, recent = self._recent = weakref.ref(windows), {}
-        found = recent.get(key := p.tobytes())
-        if found is None:
-            measured = self.measured_motion(windows, u, p)
-            found = measured, self._own_states.at_starts(windows, measured, held, delay, p)
+        key = p.tobytes() + (b"" if near is None else near.tobytes())
+        if key not in recent:
+            origin = None if near is None else self._found(windows, near).origin
+            drive, held, delay = self._drive(windows, p)
+            motion = self.measured_motion(windows, drive.u, p)
+            own, origin = self._own_states.at_starts(windows, motion, held, delay, p, origin)
             if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
-            recent[key] = found
-        return found
+            recent[key] = _Found(motion, own, origin)
+        return recent[key]
 
     def measured_motion(self, windows: Windows, u: Array, p: Array) -> Array:
         """True pose and velocity at the start of every window by what was measured around it, (b, 2n)."""

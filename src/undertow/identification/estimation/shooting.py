@@ -356,7 +356,7 @@ class Shooting:
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
         """Derivatives of the report in parameters that act before a window starts, too."""
-        return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts))
+        return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts, near=p))
 
     def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
         """Derivatives by finite differences in those free parameters that act before a window starts."""
