@@ -371,3 +371,13 @@ def test_a_channel_in_the_place_of_another_is_no_reason_to_stop(usv: Case, read:
     mapping = LogMapping.model_validate({"columns": {"x": "v", "v": "y", "y": {"channel": "zz"}}})
     found = examine(vehicle_of(usv), [read(columns, vehicle_of(usv), mapping)])
     assert found.result.findings
+
+
+@pytest.mark.parametrize("roll", [0.4, 0.6])
+def test_what_a_zero_would_mend_as_well_is_no_other_unit(roll: float) -> None:
+    """A tilted compass lets sway leak into heave and turns the track: v in km/h would hide the first only."""
+    case = make_case("mini-auv", (), 6, duration=60.0, runs=("steps",))
+    (run,) = runs_of(case)
+    tilted = {"phi": run.channels["phi"] + roll, "psi": run.channels["psi"] + 0.6}
+    examined = examine(vehicle_of(case), [replace(run, channels={**run.channels, **tilted})])
+    assert [f.text for f in examined.result.findings if "unit" in f.id] == []

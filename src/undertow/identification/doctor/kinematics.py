@@ -199,6 +199,12 @@ class Kinematics:
         )
         return Mismatch(share, np.maximum(floor, SETTINGS.quadrature))
 
+    def changed(self, first: Rates, second: Rates) -> Array:
+        """How much of the motion of every block differs between two sets of rates, (b,), as of `Mismatch`."""
+        change = (second.pose - first.pose) ** 2 + (second.velocity - first.velocity) ** 2
+        power = first.pose**2 + first.velocity**2
+        return np.array([change[:, b].sum() / max(power[:, b].sum(), 1e-30) for b in self.blocks])
+
 
 def jacobian(pose: Array) -> Array:
     """J(eta) with d(eta)/dt = J(eta) nu, from (n, 6) poses, shape (n, 6, 6) (Fossen 2021, chapter 2)."""

@@ -524,7 +524,7 @@ def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -
         return None
     known = [m for m in reading_mistakes(mapping, runs) if m.id == "degrees_for_radians"]
     wanted = {n for n in (ANGLES if tilted else ("psi",)) if runs[0].has(n)}
-    found = next((m for m in known if _changed(m, runs[0]) == wanted), None)
+    found = next((m for m in known if changed_channels(m, runs[0]) == wanted), None)
     if found is None:
         return None
     reason = (
@@ -535,7 +535,7 @@ def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -
     return Explanation(found, f"{found.clause}: {reason}, which is no vehicle's in radians", {})
 
 
-def _changed(mistake: Mistake, run: Run) -> set[str]:
+def changed_channels(mistake: Mistake, run: Run) -> set[str]:
     """Channels that undoing a mistake changes."""
     after = mistake.undo(run)
     return {n for n in run.channels if not np.array_equal(after.channels[n], run.channels[n], equal_nan=True)}

@@ -13,11 +13,20 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .findings import Edit, Edits, Finding
 from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch
-from .mistakes import PLAUSIBLE, UNITS_OF_MOTION, Mistake, both, turning
+from .mistakes import (
+    PLAUSIBLE,
+    SPEEDS,
+    UNITS_OF_MOTION,
+    Mistake,
+    both,
+    changed_channels,
+    turning,
+    with_channels,
+)
 
 _ALIKE = {
     "velocity_misalignment": ("attitude_bias",),
@@ -329,14 +338,44 @@ def _sizes(kinematics: Kinematics, runs: Sequence[Run]) -> Array:
 def _decisive(
     kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, known: Iterable[Mistake]
 ) -> list[tuple[Mistake, Mismatch]]:
-    tried = ((m, kinematics.mismatch([m.undo(run) for run in runs])) for m in known)
-    found = [(m, after) for m, after in tried if explains(before, after)]
-    # A little less mismatch is no other unit: that makes much of it.
-    return [
-        (m, after)
-        for m, after in found
-        if m.id not in UNITS_OF_MOTION or _explained(before, after) > PLAUSIBLE.other_unit
-    ]
+    given, found = kinematics.rates(runs), []
+    for mistake in known:
+        rates = kinematics.rates([mistake.undo(run) for run in runs])
+        after = kinematics.of_rates(rates)
+        touched = kinematics.changed(given, rates) > SETTINGS.matters
+        if not explains(before, after) or _left_alone(before, after, touched):
+            continue
+        if not _UNITS & {*mistake.id.split("+")} or _shows_unit(kinematics, runs, mistake, before, after):
+            found.append((mistake, after))
+    return found
+
+
+def _left_alone(before: Mismatch, after: Mismatch, touched: Flags) -> bool:
+    """Whether a mismatch stays where a mistake takes part in it: then that is not what is wrong there."""
+    wrong = inconsistent(before) & touched
+    return bool(np.any(after.excess[wrong] > before.excess[wrong] / SETTINGS.worse))
+
+
+_UNITS = UNITS_OF_MOTION | {"degrees_for_radians"}
+
+
+def _shows_unit(
+    kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake, before: Mismatch, after: Mismatch
+) -> bool:
+    """Whether a mismatch that goes away tells of another unit.
+
+    A little less of it does not where a sensor may be off as much. Nor does what goes away as well once the
+    channels are zero: in their own unit they agree with the rest.
+    """
+    if mistake.id in UNITS_OF_MOTION and not _explained(before, after) > PLAUSIBLE.other_unit:
+        return False
+    return _explained(kinematics.mismatch([_silenced(mistake, run) for run in runs]), after) > 0.0
+
+
+def _silenced(mistake: Mistake, run: Run) -> Run:
+    """A run with zeros in the velocities whose unit a mistake is about, or in the positions."""
+    names = changed_channels(mistake, run)
+    return with_channels(run, {n: np.zeros(len(run.t)) for n in names & set(SPEEDS) or names})
 
 
 def _distinct(kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake]) -> list[Mistake]:
