@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).parents[1]
 WIDTH = 108
+NOISE = {**dict.fromkeys("xyz", 0.01), **dict.fromkeys(("psi", "u", "v", "w", "r"), 0.005)}
+"""Standard deviations of the sensors of a flight, m, rad, m/s and rad/s."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,32 @@ class Shell:
             raise RuntimeError(f"undertow {' '.join(words)} ended with {done.returncode}: {done.stderr}")
         lines = [line.rstrip() for line in done.stdout.strip("\n").splitlines()]
         return Said(list(words), done.returncode, "\n".join(lines))
+
+    def fly(self, flights: Mapping[str, str]) -> None:
+        """Log the true vehicle on its way to the set-point of each flight, with noise in every sensor."""
+        noise = [word for name, size in NOISE.items() for word in ("--noise", f"{name}={size}")]
+        for seed, (name, to) in enumerate(flights.items(), start=1):
+            words = ["simulate", "truth.toml", "survey.toml", f"--to={to}", "--for", "40", "--dt", "0.02"]
+            self.undertow(*words, *noise, "--seed", str(seed), "--log", "0.1", "--out", f"{name}.csv")
+
+
+def aloud(words: str) -> None:
+    """Say on stderr what is being done."""
+    print(words, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def folders(program: str, about: str | None, arguments: Sequence[str] | None) -> Iterator[tuple[Path, Path]]:
+    """Command line of a program that makes a page: where its commands run, and where the page goes."""
+    parser = argparse.ArgumentParser(prog=f"python -m {program}", description=about)
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="default: %(default)s")
+    parser.add_argument("--keep", type=Path, help="folder for the files of the way, which are kept")
+    options = parser.parse_args(arguments)
+    with TemporaryDirectory() as passing:
+        work = options.keep or Path(passing)
+        for folder in (work, options.out / "images"):
+            folder.mkdir(parents=True, exist_ok=True)
+        yield work, options.out
 
 
 def block(said: Said, most: int = 80) -> str:

@@ -39,6 +39,7 @@ def test_there_are_at_most_twenty_names() -> None:
         assert getattr(ut, name) is not None
 
 
+@pytest.mark.docs
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_the_example_of_a_function_does_what_it_says(name: str) -> None:
     function = getattr(ut, name)

@@ -364,6 +364,15 @@ def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
     )
 
 
+def test_the_page_of_numbers_has_every_number_as_it_is_now() -> None:
+    def rows(text: str) -> list[list[str]]:
+        return [line.split(" | ")[:-2] for line in text.splitlines() if line.startswith("| `")]
+
+    stored = (Path(__file__).parents[1] / "docs" / "ablation.md").read_text(encoding="utf-8")
+    assert rows(stored) == rows(ablation_page([]))
+    assert len(rows(stored)) == len(Settings.about())
+
+
 # --- running -----------------------------------------------------------------------------------------------
 
 

@@ -2,48 +2,38 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from undertow.control.guidance.mission import load_mission
 from undertow.figures import save_png
 from undertow.files import write_whole
 
 from ..missions import errors, tracks
-from ..shell import Said
+from ..shell import Said, aloud, folders
 from .page import estimates, page, picture
-from .steps import MISSION, Chain
+from .steps import FLIGHTS, MISSION, Chain
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Make the page and its picture."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.chain", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="default: %(default)s")
-    parser.add_argument("--keep", type=Path, help="folder for the files of the way, which are kept")
-    options = parser.parse_args(arguments)
-    with TemporaryDirectory() as passing:
-        folder = options.keep or Path(passing)
-        folder.mkdir(parents=True, exist_ok=True)
-        chain = Chain(folder, lambda words: print(words, file=sys.stderr, flush=True))
+    with folders("benchmarks.chain", __doc__, arguments) as (folder, out):
+        chain = Chain(folder, aloud)
         said, gains = worked(chain)
-        images = options.out / "images"
-        images.mkdir(parents=True, exist_ok=True)
+        images = out / "images"
         save_png(picture(folder), images / "chain.png")
         mission = chain.followed()
         run = {"true": mission}
         save_png(tracks(run, "Four legs, current 0.13 m/s"), images / "chain-mission-track.png")
         save_png(errors(run, "cross track", 1.0, "m"), images / "chain-mission-errors.png")
         save_png(estimates(mission, load_mission(folder / MISSION)), images / "chain-mission-estimates.png")
-        write_whole(options.out / "chain.md", page(said, gains))
+        write_whole(out / "chain.md", page(said, gains))
     return 0
 
 
 def worked(chain: Chain) -> tuple[dict[str, Said], dict[str, str]]:
     """Go through the chain: what the commands said, and both gain files."""
     said, gains = {}, {}
-    chain.fly()
+    chain.fly(FLIGHTS)
     said["fit"] = chain.fit()
     gains["first"] = chain.tune()
     said["gains on the model"] = chain.check("rov.toml", expect=0)

@@ -16,22 +16,13 @@ from .tuning import gain_file
 HERE = Path(__file__).parent
 FLIGHTS = {"run1": "8,1,1,0", "run2": "1,8,0,0", "run3": "-6,-6,1,1", "run4": "-7,5,1,-1"}
 """Set-points of the flights that are logged; the last one is kept aside."""
-NOISE = {**dict.fromkeys("xyz", 0.01), **dict.fromkeys(("psi", "u", "v", "w", "r"), 0.005)}
 MISSION = "four-legs.toml"
 GOAL = ["--to", "2,1,1,0", "--for", "240", "--dt", "0.02", "--log", "0.2"]
 LOGS = ["run1.csv", "run2.csv", "run3.csv", "--holdout", "run4.csv"]
 
 
 class Chain(Shell):
-    """The chain in a folder of its own.
-
-    Parameters
-    ----------
-    folder : Path
-        Where files are written.
-    tell : callable
-        Is told what is being done.
-    """
+    """The chain in a folder of its own."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda words: None) -> None:
         super().__init__(folder, tell)
@@ -40,13 +31,6 @@ class Chain(Shell):
         (folder / "rov.toml").write_text(without_drag((folder / "truth.toml").read_text()))
 
     # --- steps --------------------------------------------------------------------------------
-    def fly(self) -> None:
-        """Log the true vehicle, with noise in every sensor."""
-        noise = [word for name, size in NOISE.items() for word in ("--noise", f"{name}={size}")]
-        for seed, (name, to) in enumerate(FLIGHTS.items(), start=1):
-            words = ["simulate", "truth.toml", "survey.toml", f"--to={to}", "--for", "40", "--dt", "0.02"]
-            self.undertow(*words, *noise, "--seed", str(seed), "--log", "0.1", "--out", f"{name}.csv")
-
     def fit(self) -> Said:
         """Fit the model that lacks an effect."""
         return self.undertow("fit", "rov.toml", *LOGS, "--in-place")

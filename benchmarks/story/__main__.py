@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from undertow.figures import save_png
 from undertow.files import write_whole
 
-from ..shell import Said
+from ..shell import Said, aloud, folders
 from .page import page, picture
-from .steps import FIRST, SECOND, Story
+from .steps import FIRST, SECOND, TRIALS, Story
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Make the page and its picture."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.story", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="default: %(default)s")
-    parser.add_argument("--keep", type=Path, help="folder for the files of the way, which are kept")
-    options = parser.parse_args(arguments)
-    with TemporaryDirectory() as passing:
-        folder = options.keep or Path(passing)
-        folder.mkdir(parents=True, exist_ok=True)
-        said = told(Story(folder, lambda words: print(words, file=sys.stderr, flush=True)))
-        save_png(picture(folder), options.out / "images" / "story.png")
-        write_whole(options.out / "story.md", page(said))
+    with folders("benchmarks.story", __doc__, arguments) as (folder, out):
+        said = told(Story(folder, aloud))
+        save_png(picture(folder), out / "images" / "story.png")
+        write_whole(out / "story.md", page(said))
     return 0
 
 
@@ -40,7 +31,7 @@ def told(story: Story) -> dict[str, Said]:
     said["first on the vehicle"] = story.simulate(
         "auv.toml", "first.toml", "on-vehicle.csv", "--plant", "truth.toml"
     )
-    story.fly()
+    story.fly(TRIALS)
     said["diagnosis"] = story.diagnose()
     said["added"] = story.add()
     said["gains on the complete model"] = story.check("complete.toml", "first.toml", expect=1)

@@ -14,7 +14,6 @@ LAG = 0.6
 """Time constant of the thrusters of the true vehicle, s: what the tank cannot know."""
 TRIALS = {"trial1": "4,1,1,0.5", "trial2": "1,-3,-0.5,-1", "trial3": "-4,2,1,1.5", "trial4": "-3,-3,0.5,-0.8"}
 """Set-points of the flights of the sea trial; the last one is kept aside."""
-NOISE = {**dict.fromkeys("xyz", 0.01), **dict.fromkeys(("psi", "u", "v", "w", "r"), 0.005)}
 LOGS = ["trial1.csv", "trial2.csv", "trial3.csv", "--holdout", "trial4.csv"]
 GOAL = ["--to", "0.15,0.1,0.1,0.1", "--for", "60", "--dt", "0.02", "--log", "0.1"]
 HULL = ["--mesh", "hull.stl", "--mass", "7.5", "--dof", "surge,sway,heave,yaw", "--panels", "1600"]
@@ -64,13 +63,6 @@ class Story(Shell):
     def check(self, vehicle: str, gains: str, expect: int) -> Said:
         """The certificate."""
         return self.undertow("gains", vehicle, gains, "--form", "derived", expect=expect)
-
-    def fly(self) -> None:
-        """The sea trial: the true vehicle with noise in every sensor."""
-        noise = [word for name, size in NOISE.items() for word in ("--noise", f"{name}={size}")]
-        for seed, (name, to) in enumerate(TRIALS.items(), start=1):
-            words = ["simulate", "truth.toml", "survey.toml", f"--to={to}", "--for", "40", "--dt", "0.02"]
-            self.undertow(*words, *noise, "--seed", str(seed), "--log", "0.1", "--out", f"{name}.csv")
 
     def diagnose(self) -> Said:
         """What the model lacks."""

@@ -24,8 +24,9 @@ All of them stand in `undertow.identification.diagnosis.settings.Settings`. The 
 them off in turn, where that is possible, and diagnoses a fixed sample of the cases of the
 [trust benchmark](trust.md) again. The table counts the answers (verdict, effects named, sets) that differ
 from those of the default settings. A number that makes no difference on the whole sample is to be removed;
-where fewer cases were run than the sample has, no difference is no evidence. A number with * was added for
-a single case of a benchmark.
+where fewer cases were run than the sample has, no difference is no evidence. Where it says "not run" there is
+no ablation yet, and the number rests on what stands under "chosen by" alone. A number with * was added for a
+single case of a benchmark.
 
 """
 HOW = """

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from benchmarks.hidden_effects import make_case
+from benchmarks.hidden_effects import Case, make_case
 from benchmarks.hidden_effects.files import toml_text
 from tests.cli.bad import contents, refusal, text_of
 from undertow.cli.main import main
@@ -15,6 +16,11 @@ from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.doctor.findings import Examination
 
 LOG = ["doctor", "usv.toml", "train.csv"]
+
+
+@cache
+def _box() -> Case:
+    return make_case("box", (), 4, duration=25.0, runs=("multisine",))
 
 
 def _lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -123,9 +129,8 @@ def test_diagnose_tells_the_mistake_before_it_blames_physics(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    simulated = make_case("box", (), 4, duration=25.0, runs=("multisine",))
-    columns = simulated.runs["multisine"]
-    Path("box.toml").write_text(toml_text(simulated.vehicle))
+    columns = _box().runs["multisine"]
+    Path("box.toml").write_text(toml_text(_box().vehicle))
     Path("log.csv").write_text(text_of({**columns, "u": -columns["u"]}))
     assert main(["diagnose", "box.toml", "log.csv", "--json", "out.json"]) == 2
     assert "u has the opposite sign" in capsys.readouterr().err
@@ -156,9 +161,8 @@ def test_every_command_that_fits_refuses_what_cannot_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    simulated = make_case("box", (), 4, duration=25.0, runs=("multisine",))
-    columns = simulated.runs["multisine"]
-    Path("box.toml").write_text(toml_text(simulated.vehicle))
+    columns = _box().runs["multisine"]
+    Path("box.toml").write_text(toml_text(_box().vehicle))
     Path("log.csv").write_text(
         text_of({n: columns[n] for n in ("t", "u", "f1", "f2")} | {"u": 1e3 * columns["u"]})
     )

@@ -128,6 +128,9 @@ def test_each_verdict_says_what_to_do() -> None:
     either = _diagnosis("indistinguishable", indistinguishable=equals)
     assert "but wind would do the same" in first_sentence(either)
     assert "--goal separate --between lift,wind --out plan.csv" in next_command(either, LINE)
+    helped = _diagnosis("missing_effect", helps=["wind", "slosh"])
+    also = "; adding wind and slosh as well improves predictions further, without establishing a cause."
+    assert first_sentence(helped).endswith(f"on validation runs{also}")
     useful = _diagnosis("helps_prediction")
     assert "from 9.0 to 3.3 % on validation runs, but is not established" in first_sentence(useful)
     assert "undertow add lift" in next_command(useful, LINE)

@@ -20,9 +20,10 @@ from undertow.identification.estimation.test_functions import boxes
 from undertow.identification.estimation.test_functions import test_functions as functions_on
 from undertow.identification.estimation.weak_form import fit_weak, free_parameters, with_process_noise
 from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
-from undertow.model.vehicle import Value
+from undertow.model.vehicle import Value, Vehicle
 
 CLOCK = np.arange(0.0, 20.001, 0.05)
 
@@ -105,9 +106,17 @@ SHAPED = {
 }
 
 
+@pytest.fixture(scope="module")
+def ship(tmp_path_factory: pytest.TempPathFactory) -> tuple[Vehicle, list[Run]]:
+    """A surface vehicle from which nothing is hidden, and its runs of 20 s."""
+    return _case(tmp_path_factory.mktemp("ship"), "usv", (), 5, 20.0)
+
+
 @pytest.mark.parametrize("effect", sorted(SHAPED))
-def test_derivative_of_the_residual_is_that_of_finite_differences(effect: str, tmp_path: Path) -> None:
-    model, runs = _case(tmp_path, "usv", (), 5, 20.0)
+def test_derivative_of_the_residual_is_that_of_finite_differences(
+    effect: str, ship: tuple[Vehicle, list[Run]]
+) -> None:
+    model, runs = ship
     cls = catalogue()[effect]
     model = model.with_effect(cls, {n: Value(v, estimate=True) for n, v in SHAPED[effect].items()})
     data = prepare(runs[:1], model)
@@ -127,9 +136,9 @@ def test_derivative_of_the_residual_is_that_of_finite_differences(effect: str, t
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.13])
-def test_derivative_in_the_delay(delay: float, tmp_path: Path) -> None:
+def test_derivative_in_the_delay(delay: float, ship: tuple[Vehicle, list[Run]]) -> None:
     """On from where it is: at a multiple of the step the derivative jumps, and no delay is below zero."""
-    model, runs = _case(tmp_path, "usv", (), 5, 20.0)
+    model, runs = ship
     model = model.with_effect(catalogue()["actuation_delay"], {"delay": Value(delay, estimate=True)})
     data = prepare(runs[:1], model)
     weak = WeakModel(Functions(model), ("delay",))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sm
 
 import undertow as ut
 from tests.quick import first_quick
@@ -72,7 +73,7 @@ def _force(vehicle: Vehicle, nu: np.ndarray, thrust: float, angle: float) -> np.
     known = {n: vehicle.value_of(n).value for n in vehicle.parameter_names}
     wrench = next(w for e, w in vehicle.composition.wrenches.items() if e.id == "control_surfaces")
     at = known | dict(zip("uvwpqr", nu, strict=True)) | {"actuation_prop": thrust, "deflection_fin": angle}
-    return np.array(wrench.subs({symbol(n): v for n, v in at.items()}), dtype=float)[:, 0]
+    return np.array(wrench.xreplace({symbol(n): sm.Float(v) for n, v in at.items()}), dtype=float)[:, 0]
 
 
 @pytest.mark.parametrize("seed", range(4))

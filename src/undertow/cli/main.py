@@ -36,7 +36,11 @@ def commands() -> dict[str, str]:
 
     ``a_b.py`` is the command ``a-b``, ``import_.py`` the command ``import``; its folder only sorts it.
     """
-    return {name: _help(name).partition("\n")[0] for name in sorted([*_specs(), *_IN_FILE_OF])}
+    return {name: _first_line(name) for name in _names()}
+
+
+def _names() -> list[str]:
+    return sorted([*_specs(), *_IN_FILE_OF])
 
 
 def load(name: str) -> Any:
@@ -58,6 +62,11 @@ class LazyCommand(TyperCommand):
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         assert self.name is not None
         return load(self.name).make_context(info_name, each_named(args), parent, **extra)
+
+    def get_short_help_str(self, limit: int = 45) -> str:
+        # Only the list of commands asks: to parse the files of all of them takes longer than all else here.
+        assert self.name is not None
+        return _first_line(self.name)
 
 
 def each_named(words: Sequence[str]) -> list[str]:
@@ -82,6 +91,10 @@ def _command_of(module: ModuleType, name: str) -> Any:
         app.command()(getattr(module, _module(name)))
     app.rich_markup_mode = None  # plain text everywhere: quick to import, readable in a log
     return typer.main.get_group(app) if several else typer.main.get_command(app)
+
+
+def _first_line(name: str) -> str:
+    return _help(name).partition("\n")[0]
 
 
 def _help(name: str) -> str:
@@ -258,8 +271,8 @@ def _present(words: list[str] | None) -> list[str] | None:
 
 def _root() -> Any:
     group: Any = typer.main.get_command(_app)  # a group, because there is a callback
-    for name, line in commands().items():
-        group.add_command(LazyCommand(name, short_help=line))
+    for name in _names():
+        group.add_command(LazyCommand(name))
     return group
 
 

@@ -240,7 +240,8 @@ def mass_matrix_at(vehicle: Vehicle, direction: int = 1) -> list[list[float]]:
     values = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
     values |= dict.fromkeys(vehicle.composition.nu, sm.Integer(direction))
     values |= {x: sm.Integer(0) for x in matrix.free_symbols if x not in values}
-    return [[float(matrix[i, j].subs(values)) for j in range(matrix.cols)] for i in range(matrix.rows)]
+    # In one go, where `subs` would put in one symbol after the other.
+    return [[float(x) for x in row] for row in matrix.xreplace(values).tolist()]
 
 
 def hints(vehicle: Vehicle) -> list[str]:

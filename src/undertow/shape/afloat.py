@@ -200,15 +200,16 @@ def _series_lines(
     kind = slice(0, 3) if i < 3 else slice(3, 6)
     floor = _RULES.small * float(np.abs(alike[:, kind]).max())
     unit = ("N" if i < 3 else "N m") + ("/m^2" if mark == "drift" else "/m")
-    for n, c in enumerate(_series(i, headings, values), start=int(DOFS[i] in ODD)):
+    for n, c in enumerate(_series(i, headings, values)[0], start=int(DOFS[i] in ODD)):
         if abs(c) > floor:
             yield entry_line(f"{FORCE[i]}_{mark}{n}", float(c), unit, source=source)
 
 
-def _series(i: int, headings: Array, values: Array) -> Array:
-    """Coefficients of the harmonics nearest to values at headings of one side."""
+def _series(i: int, headings: Array, values: Array) -> tuple[Array, Array]:
+    """Coefficients of the harmonics nearest to values at headings of one side, and what they miss there."""
     table = np.array([harmonics(DOFS[i], float(h)) for h in headings])
-    return np.asarray(np.linalg.lstsq(table, values, rcond=None)[0])
+    found = np.asarray(np.linalg.lstsq(table, values, rcond=None)[0])
+    return found, values - table @ found
 
 
 def heading_error(found: RegularWave) -> float:
@@ -216,8 +217,7 @@ def heading_error(found: RegularWave) -> float:
     scale = np.abs(found.excitation).reshape(-1, 2, 3).max(axis=(0, 2))
     rest = []
     for i in range(6):
-        table = np.array([harmonics(DOFS[i], float(h)) for h in found.headings])
         values = np.column_stack([found.excitation[:, i].real, found.excitation[:, i].imag])
-        missed = values - table @ np.linalg.lstsq(table, values, rcond=None)[0]
+        missed = _series(i, found.headings, values)[1]
         rest.append(float(np.abs(missed).max() / scale[int(i > 2)]))
     return max(rest)

@@ -16,8 +16,7 @@ from undertow.typing import Array, Progress
 from .bodies import AddedMass, transformed
 from .first import GRAVITY
 from .mesh import Mesh, load_capytaine
-from .panels import _UP as UP
-from .panels import panels
+from .panels import UP, panels
 
 Complex = NDArray[np.complex128]
 

@@ -494,8 +494,11 @@ def quartered(mesh: Mesh, of_face: Faces, middles: Array) -> Mesh:
 
 def each_edge(mesh: Mesh) -> tuple[Faces, Faces]:
     """Every edge once, and the edges of each triangle: from its first corner, its second, its third."""
-    edges, place = np.unique(np.sort(edges_of(mesh.faces), axis=1), axis=0, return_inverse=True)
-    return edges, place.reshape(3, -1).T
+    ends = np.sort(edges_of(mesh.faces), axis=1).astype(np.int64)
+    # One number for each edge, in the same order: rows would be compared byte by byte.
+    count = max(len(mesh.vertices), 1)
+    found, place = np.unique(ends[:, 0] * count + ends[:, 1], return_inverse=True)
+    return np.column_stack(np.divmod(found, count)).astype(mesh.faces.dtype), place.reshape(3, -1).T
 
 
 def _simplified(mesh: Mesh, count: int) -> Mesh:

@@ -172,7 +172,7 @@ def _angles(mesh: Mesh) -> Array:
 
 
 # Between body axes (z down) and those of the panel method (z up).
-_UP = np.diag([1.0, -1.0, -1.0])
+UP = np.diag([1.0, -1.0, -1.0])
 _LIMITS = (
     "ideal fluid: no separation, no boundary layer; appendages, thrusters and openings count as far as the "
     "mesh has them"
@@ -279,7 +279,7 @@ def _solved(
     cpt: Any, mesh: Mesh, centre: Array, density: float, depth: float | None, omega: float
 ) -> NDArray[np.complex128]:
     """Added mass + i radiation damping about the centre of the hull, body axes, shape (6, 6)."""
-    vertices = (mesh.vertices - centre) @ _UP - np.array([0.0, 0.0, depth or 0.0])
+    vertices = (mesh.vertices - centre) @ UP - np.array([0.0, 0.0, depth or 0.0])
     place = (0.0, 0.0, -(depth or 0.0))
     body = cpt.FloatingBody(
         mesh=cpt.Mesh(vertices, mesh.faces), dofs=cpt.rigid_body_dofs(rotation_center=place), name="hull"
@@ -302,7 +302,7 @@ def _solved(
             f"capytaine gave no result for {len(mesh.faces)} panels, which take "
             f"{PANEL_RULES.pair * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
         )
-    return transformed(found.real, _UP) + 1j * transformed(found.imag, _UP)
+    return transformed(found.real, UP) + 1j * transformed(found.imag, UP)
 
 
 def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:

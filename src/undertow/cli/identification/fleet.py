@@ -165,8 +165,11 @@ def _seen(vehicle: str) -> str | None:
     """A vehicle as workers see it; None where each vehicle has a file of its own."""
     from undertow.fleet.diagnose import PLACE
 
-    if PLACE in vehicle:
-        return None
+    return None if PLACE in vehicle else _whole_path(vehicle)
+
+
+def _whole_path(vehicle: str) -> str:
+    """The whole path of a vehicle file, or the name of a bundled vehicle."""
     return str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
 
 
@@ -215,8 +218,7 @@ def rollouts(
         missing = next((log for log in logs if not log.is_file()), None)
         if missing is not None:
             raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
-        seen = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
-        mapping = options.mapping
+        seen, mapping = _whole_path(vehicle), options.mapping
         job = RolloutJob(
             seen, options.files, mapping, options.fill, options.trust_log, horizon, coverage, seed
         )

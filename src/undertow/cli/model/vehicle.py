@@ -255,9 +255,11 @@ def _afloat(mesh: Mesh, spec: HullSpec, floating: bool, wave: str | None, finest
 
 def show_afloat(made: FloatingVehicle) -> None:
     """Print what a hull at the surface does at every frequency, and how well its memory is fitted."""
+    from undertow.model.symbols import VELOCITY
+
     hull, memory = made.hull, made.memory
     say(f"draught {hull.draught:.4g} m, {hull.panels} panels under water")
-    own = (0, 1, 2, 3, 4, 5)
+    own = range(6)
     rows = [
         (
             f"{w:.3g}",
@@ -268,7 +270,7 @@ def show_afloat(made: FloatingVehicle) -> None:
     ]
     heads = ("rad/s", *(f"A{i + 1}{i + 1}" for i in own), *(f"B{i + 1}{i + 1}" for i in own))
     console().print(table(heads, rows, indent=0))
-    left = ", ".join(f"{'uvwpqr'[i]} {100 * e:.0f} %" for i, e in memory.error.items())
+    left = ", ".join(f"{VELOCITY[i]} {100 * e:.0f} %" for i, e in memory.error.items())
     say(f"memory: {memory.effect}, order {memory.order}; left of its kernel: {left}")
 
 

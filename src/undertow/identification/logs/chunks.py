@@ -149,6 +149,22 @@ class LongLog:
         header = next((line for line in lines if is_header(line, self._comment)), b"")
         return int(whole / length), header.count(self.mapping.delimiter.encode()) + 1
 
+    def stretches(self, column: str) -> list[pl.LazyFrame]:
+        """The stretches of its file: of a Parquet file where they are in it, of a text their rows."""
+        if not is_parquet(self._begin):
+            parts = stretches_of(opened_table(self.path, self.mapping).table, column, self._where)
+            return [part.lazy() for part in parts]
+        must_have(column, self._flat.collect_schema().names(), self._where, "column of stretches,")
+        row = pl.col("row")
+        ranges = (
+            self._flat.select(column).with_row_index("row").drop_nulls().group_by(column)
+            .agg(row.min().alias("first"), (row.max() + 1).alias("stop"), pl.len().alias("rows"))
+            .sort("first").collect(engine="streaming")
+        )  # fmt: skip
+        if not ranges.height:
+            raise UndertowError(nothing_numbered(column, self._where))
+        return [_rows_of(self._flat, column, *one) for one in ranges.iter_rows()]
+
     def glances(self, count: int, rows: int) -> Iterator[Run]:
         """Some rows from each of several places along the log; places that cannot be read are left out."""
         rows *= min(self.mapping.time.every, _MOST_SKIPPED)
@@ -320,34 +336,13 @@ def long_logs(
     column = whole.mapping.time.stretch
     if column is None or not path.is_file():
         return [whole]
-    return _numbered(whole, _stretches_of_file(whole, column))
+    return _numbered(whole, whole.stretches(column))
 
 
 def _numbered(whole: LongLog, parts: Sequence[pl.LazyFrame]) -> list[LongLog]:
     if len(parts) == 1:
         return [replace(whole, table=parts[0])]
     return [replace(whole, table=part, stretch=k) for k, part in enumerate(parts, 1)]
-
-
-def _stretches_of_file(log: LongLog, column: str) -> list[pl.LazyFrame]:
-    """The stretches of a table: of a Parquet file where they are in it, of a text their rows."""
-    where = f"log {log.path}"
-    with log.path.open("rb") as file:
-        begin = file.read(4)
-    if not is_parquet(begin):
-        parts = stretches_of(opened_table(log.path, log.mapping).table, column, where)
-        return [part.lazy() for part in parts]
-    flat = flat_table(log.path, where)
-    must_have(column, flat.collect_schema().names(), where, "column of stretches,")
-    row = pl.col("row")
-    ranges = (
-        flat.select(column).with_row_index("row").drop_nulls().group_by(column)
-        .agg(row.min().alias("first"), (row.max() + 1).alias("stop"), pl.len().alias("rows"))
-        .sort("first").collect(engine="streaming")
-    )  # fmt: skip
-    if not ranges.height:
-        raise UndertowError(nothing_numbered(column, where))
-    return [_rows_of(flat, column, *one) for one in ranges.iter_rows()]
 
 
 def _rows_of(

@@ -124,10 +124,10 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     left = f"the refitted model has {errors_now} {judged}" if errors_now else "the refitted model fails"
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
     helping = listed(diagnosis.helps)
-    beside = f"; beside it {helping} to predict, not established as a cause" if helping else ""
+    also = f"; adding {helping} as well improves predictions further, without establishing a cause"
     said: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
-        "missing_effect": f"{change}{beside}.",
+        "missing_effect": f"{change}{also if helping else ''}.",
         "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same: record the run that tells "
         "them apart before one of them is taken for the cause.",
         "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "

@@ -15,25 +15,15 @@ _TIMES = column([f"T_rad_{v}" for v in VELOCITY])
 
 
 def _frequency(motion: str) -> Parameter:
-    return Parameter(
-        "rad/s",
-        f"frequency at which {motion} sends most waves out",
-        (1e-3, 200.0),
-        linear=False,
-        default=1.0,
-        neutral=None,
-    )
+    return _of_kernel("rad/s", f"frequency at which {motion} sends most waves out")
 
 
 def _time(motion: str) -> Parameter:
-    return Parameter(
-        "s",
-        f"time in which the memory of {motion} fades",
-        (1e-3, 200.0),
-        linear=False,
-        default=1.0,
-        neutral=None,
-    )
+    return _of_kernel("s", f"time in which the memory of {motion} fades")
+
+
+def _of_kernel(unit: str, meaning: str) -> Parameter:
+    return Parameter(unit, meaning, (1e-3, 200.0), linear=False, default=1.0, neutral=None)
 
 
 class WaveRadiation(Wrench):
