@@ -274,6 +274,15 @@ def test_a_dead_time_acts() -> None:
         ClosedLoop(load_gains("paper-pd", AUV), late).run(replace(scenario, continuous=True))
 
 
+def test_a_dead_time_that_is_rounded_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.04)})
+    loop = ClosedLoop(load_gains("paper-pd", AUV), late, compiled=False)
+    loop.run(Scenario(GOAL, 1.0, 0.02))
+    assert not caplog.text
+    loop.run(Scenario(GOAL, 1.0, 0.1))
+    assert "a dead time of 0.04 s is taken as 0 samples of 0.1 s" in caplog.text
+
+
 def diverging() -> ClosedLoop:
     """Depth under a stiff spring, felt a second late, and water that drags linearly only."""
     late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(1.0)})

@@ -115,6 +115,10 @@ def test_lqg_refuses_what_it_cannot_hold(auv: Vehicle) -> None:
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, dict.fromkeys(auv.pose_names, 0.1))
     with pytest.raises(UndertowError, match="'a' is no output"):
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, {"a": 0.1})
+    with pytest.raises(UndertowError, match="weight of 'surge', which is no state"):
+        lqg(auv, find_trim(auv), {"x": 1.0, "surge": 0.1}, force, {"u": 0.1}, {"x": 0.1})
+    with pytest.raises(UndertowError, match=r"disturbance of u is -0\.1"):
+        lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": -0.1}, {"x": 0.1})
 
 
 # --- families -------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import chain
@@ -21,6 +22,7 @@ from undertow.version import __version__
 
 from .functions import Functions
 
+_log = logging.getLogger(__name__)
 SCHEMA = "undertow/codegen/2"
 _POINTS = 5
 _UNITS = {
@@ -160,6 +162,14 @@ def output_delay(functions: Functions) -> dict[str, float]:
     seconds = evaluate(functions.values()).full().ravel().tolist()
     names = (*functions.vehicle.pose_names, *functions.vehicle.velocity_names)
     return {n: s for n, s in zip(names, seconds, strict=True) if s}
+
+
+def whole_samples(seconds: float, dt: float) -> int:
+    """The samples nearest to a dead time, with a warning where they are not the same time."""
+    count = round(seconds / dt)
+    if abs(count * dt - seconds) > 1e-9 * seconds:
+        _log.warning("a dead time of %g s is taken as %d samples of %g s", seconds, count, dt)
+    return count
 
 
 def _state_unit(functions: Functions, name: str) -> str:

@@ -166,7 +166,7 @@ def left_alone(gains: GainSet) -> LeftAlone | None:
 
 
 def _static(plant: Plant) -> tuple[Array, Array]:
-    """Force at the set-point on an even keel (n,), and its slope in the pose (n, n), on the left-hand side."""
+    """Force at the set-point on an even keel (n,), and its slope in the pose (n, n), left-hand side."""
     level = dict.fromkeys(plant.eta, 0)
     force = plant.g.xreplace(plant.numbers)
     slope = force.jacobian(plant.eta).xreplace(level)

@@ -13,6 +13,7 @@ import control as ct
 import numpy as np
 from scipy.signal import cont2discrete
 
+from undertow.codegen.manifest import whole_samples
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
 from undertow.control.laws import JUMPING
@@ -112,9 +113,7 @@ def _delays(
 
 def _shift(seconds: float, dt: float) -> ct.StateSpace:
     """A delay of the whole samples that are nearest."""
-    k = round(seconds / dt)
-    if abs(k * dt - seconds) > 1e-9 * seconds:
-        _log.warning("a dead time of %g s is taken as %d samples of %g s", seconds, k, dt)
+    k = whole_samples(seconds, dt)
     if not k:
         return ct.ss([], [], [], 1.0, dt=dt)
     first, last = np.eye(k)[:, [0]], np.eye(k)[[-1]]
