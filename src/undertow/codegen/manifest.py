@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from math import isclose, isfinite
@@ -18,6 +18,7 @@ from pydantic import TypeAdapter
 from undertow.errors import UndertowError
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.tables import Printable
+from undertow.typing import Array
 from undertow.version import __version__
 
 from .functions import Functions
@@ -151,15 +152,15 @@ def describe(functions: Functions) -> Manifest:
     )
 
 
-def dead_time(functions: Functions) -> float:
-    """Dead time of the inputs for the vehicle's values, s."""
-    return float(functions.dead_time(functions.values()))
+def dead_time(functions: Functions, values: Sequence[float] | Array | None = None) -> float:
+    """Dead time of the inputs for values of the parameters, the vehicle's unless given, s."""
+    return float(functions.dead_time(functions.values() if values is None else values))
 
 
-def output_delay(functions: Functions) -> dict[str, float]:
-    """Dead time of the outputs that come late for the vehicle's values, s, by name."""
+def output_delay(functions: Functions, values: Sequence[float] | Array | None = None) -> dict[str, float]:
+    """Dead time of the outputs that come late, likewise, s, by name."""
     evaluate = ca.Function("report_age", [functions.p], [ca.densify(functions.report_age)])
-    seconds = evaluate(functions.values()).full().ravel().tolist()
+    seconds = evaluate(functions.values() if values is None else values).full().ravel().tolist()
     names = (*functions.vehicle.pose_names, *functions.vehicle.velocity_names)
     return {n: s for n, s in zip(names, seconds, strict=True) if s}
 

@@ -75,24 +75,27 @@ def linearize(
     return with_units(system, numeric.units) if units else system
 
 
-def linear_with_delays(numeric: Numeric, trim: Trim, pade: int, dt: float = 0.0) -> ct.StateSpace:
+def linear_with_delays(
+    numeric: Numeric, trim: Trim, pade: int, dt: float = 0.0, p: Array | None = None
+) -> ct.StateSpace:
     """The linear system at a trim, sampled with its dead times in whole samples, or with Padé's."""
     _check_sampling(dt, pade)
-    system = linear_at(numeric, trim)
+    system = linear_at(numeric, trim, p)
     system = _held(system, dt) if dt else system
-    late = {n: s for n, s in numeric.report_delays.items() if n in system.output_labels}
-    if not numeric.dead_time and not late:
+    dead = numeric.dead_time(p)
+    late = {n: s for n, s in numeric.report_delays(p).items() if n in system.output_labels}
+    if not dead and not late:
         return system
     if not (pade or dt):
         _log.warning(
             "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
-            ", ".join(_delays_in_words(numeric.dead_time, late)),
+            ", ".join(_delays_in_words(dead, late)),
             numeric.vehicle.name,
         )
         return system
     inputs, outputs = system.input_labels, system.output_labels
-    if numeric.dead_time:
-        delays, own = _delays(inputs, dict.fromkeys(inputs, numeric.dead_time), pade, dt)
+    if dead:
+        delays, own = _delays(inputs, dict.fromkeys(inputs, dead), pade, dt)
         system = named(system * delays, (*own, *system.state_labels), inputs, outputs, system.name)
     if late:
         delays, own = _delays(outputs, late, pade, dt)
@@ -186,10 +189,8 @@ def as_nlsys(
         Whether labels are "u [m/s]" instead of "u", which `as_controller` connects by.
     """
     numeric = Numeric(in_direction(vehicle, direction or {}))
-    if numeric.dead_time:
-        _log.warning(
-            "commands of '%s' act %g s late; as_nlsys is without it", vehicle.name, numeric.dead_time
-        )
+    if late := numeric.dead_time():
+        _log.warning("commands of '%s' act %g s late; as_nlsys is without it", vehicle.name, late)
 
     def rate(t: float, x: Array, u: Array, params: Mapping[str, Array]) -> Array:
         return numeric.rate(t, x, u, params.get("p"))
@@ -400,13 +401,17 @@ def close_loop(
         )
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     law = law_for(gains, nominal or vehicle, found.direction)
-    plant = linearize(vehicle, found, pade=pade, dt=dt)
-    places = [plant.input_labels.index(n) for n in Plant(vehicle).vehicle.command_names]
-    if len(places) < plant.ninputs:
-        b, d, names = plant.B[:, places], plant.D[:, places], [plant.input_labels[i] for i in places]
-        system = like(plant, plant.A, b, plant.C, d)
-        plant = named(system, plant.state_labels, names, plant.output_labels, plant.name)
+    plant = with_commands(linearize(vehicle, found, pade=pade, dt=dt), law.commands)
     return LinearLoop(plant, law, found, observer)
+
+
+def with_commands(plant: ct.StateSpace, commands: Sequence[str]) -> ct.StateSpace:
+    """The linear vehicle with the commands of a law alone: without surfaces and inputs of the log."""
+    if tuple(plant.input_labels) == tuple(commands):
+        return plant
+    places = [plant.input_labels.index(n) for n in commands]
+    system = like(plant, plant.A, plant.B[:, places], plant.C, plant.D[:, places])
+    return named(system, plant.state_labels, commands, plant.output_labels, plant.name)
 
 
 def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> LawSystem:
