@@ -263,6 +263,12 @@ def test_thruster_limits_and_anti_windup() -> None:
     assert found["hold"].of("z").overshoot < 0.7 * found["none"].of("z").overshoot
 
 
+@pytest.mark.parametrize("push", [(float("nan"), 0.0, 1.0), (1.0, 5.0, 1.0), (1.0, 0.0, float("nan"))])
+def test_pushes_that_cannot_be_are_refused(push: tuple[float, float, float]) -> None:
+    with pytest.raises(UndertowError, match="the earlier time first"):
+        Push("X", *push)
+
+
 def test_a_dead_time_acts() -> None:
     late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.5)})
     scenario = Scenario(GOAL, 2.0, 0.01, log_interval=0.01)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 
@@ -30,6 +30,18 @@ from .numeric import Numeric, in_direction
 from .trim import Trim, find_trim
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class DelaySettings:
+    """Up to where dead times are approximated."""
+
+    # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
+    pade: int = 8
+    samples: int = 1000  # of a delay, each of which is a state for every signal that comes late
+
+
+SETTINGS = DelaySettings()
 
 
 def linearize(
@@ -117,6 +129,11 @@ def _delays(
 def _shift(seconds: float, dt: float) -> ct.StateSpace:
     """A delay of the whole samples that are nearest."""
     k = whole_samples(seconds, dt)
+    if k > SETTINGS.samples:
+        raise UndertowError(
+            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, and {SETTINGS.samples} are the most: "
+            "lengthen dt"
+        )
     if not k:
         return ct.ss([], [], [], 1.0, dt=dt)
     first, last = np.eye(k)[:, [0]], np.eye(k)[[-1]]
@@ -126,6 +143,10 @@ def _shift(seconds: float, dt: float) -> ct.StateSpace:
 def _check_sampling(dt: float, pade: int) -> None:
     if not (isfinite(dt) and dt >= 0):
         raise UndertowError(f"sampling time dt = {dt:g} s cannot be: give a time above zero")
+    if not 0 <= pade <= SETTINGS.pade:
+        raise UndertowError(
+            f"pade = {pade} is no order that dead times are approximated to: give 0 to {SETTINGS.pade}"
+        )
     if dt and pade:
         raise UndertowError(
             f"dt = {dt:g} s takes dead times as whole samples, and pade = {pade} would approximate them: "
