@@ -58,7 +58,7 @@ BAD = {
     "noise without samples": (["--noise", "x=1", "--continuous"], ["noise", "not sampled"]),
     "push of no axis": (["--push", "Q=1"], ["--push Q=1", "AXIS=VALUE"]),
     "push in a locked direction": (["--push", "K=1"], ["force K", "surge, sway, heave, yaw"]),
-    "push backwards in time": (["--push", "X=1:5:2"], ["ends before it begins"]),
+    "push backwards in time": (["--push", "X=1:5:2"], ["push X = 1 from 5 to 2 s", "ends before it begins"]),
     "push in a wrong unit": (["--push", "X=1kg"], ["--push X=1kg", "N"]),
     "velocity that is none": (["--moving", "p=1"], ["velocity 'p'", "u, v, w, r"]),
     "sway that is actuated": (["--sway", "unactuated", "--plant", "usv"], ["'usv'"]),

@@ -11,12 +11,13 @@ import pytest
 import sympy as sm
 
 from tests.quick import first_quick
+from undertow import UndertowError, check_gains
 from undertow.control.conditions import attitude
 from undertow.control.conditions.attitude import Attitudes, Interval, least, least_eigenvalue
 from undertow.control.conditions.problem import ALL, SAMPLED, Problem, Uncertainty
 from undertow.control.conditions.result import HOLDS, UNPROVED
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import GainSet, load_gains
+from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
@@ -166,3 +167,23 @@ def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None
     assert problem.changed(weak).channel_margin(condition, problem.sets[0], 3, None) > 0
     assert found.bound < 0
     assert abs(found.worst["theta"]) > np.arcsin(np.sqrt(0.0015 * 2.07) / 0.07) - 0.05
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tilt": 95.0}, "up to 95 deg: give 1 to 85"),
+        ({"tilt": -60.0}, "up to -60 deg"),
+        ({"tilt": float("nan")}, "up to nan deg"),
+        ({"confidence": 95.0}, "confidence 95 is no probability from 0.5"),
+        ({"confidence": float("nan")}, "confidence nan"),
+        ({"iota": 0.0}, "iota 0 is not positive"),
+    ],
+)
+def test_what_no_certificate_can_cover_is_refused(options: dict[str, float], words: str) -> None:
+    """Beyond 90 degrees of pitch J has no inverse, and yet 95 degrees passed as certified."""
+    vehicle = load_vehicle("bluerov2")
+    table = {"schema": "undertow/gains/1", "name": "pd", "law": "pd", "gains": {"K_P": 50.0, "K_V": 60.0}}
+    gains = gains_from_table(GainTable.model_validate(table), vehicle)
+    with pytest.raises(UndertowError, match=words):
+        check_gains(vehicle, gains, **options)  # type: ignore[arg-type]

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undertow.control.linear.systems import forces_of
+from undertow.control.gains import GainTable, gains_from_table
+from undertow.control.linear.family import family
+from undertow.control.linear.systems import close_loop, forces_of
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
 
@@ -70,3 +72,15 @@ def test_a_law_commands_thrusters_and_takes_a_logged_wind_as_none(tmp_path: Path
     names, commands = forces_of(vehicles["steered"])
     assert names == ["force_surge", "force_yaw"]
     np.testing.assert_allclose(commands[2:], 0.0)
+
+
+def test_the_members_of_a_family_under_a_law_leave_the_rudder_alone(tmp_path: Path) -> None:
+    path = tmp_path / "boat.toml"
+    calm = BOAT.format(inputs="", speed=0.0) + RUDDER
+    path.write_text(calm.replace("X_u = -30", "X_u = { value = -30, sigma = 3 }"))
+    vehicle = load_vehicle(path)
+    table = {"schema": "undertow/gains/1", "name": "boat", "law": "pd", "unactuated": ["sway"]}
+    gains = gains_from_table(GainTable.model_validate(table | {"gains": {"K_P": 10.0, "K_V": 20.0}}), vehicle)
+    stated, *_ = family(vehicle, {"u": 0.0}, 0, gains=gains).members
+    loop = close_loop(vehicle, gains, {"u": 0.0})
+    np.testing.assert_allclose(stated.system.A, loop.closed.A, atol=1e-9)

@@ -263,6 +263,12 @@ def test_thruster_limits_and_anti_windup() -> None:
     assert found["hold"].of("z").overshoot < 0.7 * found["none"].of("z").overshoot
 
 
+@pytest.mark.parametrize("push", [(float("nan"), 0.0, 1.0), (1.0, 5.0, 1.0), (1.0, 0.0, float("nan"))])
+def test_pushes_that_cannot_be_are_refused(push: tuple[float, float, float]) -> None:
+    with pytest.raises(UndertowError, match="the earlier time first"):
+        Push("X", *push)
+
+
 def test_a_dead_time_acts() -> None:
     late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.5)})
     scenario = Scenario(GOAL, 2.0, 0.01, log_interval=0.01)
@@ -272,6 +278,15 @@ def test_a_dead_time_acts() -> None:
     assert record.t[moved[0]] == pytest.approx(0.51)
     with pytest.raises(UndertowError, match="dead times"):
         ClosedLoop(load_gains("paper-pd", AUV), late).run(replace(scenario, continuous=True))
+
+
+def test_a_dead_time_that_is_rounded_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    late = AUV.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.04)})
+    loop = ClosedLoop(load_gains("paper-pd", AUV), late, compiled=False)
+    loop.run(Scenario(GOAL, 1.0, 0.02))
+    assert not caplog.text
+    loop.run(Scenario(GOAL, 1.0, 0.1))
+    assert "a dead time of 0.04 s is taken as 0 samples of 0.1 s" in caplog.text
 
 
 def diverging() -> ClosedLoop:

@@ -12,9 +12,11 @@ from undertow.control import close_loop, family, find_trim, linearize, lqg, lqr
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.linear.analysis import modes
 from undertow.control.linear.family import CORNER, spread_of
+from undertow.control.linear.report import analyse
 from undertow.errors import UndertowError
+from undertow.model.effects.actuation_delay import ActuationDelay
 from undertow.model.loading import bundled_vehicles, load_vehicle
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 ERROR = {"x": 0.5, "z": 0.2, "psi": 0.2}
 FORCE = {"surge": 1.0, "heave": 2.0, "yaw": 0.1}
@@ -115,9 +117,31 @@ def test_lqg_refuses_what_it_cannot_hold(auv: Vehicle) -> None:
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, dict.fromkeys(auv.pose_names, 0.1))
     with pytest.raises(UndertowError, match="'a' is no output"):
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, {"a": 0.1})
+    with pytest.raises(UndertowError, match="weight of 'surge', which is no state"):
+        lqg(auv, find_trim(auv), {"x": 1.0, "surge": 0.1}, force, {"u": 0.1}, {"x": 0.1})
+    with pytest.raises(UndertowError, match=r"disturbance of u is -0\.1"):
+        lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": -0.1}, {"x": 0.1})
 
 
 # --- families -------------------------------------------------------------------------------------
+def test_members_of_a_family_have_the_dead_time_and_the_observer_of_the_loop(
+    auv: Vehicle, tmp_path: Path
+) -> None:
+    """Commands 3 s late make the loop grow, and so its first member, which is the stated vehicle."""
+    late = auv.with_effect(ActuationDelay, {"delay": Value(3.0)})
+    sensors = "".join(f"[sensors.{c}]\nnoise = 0.01\n" for c in auv.pose_names)
+    drive = "".join(f"{v} = 0.01\n" for v in auv.velocity_names)
+    path = tmp_path / "filter.toml"
+    path.write_text(f'schema = "undertow/observer/1"\nname = "f"\n{sensors}[disturbance]\n{drive}')
+    found = analyse(late, gains="paper-pd", observer=path, pade=3, family_of=1, source="mini-auv")
+    assert found.family is not None
+    stated = found.family.members[0]
+    assert not stated.stable
+    np.testing.assert_allclose(
+        [m.pole for m in stated.modes], [m.pole for m in found.modes], rtol=1e-6, atol=1e-9
+    )
+
+
 @pytest.mark.slow
 def test_a_family_is_repeatable_and_spreads_as_stated(auv: Vehicle) -> None:
     one, same, other = (family(auv, {"u": 0.5}, 40, seed=s) for s in (3, 3, 4))

@@ -11,13 +11,14 @@ import pytest
 import sympy as sm
 
 from tests.quick import first_quick
-from undertow.control.conditions.channels import coupled_roots
+from undertow.control.conditions.channels import coupled, coupled_roots, left_alone
 from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, along_the_loop, in_numbers
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
 from undertow.control.conditions.region import region
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import GainSet, load_gains
+from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
+from undertow.control.linear.systems import close_loop
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
 from undertow.model.saving import last_covariance
@@ -133,12 +134,44 @@ def test_coupled_axes_are_judged_together() -> None:
     from undertow.control.conditions.problem import sign_sets
 
     one = sign_sets(plant)[0]
-    found = coupled_roots(gains, one.inertia, one.damping, plant)
+    found = coupled_roots(gains, one.inertia, one.damping, np.eye(n), np.zeros((n, n)))
     for root in found:
         matrix = one.inertia * root**2 + (np.diag(gains["K_V"]) + one.damping) * root + np.diag(gains["K_P"])
         assert abs(np.linalg.det(matrix)) < 1e-6 * abs(np.linalg.det(one.inertia)) * max(1, abs(root)) ** (
             2 * n
         )
+
+
+def pitch_left_alone(size: float = 1.0) -> GainSet:
+    """BlueROV2 with six thrusters, whose level ones pitch it by their arm; weight under the origin."""
+    vehicle = load_vehicle("bluerov2-6").with_values({"mz_g": Value(0.23)})
+    sizes = {"x": 20.0, "y": 20.0, "z": 20.0, "phi": 5.0, "psi": 5.0}
+    table = {
+        "schema": "undertow/gains/1",
+        "name": "pitch alone",
+        "law": "pd",
+        "unactuated": ["pitch"],
+        "gains": {gain: {c: size * v for c, v in sizes.items()} for gain in ("K_P", "K_V")},
+    }
+    return gains_from_table(GainTable.model_validate(table), vehicle)
+
+
+def test_roots_of_coupled_axes_contain_what_weight_and_thrust_do_to_an_axis_left_alone() -> None:
+    """They are the poles of the linear loop that the equations of motion themselves give."""
+    gains = pitch_left_alone()
+    (found,) = coupled(Problem(gains)).values()
+    poles = np.linalg.eigvals(close_loop(gains.plant.vehicle, gains).closed.A)
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(poles), rtol=1e-6, atol=1e-9)
+    assert max(abs(root.imag) for root in found) > 6  # pitch swings; without its weight it would not
+
+
+def test_zero_dynamics_are_what_ever_larger_gains_lead_to() -> None:
+    gains = pitch_left_alone(1e7)
+    alone = left_alone(gains)
+    assert alone is not None
+    poles = np.linalg.eigvals(close_loop(gains.plant.vehicle, gains).closed.A)
+    near = [poles[np.argmin(np.abs(poles - p))] for p in alone.poles]
+    np.testing.assert_allclose(alone.poles, near, rtol=1e-4)
 
 
 def test_damping_that_turns_into_its_opposite_limits_the_region() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -14,7 +15,7 @@ from undertow.cli.main import main
 from undertow.codegen import Functions
 from undertow.export.mjcf import Mjcf
 from undertow.model.loading import bundled_vehicles, load_vehicle
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
 WHOLE = ["bluerov2", "remus100", "bluerov2-6"]
@@ -140,3 +141,12 @@ def test_mujoco_reads_every_bundled_vehicle() -> None:
         assert loaded.nu == len(vehicle.thrusters)
         assert loaded.nv == len(vehicle.degrees_of_freedom)
         assert loaded.body_mass.sum() == pytest.approx(Functions(vehicle).vehicle.values["m"].value)
+
+
+def test_a_motor_that_pushes_backwards_has_a_range_that_rises() -> None:
+    """Thrust per command of -2 N and a limit of 20 leave 40 N either way."""
+    vehicle = load_vehicle("bluerov2")
+    first, *others = vehicle.thrusters
+    turned = replace(first, thrust_per_command=Value(-2.0), limit=20.0)
+    root = ET.fromstring(Mjcf(replace(vehicle, thrusters=(turned, *others))).text)
+    np.testing.assert_array_equal(_numbers(root.find("actuator/motor"), "ctrlrange"), [-40.0, 40.0])

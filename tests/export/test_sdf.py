@@ -207,3 +207,16 @@ def test_the_command_writes_a_world_and_says_what_is_lost(
     out = capsys.readouterr().out
     assert "warning:" in out
     assert ET.parse(target).getroot().find("world/model") is not None
+
+
+def test_a_thruster_that_pushes_backwards_has_limits_that_rise() -> None:
+    """Thrust per command of -2 N and a limit of 20 leave 40 N either way."""
+    vehicle = load_vehicle("bluerov2")
+    first, *others = vehicle.thrusters
+    turned = replace(first, thrust_per_command=Value(-2.0), limit=20.0)
+    plugin = next(
+        p
+        for p in ET.fromstring(Sdf(replace(vehicle, thrusters=(turned, *others))).text).iter("plugin")
+        if p.findtext("joint_name") == f"{first.name}_joint"
+    )
+    assert (_number(plugin, "max_thrust_cmd"), _number(plugin, "min_thrust_cmd")) == (40.0, -40.0)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from benchmarks.observer_log import auv
 from undertow.codegen.compiler import find_compiler
@@ -18,7 +19,9 @@ from undertow.control.gains import load_gains
 from undertow.control.linear.systems import SettledObserver, close_loop
 from undertow.control.linear.trim import find_trim
 from undertow.errors import UndertowError
+from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value
 from undertow.observer.design import Design, ObserverTable, design, load_observer
 from undertow.observer.filters import Observer, Reports
 from undertow.observer.observer_c import observer_c
@@ -43,6 +46,37 @@ def table(**more: object) -> ObserverTable:
         "disturbance": DISTURBANCE,
     }
     return ObserverTable.model_validate(content | more)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "words"),
+    [
+        ({"x": {"noise": "5 cm", "period": "-1 s"}}, "period of x = -1 s"),
+        ({"x": {"noise": "0 m"}}, "noise of x = 0 m"),
+    ],
+)
+def test_numbers_of_sensors_that_cannot_be_are_refused(
+    sensors: dict[str, dict[str, str]], words: str
+) -> None:
+    with pytest.raises(UndertowError, match=words):
+        design(table(sensors=sensors), load_vehicle("mini-auv"))
+
+
+def test_an_infinite_disturbance_is_refused() -> None:
+    with pytest.raises(ValidationError, match="finite number"):
+        table(disturbance=DISTURBANCE | {"u": float("inf")})
+
+
+def test_a_sampling_interval_over_which_the_prediction_grows_is_refused() -> None:
+    """One step of Runge-Kutta of fourth order grows beyond 2.78 time constants; the lag here has 0.02 s."""
+    vehicle = load_vehicle("mini-auv").with_effect(catalogue()["thruster_lag"], {"T_lag": Value(0.02)})
+    loop = ClosedLoop(
+        load_gains("paper-pd", vehicle), vehicle, observer=design(table(), vehicle), compiled=False
+    )
+    to = (0.5, 0.0, 0.5)
+    assert loop.run(Scenario(to, 2.0, 0.05)).result.diverged is None
+    with pytest.raises(UndertowError, match=r"time constant of 0.02 s: stay below 0.05 s"):
+        loop.run(Scenario(to, 2.0, 0.1))
 
 
 def with_current() -> Design:

@@ -44,6 +44,17 @@ def _bent() -> Mesh:
 
 
 # --- cases ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("prescribed", [True, False])
+@pytest.mark.parametrize("speed", [0.3, 1.2])
+def test_water_is_as_turbulent_as_the_speed_asks_for(speed: float, prescribed: bool) -> None:
+    """k = 3/2 (I U)^2 with an intensity I of one per cent, whether the hull is moved or free."""
+    orders = Orders(60.48, motions=("surge", "yaw"), profiles=("step",), prescribed=prescribed, speed=speed)
+    for case in (tank := _tank(orders)).cases:
+        k = re.search(r"internalField uniform (\S+);", case_files(tank, case, 1)["0/k"])
+        assert k is not None
+        assert float(k[1]) == pytest.approx(1.5 * (0.01 * speed) ** 2)
+
+
 def test_the_files_of_a_case_are_whole_and_fit_together() -> None:
     tank = _tank(replace(PUSHED, motions=("surge", "yaw")))
     for case in tank.cases:

@@ -99,6 +99,15 @@ def test_results_belong_to_a_model_and_a_choice(tmp_path: Path) -> None:
     assert place.last_result("compare") == ({"headline": "fails"}, True)
 
 
+def test_results_belong_to_what_the_mapping_file_says(tmp_path: Path) -> None:
+    given = tmp_path / "log.toml"
+    given.write_text('schema = "undertow/mapping/1"\n')
+    place = Workspace.open(tmp_path / "kept", session_of(tmp_path).model_copy(update={"mapping": str(given)}))
+    place.keep("compare", place.key, {"headline": "fails"})
+    given.write_text('schema = "undertow/mapping/1"\n[frames]\nbody = "FLU"\n')
+    assert place.last_result("compare") == ({"headline": "fails"}, False)
+
+
 def test_remedies_go_into_a_mapping_file_of_the_session(tmp_path: Path) -> None:
     given = tmp_path / "log.toml"
     text = 'schema = "undertow/mapping/1"\n# by hand\n[columns]\nspeed = "u"\n'

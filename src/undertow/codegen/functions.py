@@ -391,6 +391,11 @@ def _inertial_force(f: Functions, inertia: Inertia) -> tuple[ca.SX, ca.SX]:
     return -inertia.mass[:, :3] @ f.water_rate - kirchhoff(momentum, nu_r), drift
 
 
+def wrapped(angle: ca.SX) -> ca.SX:
+    """The same angle between minus and plus half a turn."""
+    return angle - 2 * ca.pi * ca.floor((angle + ca.pi) / (2 * ca.pi))
+
+
 # --- systems of linear equations, symbolically ----------------------------------------------------
 def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
     """Solution of a symmetric positive definite system by L D L', keeping structural zeros."""

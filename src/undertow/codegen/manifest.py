@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+import logging
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from math import isclose, isfinite
@@ -17,10 +18,12 @@ from pydantic import TypeAdapter
 from undertow.errors import UndertowError
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.tables import Printable
+from undertow.typing import Array
 from undertow.version import __version__
 
 from .functions import Functions
 
+_log = logging.getLogger(__name__)
 SCHEMA = "undertow/codegen/2"
 _POINTS = 5
 _UNITS = {
@@ -149,17 +152,25 @@ def describe(functions: Functions) -> Manifest:
     )
 
 
-def dead_time(functions: Functions) -> float:
-    """Dead time of the inputs for the vehicle's values, s."""
-    return float(functions.dead_time(functions.values()))
+def dead_time(functions: Functions, values: Sequence[float] | Array | None = None) -> float:
+    """Dead time of the inputs for values of the parameters, the vehicle's unless given, s."""
+    return float(functions.dead_time(functions.values() if values is None else values))
 
 
-def output_delay(functions: Functions) -> dict[str, float]:
-    """Dead time of the outputs that come late for the vehicle's values, s, by name."""
+def output_delay(functions: Functions, values: Sequence[float] | Array | None = None) -> dict[str, float]:
+    """Dead time of the outputs that come late, likewise, s, by name."""
     evaluate = ca.Function("report_age", [functions.p], [ca.densify(functions.report_age)])
-    seconds = evaluate(functions.values()).full().ravel().tolist()
+    seconds = evaluate(functions.values() if values is None else values).full().ravel().tolist()
     names = (*functions.vehicle.pose_names, *functions.vehicle.velocity_names)
     return {n: s for n, s in zip(names, seconds, strict=True) if s}
+
+
+def whole_samples(seconds: float, dt: float) -> int:
+    """The samples nearest to a dead time, with a warning where they are not the same time."""
+    count = round(seconds / dt)
+    if abs(count * dt - seconds) > 1e-9 * seconds:
+        _log.warning("a dead time of %g s is taken as %d samples of %g s", seconds, count, dt)
+    return count
 
 
 def _state_unit(functions: Functions, name: str) -> str:

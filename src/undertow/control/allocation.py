@@ -58,6 +58,14 @@ class Allocation:
         share[:, list(self.rows)] = self.pseudo_inverse
         return share
 
+    @property
+    def given(self) -> np.ndarray:
+        """Force that the thrusters give, without limits, for a unit of each wanted one, shape (n, n).
+
+        The identity in the rows that are allocated; what is left out may be pushed along with them.
+        """
+        return self.matrix @ self.share
+
 
 def allocation_of(gains: GainSet) -> Allocation:
     """The allocation that a gain set asks for on the vehicle that it knows.

@@ -14,7 +14,7 @@ import numpy as np
 import sympy as sm
 
 from undertow.codegen.convert import Converter
-from undertow.codegen.functions import solve_symmetric
+from undertow.codegen.functions import solve_symmetric, wrapped
 from undertow.errors import UndertowError
 from undertow.model.symbols import FORCE, POSE
 from undertow.model.units import to_si
@@ -323,7 +323,7 @@ class Controller:
         """Desired less reported pose, angles within half a turn."""
         n = len(self._coordinates)
         named = zip(self._coordinates, ca.vertsplit(self._course.eta_d - self._y[:n]), strict=True)
-        return ca.vertcat(*[_wrapped(e) if _is_angle(c) else e for c, e in named])
+        return ca.vertcat(*[wrapped(e) if _is_angle(c) else e for c, e in named])
 
     def _gate(self) -> ca.SX:
         """The latch: once the heading has come within the gate, it stays open."""
@@ -410,8 +410,3 @@ def _only(force: ca.SX, rows: tuple[int, ...]) -> ca.SX:
 
 def _is_angle(coordinate: str) -> bool:
     return POSE.index(coordinate) >= 3
-
-
-def _wrapped(angle: ca.SX) -> ca.SX:
-    """The same angle between minus and plus half a turn."""
-    return angle - 2 * ca.pi * ca.floor((angle + ca.pi) / (2 * ca.pi))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
+from math import inf
 from xml.etree import ElementTree as ET
 
 import casadi as ca
@@ -14,7 +15,7 @@ from undertow.codegen.spelling import identifier, slug
 from undertow.errors import UndertowError
 from undertow.model.effect import Effect, Wrench
 from undertow.model.symbols import DOFS
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 
 # Forward-left-up out of forward-starboard-down, for forces and for velocities: half a turn about x.
@@ -134,6 +135,15 @@ class Body:
         """Edge of the cube that displaces as much water as buoyancy needs, m; it stands for the hull."""
         self.losses.append("the collision shape is a cube with the displaced volume, not the hull")
         return float((lift / (self.vehicle.environment["rho"] * self.vehicle.environment["g"])) ** (1 / 3))
+
+    def most_thrust(self, thruster: Thruster) -> float:
+        """Largest thrust of a thruster either way, N; infinite without a limit, or where a curve has it.
+
+        A positive command may push backwards: then thrust per command is negative, and its limit is not.
+        """
+        if thruster.limit is None or thruster.law is not None:
+            return inf
+        return abs(self.values.get(f"thrust_{thruster.name}", 1.0)) * thruster.limit
 
     # --- what is lost --------------------------------------------------------------------------
     def free_motions(self) -> Iterator[str]:

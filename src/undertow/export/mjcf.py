@@ -147,8 +147,7 @@ class Mjcf(Body):
         )
         if thruster.law is not None:
             self.losses.append(f"thruster {thruster.name}: ctrl is thrust in newtons, its curve is left out")
-        elif thruster.limit is not None and isfinite(thruster.limit):
-            most = self.values.get(f"thrust_{thruster.name}", 1.0) * thruster.limit
+        if isfinite(most := self.most_thrust(thruster)):
             motor.set("ctrlrange", numbers(-most, most))
 
     # --- what is lost --------------------------------------------------------------------------

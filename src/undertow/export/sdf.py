@@ -230,10 +230,8 @@ class Sdf(Body):
         head: dict[str, object] = {"namespace": self.name, "joint_name": joint, "velocity_control": "true"}
         head |= {"fluid_density": self.vehicle.environment["rho"], "propeller_diameter": 0.1}
         head |= {"thrust_coefficient": 0.02}
-        scale = self.values.get(f"thrust_{thruster.name}", 1.0) * size
-        if thruster.limit is None or not isfinite(thruster.limit) or thruster.law is not None:
-            return head
-        return {**head, "max_thrust_cmd": scale * thruster.limit, "min_thrust_cmd": -scale * thruster.limit}
+        most = size * self.most_thrust(thruster)
+        return head | ({"max_thrust_cmd": most, "min_thrust_cmd": -most} if isfinite(most) else {})
 
     # --- what is lost --------------------------------------------------------------------------
     def _what_is_left(self) -> Iterator[str]:

@@ -58,7 +58,7 @@ class ObserverTable(FileTable):
     estimate: list[str] = Field(default_factory=list)
     sensors: dict[str, SensorTable]
     # Root of the spectral density of the white noise on the rate of each driven state, SI times s^0.5.
-    disturbance: dict[str, Annotated[float, Field(gt=0)]]
+    disturbance: dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False)]]
 
 
 class Numbers(NamedTuple):
@@ -264,7 +264,7 @@ def design(table: ObserverTable, vehicle: Vehicle) -> Design:
                 "leave the delay out of the vehicle, and give it reports at the time when they were true"
             )
     noise = [_positive(t.noise, MOTION_UNITS[n], f"noise of {n}") for n, t in table.sensors.items()]
-    period = [to_si(t.period, "s") for t in table.sensors.values()]
+    period = [_period(t.period, n) for n, t in table.sensors.items()]
     densities = np.array([table.disturbance[n] for n in process.driven_names]) ** 2
     Observer(process, densities)
     return Design(
@@ -276,6 +276,15 @@ def _positive(value: Quantity, unit: str, what: str) -> float:
     found = to_si(value, unit)
     if not 0 < found < np.inf:
         raise UndertowError(f"{what} = {found:g} {unit}: give a standard deviation above zero")
+    return found
+
+
+def _period(value: Quantity, sensor: str) -> float:
+    found = to_si(value, "s")
+    if found < 0:
+        raise UndertowError(
+            f"period of {sensor} = {found:g} s: give the time between reports, 0 for all samples"
+        )
     return found
 
 

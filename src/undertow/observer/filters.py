@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from math import floor, log, pi
+from math import log, pi, remainder
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
 from undertow.codegen.compiler import Evaluator, compiled_or_virtual, load
+from undertow.codegen.functions import wrapped
 from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Progress
@@ -205,7 +206,7 @@ def corrected(
     h = slopes[channel, :]
     error = y - seen[channel]
     if process.angles[channel]:
-        error = error - 2 * ca.pi * ca.floor((error + ca.pi) / (2 * ca.pi))
+        error = wrapped(error)
     along = P @ h.T
     variance = ca.densify(h @ along) + r
     used = there * (error**2 <= gate * variance)
@@ -357,7 +358,7 @@ class Observer:
         centre = points.mean @ seen
         off = (seen - centre)[:, None]
         error = float(reports.y[row, channel] - centre)
-        error = _wrapped(error) if self.process.angles[channel] else error
+        error = remainder(error, 2 * pi) if self.process.angles[channel] else error
         variance = float(points.covariance(off, off)[0, 0] + reports.variance[channel])
         used = error**2 <= SETTINGS.gate * variance
         gain = points.covariance(spread - x, off)[:, 0] / variance
@@ -429,11 +430,6 @@ def _rolled(row: ca.Function, count: int) -> ca.Function:
 def _by_row(stacked: Array, count: int) -> Array:
     """Matrices that stand side by side, shape (count, rows, columns)."""
     return stacked.reshape(len(stacked), count, -1).transpose(1, 0, 2)
-
-
-def _wrapped(angle: float) -> float:
-    """The same angle within half a turn."""
-    return angle - 2 * pi * floor((angle + pi) / (2 * pi))
 
 
 # --- smoothing ------------------------------------------------------------------------------------

@@ -234,6 +234,8 @@ class StepSettings:
 
     longest: float = 0.25  # s
     reach: float = 0.5  # of the fastest time constant of the vehicle at rest
+    # The same for filters that step once a sample: one of Runge-Kutta of fourth order grows from 2.78 on.
+    stable: float = 2.5
 
 
 STEP = StepSettings()
@@ -241,7 +243,28 @@ STEP = StepSettings()
 
 def longest_step(process: Process) -> float:
     """Longest step of a filter, s: short beside the fastest motion at rest."""
+    return min(STEP.longest, STEP.reach / max(_fastest(process), STEP.reach / STEP.longest))
+
+
+def require_stable_step(process: Process, dt: float) -> None:
+    """Refuse a sampling interval over which a prediction in one step grows by itself.
+
+    Raises
+    ------
+    UndertowError
+        If it is.
+    """
+    fastest = _fastest(process)
+    if dt * fastest > STEP.stable:
+        raise UndertowError(
+            f"dt = {dt:g} s is too long for the observer of '{process.vehicle.name}', which predicts in one "
+            f"step and has a time constant of {1 / fastest:.3g} s: stay below {STEP.stable / fastest:.3g} s, "
+            "or leave what is as fast (a lag of thrusters, say) out of the vehicle that it knows"
+        )
+
+
+def _fastest(process: Process) -> float:
+    """Magnitude of the fastest eigenvalue at rest, 1/s."""
     zero = np.zeros(process.x.numel())
     slopes = process.system(zero, np.zeros(process.u.numel()), process.values, 0.0)[1]
-    fastest = np.abs(np.linalg.eigvals(np.nan_to_num(np.asarray(slopes)))).max(initial=0.0)
-    return min(STEP.longest, STEP.reach / max(float(fastest), STEP.reach / STEP.longest))
+    return float(np.abs(np.linalg.eigvals(np.nan_to_num(np.asarray(slopes)))).max(initial=0.0))

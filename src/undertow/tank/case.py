@@ -202,6 +202,7 @@ def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> d
         "profile": profile if profile in PROFILES else "table",
         "prescribed": orders.prescribed,
         "peak": peak,
+        "speed": float(reached * arm),
         "inertia": inertia,
         "end": float(times[-1]),
         "step": float(step * orders.step),
@@ -277,8 +278,7 @@ def _template(name: str) -> Any:
 def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:
     place = DOFS.index(case.motion)
     step, share = tank.step_of(case, grid), tank.share / case.copies
-    rate = case.peak * (tank.size / 2 if place > 2 else 1.0) if case.prescribed else 0.3
-    k = 1.5 * (RULES.intensity * rate) ** 2
+    k = 1.5 * (RULES.intensity * case.speed) ** 2
     inertia = case.inertia * share
     section = np.eye(3)[section_axis(case.motion)]
     return {

@@ -73,6 +73,8 @@ class Case(_Strict):
     peak: float = Field(
         gt=0
     )  # largest speed (m/s, rad/s) of a prescribed motion, force (N, N m) of a free one
+    # Highest speed expected, m/s, of a turning hull at the ends of its longest side: how turbulent water is.
+    speed: float = Field(default=0.3, gt=0)
     inertia: float = Field(gt=0)  # mass, kg, or moment of inertia, kg m^2, that goes with the motion
     end: float = Field(gt=0)  # s
     step: float = Field(gt=0)  # time step on the coarsest grid, s

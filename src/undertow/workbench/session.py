@@ -275,10 +275,9 @@ class Workspace:
         s = self.session
         # Name and size, since logs of gigabytes cannot be hashed at every look.
         chosen = [{**log.model_dump(), "path": _seen(Path(log.path))} for log in s.logs]
-        files = [hashlib.sha256(self.vehicle_file().read_bytes()).hexdigest()]
-        said = json.dumps(
-            [files, chosen, Path(s.mapping).name, [r.lines for r in s.remedies], s.fill, s.trust_log]
-        )
+        small = [self.vehicle_file(), *([Path(s.mapping)] if s.mapping else [])]
+        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in small if path.exists()]
+        said = json.dumps([files, chosen, [r.lines for r in s.remedies], s.fill, s.trust_log])
         return hashlib.sha256(said.encode()).hexdigest()[:12]
 
     def keep(self, kind: str, key: str, content: dict[str, Any]) -> None:

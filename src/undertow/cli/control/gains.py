@@ -108,10 +108,6 @@ def gains(
     from undertow.model.loading import load_vehicle, read_vehicle_table, resolve_vehicle
     from undertow.model.saving import last_covariance
 
-    if iota is not None and not 0 < iota < math.inf:
-        raise UndertowError(
-            f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
-        )
     if path is not None:
         if observer is not None:
             raise UndertowError(

@@ -254,8 +254,6 @@ def _push(text: str) -> Push:
             f"--push {text} is not AXIS=VALUE or AXIS=VALUE:FROM:TO: write it like X=0.5:60:90"
         )
     begin, end = (in_si(f"--push {text}", t, "s") for t in times) if times else (0.0, math.inf)
-    if not begin < end:
-        raise UndertowError(f"--push {text} ends before it begins: give FROM and TO in s, FROM first")
     return Push(axis, in_si(f"--push {text}", value, force_unit(axis)), begin, end)
 
 

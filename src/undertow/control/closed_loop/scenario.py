@@ -35,6 +35,13 @@ class Push:
     begin: float = 0.0
     end: float = math.inf
 
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.value) and self.begin < self.end):
+            raise UndertowError(
+                f"push {self.axis} = {self.value:g} from {self.begin:g} to {self.end:g} s is not finite or "
+                "ends before it begins: give a finite value, and the earlier time first"
+            )
+
 
 @dataclass(frozen=True)
 class Scenario:

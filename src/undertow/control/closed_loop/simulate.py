@@ -19,6 +19,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 from undertow.observer.design import Design, load_observer
+from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
 
 from .measures import CREDIBLE, Measures
@@ -384,8 +385,10 @@ class ClosedLoop:
         k: np.ndarray | None = None,
     ) -> LoopProblem:
         """Runs of a scenario from the states `first` on, with parameters and gains of their own if given."""
-        if scenario.continuous and self.parts.observer:
-            raise UndertowError("an observer works on samples, but the law is not sampled: leave one out")
+        if self.parts.observer:
+            if scenario.continuous:
+                raise UndertowError("an observer works on samples, but the law is not sampled: leave one out")
+            require_stable_step(self.parts.observer.process, scenario.dt)
         desired = np.array([to[n] for n in self.gains.plant.vehicle.pose_names])
         substeps = self._substeps(scenario, start, to, desired)
         reference = self.parts.controller.reference

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from undertow.codegen.compiler import Compiler, Evaluator, pointer
+from undertow.codegen.manifest import whole_samples
 from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.simulate import runge_kutta
 from undertow.codegen.source import c_file, with_entry
@@ -185,7 +186,9 @@ def _at_rest(parts: Parts, start: np.ndarray, p: np.ndarray) -> np.ndarray:
 def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
     """Samples that commands and each report are late, the same in all runs."""
     late, ages = parts.delays(p)
-    samples = np.rint(np.column_stack([late, ages]) / dt).astype(np.int64)
+    seconds = np.column_stack([late, ages])
+    known = {s: whole_samples(s, dt) for s in np.unique(seconds).tolist()}
+    samples = np.vectorize(known.__getitem__, otypes=[np.int64])(seconds)
     other = np.flatnonzero((samples != samples[0]).any(axis=1))
     if other.size:
         raise UndertowError(

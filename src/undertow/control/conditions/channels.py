@@ -11,6 +11,7 @@ import numpy as np
 import sympy as sm
 from scipy.special import ndtri
 
+from undertow.control.allocation import allocation_of
 from undertow.control.gains import GainSet
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
@@ -88,10 +89,11 @@ def coupled(problem: Problem) -> dict[str, list[complex]]:
     """
     if (problem.decoupled and not problem.heading_counts) or "K_P" not in problem.values:
         return {}
+    given, (_, stiffness) = _given(problem.gains), _static(problem.plant)
     found = {}
     for one in problem.sets[:2]:
         tried = [
-            (coupled_roots(problem.values, one.inertia, one.damping, problem.plant, J), degrees)
+            (coupled_roots(problem.values, one.inertia, one.damping, given, stiffness, J), degrees)
             for degrees, J in problem.headings
         ]
         roots_there, degrees = max(tried, key=lambda case: case[0][0].real)
@@ -101,23 +103,29 @@ def coupled(problem: Problem) -> dict[str, list[complex]]:
 
 
 def coupled_roots(
-    gains: dict[str, Array], inertia: Array, damping: Array, plant: Plant, J: Array | None = None
+    gains: dict[str, Array],
+    inertia: Array,
+    damping: Array,
+    given: Array,
+    stiffness: Array,
+    J: Array | None = None,
 ) -> list[complex]:
     """Eigenvalues of the loop linearised at rest, all axes together.
 
-    What no thruster can push keeps its own dynamics. `gains` are diagonals in pose coordinates, M and D(0)
-    are of the body frame; without J the vehicle heads north on an even keel.
+    `gains` are diagonals in pose coordinates; inertia, damping, the force `given` for a wanted one and the
+    stiffness of weight and buoyancy are of the body frame, shape (n, n). The law takes the weight off where
+    its force is given; what is not given keeps its own. Without J the vehicle heads north on an even keel.
     """
     n = len(inertia)
     J = np.eye(n) if J is None else J
-    pushed = np.diag([float(any(row)) for row in plant.B.tolist()])
     zero, one = np.zeros((n, n)), np.eye(n)
-    push = np.linalg.inv(inertia) @ pushed @ J.T
-    own = np.linalg.inv(inertia) @ damping
+    push = np.linalg.solve(inertia, given @ J.T)
+    own = np.linalg.solve(inertia, damping)
+    held = np.linalg.solve(inertia, (one - given) @ stiffness)
     integral = np.diag(gains.get("K_I", np.zeros(n)))
     rows = [
         [zero, J, zero],
-        [-push @ np.diag(gains["K_P"]), -push @ np.diag(gains["K_V"]) @ J - own, -push @ integral],
+        [-push @ np.diag(gains["K_P"]) - held, -push @ np.diag(gains["K_V"]) @ J - own, -push @ integral],
         [one, zero, zero],
     ]
     matrix = np.block(rows)
@@ -126,32 +134,44 @@ def coupled_roots(
     return _fastest_first(np.linalg.eigvals(matrix))
 
 
+def _given(gains: GainSet) -> Array:
+    """Force that the thrusters give for a unit of each wanted one, shape (n, n)."""
+    n = len(gains.plant.nu)
+    if len(gains.unactuated) in (0, n):  # all of it, or none
+        return np.eye(n) * (not gains.unactuated)
+    return np.asarray(allocation_of(gains).given)
+
+
 # --- what nothing pushes ----------------------------------------------------------------------
 def left_alone(gains: GainSet) -> LeftAlone | None:
-    """The zero dynamics of the axes that no thruster pushes, the others at their set-points; None without."""
+    """The zero dynamics of the axes that are left alone, the others at their set-points; None without.
+
+    What holds the others there may push along an axis that is left alone, too.
+    """
     if not gains.unactuated:
         return None
     plant = gains.plant
     own = [plant.vehicle.degrees_of_freedom.index(d) for d in gains.unactuated]
-    force, stiffness = _static(plant, own)
+    left = (np.eye(len(plant.nu)) - _given(gains))[own]
+    force, stiffness = (left @ m for m in _static(plant))
     poles: list[complex] = []
     for one in sign_sets(plant):
-        M, D = (m[np.ix_(own, own)] for m in (one.inertia, one.damping))
-        falling = -np.linalg.solve(M, np.hstack([stiffness, D]))
+        M, D = ((left @ m)[:, own] for m in (one.inertia, one.damping))
+        falling = -np.linalg.solve(M, np.hstack([stiffness[:, own], D]))
         rates = np.vstack([np.eye(len(own), 2 * len(own), len(own)), falling])
         poles += map(complex, np.linalg.eigvals(rates))
     poles = sorted(set(poles), key=lambda p: (-p.real, p.imag))
-    stable, text = _fate(gains.unactuated, poles, force, stiffness)
+    stable, text = _fate(gains.unactuated, poles, force, stiffness[:, own])
     return LeftAlone(gains.unactuated, poles, stable, text)
 
 
-def _static(plant: Plant, own: list[int]) -> tuple[Array, Array]:
-    """Force at the set-point on an even keel, and its slope in the displacements, on the left-hand side."""
+def _static(plant: Plant) -> tuple[Array, Array]:
+    """Force at the set-point on an even keel (n,), and its slope in the pose (n, n), left-hand side."""
     level = dict.fromkeys(plant.eta, 0)
     force = plant.g.xreplace(plant.numbers)
     slope = force.jacobian(plant.eta).xreplace(level)
     at_rest, stiffness = (np.array(m.evalf().tolist(), dtype=float) for m in (force.xreplace(level), slope))
-    return at_rest[own, 0], stiffness[np.ix_(own, own)]
+    return at_rest[:, 0], stiffness
 
 
 def _fate(axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness: Array) -> tuple[bool, str]:

@@ -73,8 +73,13 @@ def check(
     Raises
     ------
     UndertowError
-        If the mass matrix is not positive definite, damping is not finite at rest, or a start is none.
+        If the mass matrix is not positive definite, damping is not finite at rest, or iota, tilt or a start
+        is none.
     """
+    if iota is not None and not 0 < iota < np.inf:
+        raise UndertowError(
+            f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
+        )
     _require_start(gains, start)
     uncertainty = uncertainty or Uncertainty(gains.plant.vehicle)
     everything = Problem(gains, tilt)

@@ -181,14 +181,13 @@ def _extra_damping(plant: Plant, one: SignSet) -> sm.Matrix:
 
 @dataclass(frozen=True)
 class FastDamping:
-    """A bound on |D(nu) - D(0)| by magnitudes of velocities.
+    """A bound on what D(nu) may take away from D(0), by magnitudes of velocities.
 
-    |D_ij(nu) - D_ij(0)| is at most the sum of coefficient times powers of |nu|; coefficients are positive.
+    It is the sum of coefficients, which are positive, times powers of |nu|.
     """
 
     size: int  # number of velocities
-    terms: tuple[Term, ...]
-    falling: tuple[Term, ...]  # may take damping away: all but those of the diagonal that are never negative
+    falling: tuple[Term, ...]  # terms of D(nu) - D(0), but those of the diagonal that are never negative
 
     @property
     def falls(self) -> bool:
@@ -206,16 +205,14 @@ class FastDamping:
 def fast_damping(plant: Plant, one: SignSet) -> FastDamping | None:
     """The bound for one sign set, or None where damping is no polynomial in velocities and magnitudes."""
     more, n = _extra_damping(plant, one), len(plant.nu)
-    terms: list[Term] = []
     falling: list[Term] = []
     for i in range(n):
         for j in range(n):
             found = _monomials(more[i, j], plant.nu)
             if found is None:
                 return None
-            terms += [(i, j, powers, abs(c)) for powers, c, _ in found]
             falling += [(i, j, powers, abs(c)) for powers, c, even in found if i != j or c < 0 or not even]
-    return FastDamping(n, tuple(terms), tuple(falling))
+    return FastDamping(n, tuple(falling))
 
 
 def _monomials(entry: sm.Expr, nu: Sequence[sm.Symbol]) -> list[tuple[tuple[int, ...], float, bool]] | None:

@@ -35,6 +35,9 @@ class SearchSettings:
     headings: int = 13  # samples of a whole turn: every 30 degrees
     tilts: int = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
     most_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
+    # Largest roll and pitch that can be covered, degrees: at 90 of pitch J has no inverse.
+    tilt_range: tuple[float, float] = (1.0, 85.0)
+    confidence_range: tuple[float, float] = (0.5, 0.9999)  # of intervals and ellipsoids
     sides: int = 96  # sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse
 
 
@@ -184,6 +187,12 @@ class Problem:
     """The margins of every condition of a law, for roll and pitch up to `tilt`, rad."""
 
     def __init__(self, gains: GainSet, tilt: float = np.pi / 3) -> None:
+        low, high = SEARCH.tilt_range
+        degrees = round(math.degrees(tilt), 9)
+        if not low <= degrees <= high:
+            raise UndertowError(
+                f"conditions cannot cover roll and pitch up to {degrees:g} deg: give {low:g} to {high:g}"
+            )
         self.gains, self.plant = gains, gains.plant
         self.coordinates = gains.signals.coordinates
         self.conditions: tuple[Condition, ...] = CONDITIONS[gains.law.id]
@@ -383,6 +392,11 @@ class Uncertainty:
     def __init__(
         self, vehicle: Vehicle, confidence: float = 0.95, covariance: tuple[Sequence[str], Any] = ((), ())
     ) -> None:
+        low, high = SEARCH.confidence_range
+        if not low <= confidence <= high:
+            raise UndertowError(
+                f"confidence {confidence:g} is no probability from {low:g} to {high:g}: give one"
+            )
         self.vehicle, self.confidence = vehicle, confidence
         self._names, self._matrix = list(covariance[0]), np.array(covariance[1], dtype=float)
 

@@ -9,6 +9,8 @@ from typing import ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
+from undertow.codegen.functions import wrapped
+
 from .reference import Limits
 from .signals import Course, Followed, Kinematics, Number, Reference
 
@@ -194,10 +196,8 @@ class LineOfSight(Reference):
         found = {}
         for name, target in wanted.items():
             rate, most = state[f"{name}_rate"], value["turn_rate"]
-            error = target - state[name]
-            error = error - 2 * ca.pi * ca.floor((error + ca.pi) / (2 * ca.pi))
             # With the error cut off here the rate tends to its limit and never passes it.
-            error = _clipped(error, 2 * most / quick)
+            error = _clipped(wrapped(target - state[name]), 2 * most / quick)
             found[name] = _clipped(quick**2 * error - 2 * quick * rate, value["turn_acceleration"])
         speed = (1 - state["arrived"]) * value["speed"] - state["speed"]
         found["speed"] = _clipped(quick * speed, value["acceleration"])

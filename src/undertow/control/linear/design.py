@@ -13,7 +13,7 @@ import tomlkit
 from undertow.codegen import Functions
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LAWS
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -281,6 +281,13 @@ def lqg(
         If a name is unknown, a value is not positive, or a state that grows or stays cannot be moved or seen.
     """
     plant = linearize(vehicle, trim)
+    states = plant.state_labels
+    for what, given in (("weight", weights), ("disturbance", disturbance)):
+        for name in given:
+            if name not in states:
+                near = nearest(name, states)
+                raise UndertowError(f"{what} of '{name}', which is no state{near}: give {', '.join(states)}")
+        _positive(what, given, list(given))
     shown = ct.ss(plant.A, plant.B, plant.C[[_place(plant.output_labels, n) for n in noise]], 0)
     kept = _kept(plant, shown)
     a, b, c = plant.A[np.ix_(kept, kept)], plant.B[kept], shown.C[:, kept]

@@ -15,11 +15,12 @@ from undertow.errors import UndertowError
 from undertow.model.loading import read_vehicle_table, resolve_vehicle
 from undertow.model.saving import last_covariance
 from undertow.model.vehicle import Vehicle
+from undertow.observer.design import Design
 from undertow.typing import Array
 
 from .analysis import Mode, modes
 from .numeric import Numeric, in_direction, motion_of
-from .systems import LinearLoop, law_for, linear_at
+from .systems import LinearLoop, law_for, linear_at, linear_with_delays, with_commands
 from .trim import Balance, Trim, at_parameters, find_trim
 
 CORNER = 2.0
@@ -103,6 +104,8 @@ def family(
     size: int,
     *,
     gains: GainSet | None = None,
+    observer: Design | None = None,
+    pade: int = 0,
     source: str | Path | None = None,
     seed: int = 0,
 ) -> Family:
@@ -120,13 +123,15 @@ def family(
         Number of draws.
     gains : GainSet, optional
         A law that closes the loop.
+    observer, pade
+        As for `close_loop`.
     source : str or Path, optional
         The vehicle's file, for the covariance of its last fit.
     seed : int
         Of the draws.
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
-    factory, spread = _MemberFactory(vehicle, found, gains), spread_of(vehicle, source)
+    factory, spread = _MemberFactory(vehicle, found, gains, observer, pade), spread_of(vehicle, source)
     stated = factory.member("stated", np.array([]), ())
     if stated is None:  # no parameter differs, so the trim holds
         raise UndertowError(f"'{vehicle.name}' has no such trim as stated: find it again for this vehicle")
@@ -159,7 +164,7 @@ def _draws(
 def _same(member: Member, stated: Member) -> bool:
     """Whether a corner changes nothing: a parameter of the other direction of motion."""
     pairs = ((member.system.A, stated.system.A), (member.system.B, stated.system.B))
-    return all(np.allclose(a, b, rtol=1e-9, atol=1e-12) for a, b in pairs)
+    return all(a.shape == b.shape and np.allclose(a, b, rtol=1e-9, atol=1e-12) for a, b in pairs)
 
 
 def _corners(spread: Spread, factory: _MemberFactory, stated: Member) -> Iterator[tuple[str, Array]]:
@@ -196,8 +201,11 @@ class _MemberFactory:
     The law, if there is one, knows the stated vehicle.
     """
 
-    def __init__(self, vehicle: Vehicle, trim: Trim, gains: GainSet | None) -> None:
+    def __init__(
+        self, vehicle: Vehicle, trim: Trim, gains: GainSet | None, observer: Design | None, pade: int
+    ) -> None:
         self.vehicle, self._trim = vehicle, trim
+        self._observer, self._pade = observer, pade
         self._numeric = Numeric(in_direction(vehicle, trim.direction))
         self._balance = Balance(self._numeric, trim.wanted)
         self._law = None if gains is None else law_for(gains, vehicle, trim.direction)
@@ -226,10 +234,17 @@ class _MemberFactory:
             commands=dict(zip(commands, found[1], strict=True)),
             reports=self._numeric.reports(*found, p),
         )
-        plant = linear_at(self._numeric, trim, p)
-        loop = None if self._law is None else LinearLoop(plant, self._law, trim)
-        system = loop.closed if loop else plant
-        return Member(name, inside, tuple(modes(system)), system, loop)
+        plant = self._plant(trim, p)
+        if self._law is None:
+            return Member(name, inside, tuple(modes(plant)), plant)
+        loop = LinearLoop(with_commands(plant, self._law.commands), self._law, trim, self._observer)
+        return Member(name, inside, tuple(modes(loop.closed)), loop.closed, loop)
+
+    def _plant(self, trim: Trim, p: Array) -> ct.StateSpace:
+        """Without dead time where no approximation is asked for, as the stated vehicle, which says so."""
+        if not self._pade:
+            return linear_at(self._numeric, trim, p)
+        return linear_with_delays(self._numeric, trim, self._pade, p=p)
 
     def _inside(self, name: str, value: float) -> float:
         low, high = self.vehicle.declaration(name).bounds

@@ -43,15 +43,13 @@ class Numeric:
         units = {e.name: e.unit for e in (*manifest.states, *manifest.inputs)}
         return units | dict.fromkeys(thrust, "N")
 
-    @property
-    def dead_time(self) -> float:
+    def dead_time(self, p: Array | None = None) -> float:
         """Delay between command and thrust, s."""
-        return dead_time(self.functions)
+        return dead_time(self.functions, self._or_stated(p))
 
-    @property
-    def report_delays(self) -> dict[str, float]:
+    def report_delays(self, p: Array | None = None) -> dict[str, float]:
         """Age of the reports that come late, s, by name."""
-        return output_delay(self.functions)
+        return output_delay(self.functions, self._or_stated(p))
 
     @cached_property
     def varies(self) -> bool:

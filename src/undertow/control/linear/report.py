@@ -346,7 +346,16 @@ def analyse(
     if family_of:
         progress(0.3, "drawing vehicles")
         path = resolve_vehicle(source)
-        found.family = family(vehicle, found.trim, family_of, gains=law, source=path, seed=seed)
+        found.family = family(
+            vehicle,
+            found.trim,
+            family_of,
+            gains=law,
+            observer=found.observer,
+            pade=pade,
+            source=path,
+            seed=seed,
+        )
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 
@@ -13,6 +13,7 @@ import control as ct
 import numpy as np
 from scipy.signal import cont2discrete
 
+from undertow.codegen.manifest import whole_samples
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
 from undertow.control.laws import JUMPING
@@ -29,6 +30,18 @@ from .numeric import Numeric, in_direction
 from .trim import Trim, find_trim
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class DelaySettings:
+    """Up to where dead times are approximated."""
+
+    # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
+    pade: int = 8
+    samples: int = 1000  # of a delay, each of which is a state for every signal that comes late
+
+
+SETTINGS = DelaySettings()
 
 
 def linearize(
@@ -74,24 +87,27 @@ def linearize(
     return with_units(system, numeric.units) if units else system
 
 
-def linear_with_delays(numeric: Numeric, trim: Trim, pade: int, dt: float = 0.0) -> ct.StateSpace:
+def linear_with_delays(
+    numeric: Numeric, trim: Trim, pade: int, dt: float = 0.0, p: Array | None = None
+) -> ct.StateSpace:
     """The linear system at a trim, sampled with its dead times in whole samples, or with Padé's."""
     _check_sampling(dt, pade)
-    system = linear_at(numeric, trim)
+    system = linear_at(numeric, trim, p)
     system = _held(system, dt) if dt else system
-    late = {n: s for n, s in numeric.report_delays.items() if n in system.output_labels}
-    if not numeric.dead_time and not late:
+    dead = numeric.dead_time(p)
+    late = {n: s for n, s in numeric.report_delays(p).items() if n in system.output_labels}
+    if not dead and not late:
         return system
     if not (pade or dt):
         _log.warning(
             "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
-            ", ".join(_delays_in_words(numeric.dead_time, late)),
+            ", ".join(_delays_in_words(dead, late)),
             numeric.vehicle.name,
         )
         return system
     inputs, outputs = system.input_labels, system.output_labels
-    if numeric.dead_time:
-        delays, own = _delays(inputs, dict.fromkeys(inputs, numeric.dead_time), pade, dt)
+    if dead:
+        delays, own = _delays(inputs, dict.fromkeys(inputs, dead), pade, dt)
         system = named(system * delays, (*own, *system.state_labels), inputs, outputs, system.name)
     if late:
         delays, own = _delays(outputs, late, pade, dt)
@@ -112,9 +128,12 @@ def _delays(
 
 def _shift(seconds: float, dt: float) -> ct.StateSpace:
     """A delay of the whole samples that are nearest."""
-    k = round(seconds / dt)
-    if abs(k * dt - seconds) > 1e-9 * seconds:
-        _log.warning("a dead time of %g s is taken as %d samples of %g s", seconds, k, dt)
+    k = whole_samples(seconds, dt)
+    if k > SETTINGS.samples:
+        raise UndertowError(
+            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, and {SETTINGS.samples} are the most: "
+            "lengthen dt"
+        )
     if not k:
         return ct.ss([], [], [], 1.0, dt=dt)
     first, last = np.eye(k)[:, [0]], np.eye(k)[[-1]]
@@ -124,6 +143,10 @@ def _shift(seconds: float, dt: float) -> ct.StateSpace:
 def _check_sampling(dt: float, pade: int) -> None:
     if not (isfinite(dt) and dt >= 0):
         raise UndertowError(f"sampling time dt = {dt:g} s cannot be: give a time above zero")
+    if not 0 <= pade <= SETTINGS.pade:
+        raise UndertowError(
+            f"pade = {pade} is no order that dead times are approximated to: give 0 to {SETTINGS.pade}"
+        )
     if dt and pade:
         raise UndertowError(
             f"dt = {dt:g} s takes dead times as whole samples, and pade = {pade} would approximate them: "
@@ -187,10 +210,8 @@ def as_nlsys(
         Whether labels are "u [m/s]" instead of "u", which `as_controller` connects by.
     """
     numeric = Numeric(in_direction(vehicle, direction or {}))
-    if numeric.dead_time:
-        _log.warning(
-            "commands of '%s' act %g s late; as_nlsys is without it", vehicle.name, numeric.dead_time
-        )
+    if late := numeric.dead_time():
+        _log.warning("commands of '%s' act %g s late; as_nlsys is without it", vehicle.name, late)
 
     def rate(t: float, x: Array, u: Array, params: Mapping[str, Array]) -> Array:
         return numeric.rate(t, x, u, params.get("p"))
@@ -401,13 +422,17 @@ def close_loop(
         )
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     law = law_for(gains, nominal or vehicle, found.direction)
-    plant = linearize(vehicle, found, pade=pade, dt=dt)
-    places = [plant.input_labels.index(n) for n in Plant(vehicle).vehicle.command_names]
-    if len(places) < plant.ninputs:
-        b, d, names = plant.B[:, places], plant.D[:, places], [plant.input_labels[i] for i in places]
-        system = like(plant, plant.A, b, plant.C, d)
-        plant = named(system, plant.state_labels, names, plant.output_labels, plant.name)
+    plant = with_commands(linearize(vehicle, found, pade=pade, dt=dt), law.commands)
     return LinearLoop(plant, law, found, observer)
+
+
+def with_commands(plant: ct.StateSpace, commands: Sequence[str]) -> ct.StateSpace:
+    """The linear vehicle with the commands of a law alone: without surfaces and inputs of the log."""
+    if tuple(plant.input_labels) == tuple(commands):
+        return plant
+    places = [plant.input_labels.index(n) for n in commands]
+    system = like(plant, plant.A, plant.B[:, places], plant.C, plant.D[:, places])
+    return named(system, plant.state_labels, commands, plant.output_labels, plant.name)
 
 
 def law_for(gains: GainSet, vehicle: Vehicle, direction: Mapping[str, int]) -> LawSystem:
