@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from undertow.identification.diagnosis.candidates import possible
-from undertow.identification.diagnosis.selection import Agreement, Worth, best_in_resamples, own_variables
+from undertow.identification.diagnosis.selection import (
+    Agreement,
+    Worth,
+    best_in_resamples,
+    own_variables,
+    undetermined,
+)
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -73,3 +79,19 @@ def test_variables_of_an_effect_are_those_of_its_equations() -> None:
     assert set(found["thruster_deadband"]) <= {*vehicle.command_names, *vehicle.velocity_names}
     assert found["velocity_lever_arm"] == vehicle.velocity_names
     assert not {"x", "y"} & set(found["radiation_memory"])
+
+
+@pytest.mark.parametrize(("stiffness", "known"), [(5.7, False), (30.0, True)])
+def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float, known: bool) -> None:
+    """A soft spring to a far point with stiffness times length known pulls like a constant force."""
+    values = {"k_tension": stiffness, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
+    errors = {"k_tension": 3.1, "L_slack": 4739.0, "z_anchor": 4710.0, "x_eye": 0.05}
+    words = undetermined(catalogue()["tether_tension"](()), values, errors)
+    assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not known" in words
+
+
+def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
+    memory = catalogue()["radiation_memory"](())
+    values = {"X_memu": 2.0, "T_memory": 0.4}
+    assert "T_memory" in undetermined(memory, values, {"X_memu": 0.1, "T_memory": 0.3})
+    assert undetermined(memory, values, {"X_memu": 0.1, "T_memory": 0.1}) == ""

@@ -18,7 +18,7 @@ from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
-from undertow.model.effect import Flow, Measurement
+from undertow.model.effect import Effect, Flow, Measurement
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index, Progress
 
@@ -238,20 +238,36 @@ def _levels(values: Array, settings: Settings) -> Index:
 
 
 # --- whether these logs show what is special about it -----------------------------------------------
-def _undetermined(finding: FoundEffect, settings: Settings) -> str:
+def undetermined(
+    effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], settings: Settings = DEFAULT
+) -> str:
     """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
 
     A memory without a time of its own is a spring or a damper; what has run into a bound is not what it is
-    called.
+    called. Where an effect is there beyond chance but nothing that it is proportional to is known, only a
+    product is, which another effect may be: a soft spring to a far point pulls like a constant force.
+
+    values, errors: those of its free parameters, by name, with standard errors.
     """
-    fit, effect = finding.trial.fit, finding.trial.candidate.effect(())
-    for p in (p for p in effect.parameters if p.name in fit.model.free):
-        value, error = fit.values[p.name], fit.standard_errors[p.name]
-        if effect.states and p.unit == "s" and not value > settings.known_times * error:
-            return f"its time constant {p.name} = {value:.2g} ± {error:.1g} s is not known from these logs"
-        if np.isclose(value, p.bounds[1], rtol=1e-6):
-            return f"{p.name} = {value:.3g} lies on its bound"
+    own = [p for p in effect.parameters if p.name in values]
+    words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
+    known = {p.name for p in own if abs(values[p.name]) > settings.known_times * errors[p.name]}
+    for p in own:
+        if effect.states and p.unit == "s" and not (p.name in known and values[p.name] > 0.0):
+            return f"its time constant {words[p.name]} is not known from these logs"
+        if np.isclose(values[p.name], p.bounds[1], rtol=1e-6):
+            return f"{p.name} = {values[p.name]:.3g} lies on its bound"
+    sizes = [p.name for p in own if p.linear]
+    if sizes and len(own) > len(sizes) and not known & {*sizes}:
+        size = ", ".join(words[name] for name in sizes)
+        return f"its size {size} is not known from these logs, only its product with other parameters"
     return ""
+
+
+def _undetermined(finding: FoundEffect, settings: Settings) -> str:
+    fit = finding.trial.fit
+    free = {n: fit.values[n] for n in fit.model.free}
+    return undetermined(finding.trial.candidate.effect(()), free, fit.standard_errors, settings)
 
 
 def _is_spring(finding: FoundEffect) -> bool:
