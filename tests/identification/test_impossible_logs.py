@@ -322,6 +322,18 @@ def test_real_logs_are_not_refused(vehicle_file: str, map_file: str, log: str) -
     refuse_impossible(vehicle, [velocities_from_pose(run, vehicle.degrees_of_freedom)])
 
 
+def test_no_minute_of_a_real_log_is_refused() -> None:
+    """Its sway and its attitude have errors; one of hundreds of pairs of mistakes helps there by chance."""
+    log = DATA / "ntnu-rov-sf30k" / "sf30k_20150518_1829.csv"
+    if not log.exists():
+        pytest.skip(f"the data set {log} is not here")
+    vehicle = load_vehicle(str(EXAMPLES / "sf30k/vehicle.toml"))
+    mapping = read_mapping(EXAMPLES / "sf30k/log.toml")
+    run = read_log(log, mapping, vehicle.command_names, missing_commands="hold")
+    for begin in (872.6, 1025.0, 1101.3, 1253.7):
+        refuse_impossible(vehicle, [run.slice(begin, begin + 60.0)])
+
+
 # --- the functions behind the commands ---------------------------------------------------------------------
 def test_fit_compare_and_diagnose_refuse_and_can_be_told_to_trust() -> None:
     vehicle, bad = _vehicle("box"), _log("box", _speeds(MMPS))

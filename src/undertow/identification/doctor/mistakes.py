@@ -52,6 +52,7 @@ class Mistake:
     # How many single things would have had to go wrong: of two explanations the simpler one is believed.
     count: int = 1
     vehicle: str = ""  # what to change in the vehicle file to the same end; empty where nothing there can
+    both: tuple[Mistake, ...] = ()  # the two that it is made of, if it is
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,7 @@ def both(first: Mistake, second: Mistake) -> Mistake:
         lambda run: second.undo(first.undo(run)),
         edits,
         first.count + second.count,
+        both=(first, second),
     )
 
 

@@ -316,7 +316,10 @@ def _pairs(
     likely = [m for m in distinct if m.id not in UNITS_OF_MOTION or _nearer(few, runs, m)]
     pairs = [both(a, b) for a, b in combinations(likely, 2) if a.id != b.id]
     found = _decisive(few, runs, few.mismatch(runs), pairs)
-    return _decisive(kinematics, runs, before, [m for m, _ in found])
+    wrong = inconsistent(before)
+    sure = _decisive(kinematics, runs, before, [m for m, _ in found])
+    # Of so many pairs one may do something by chance: they have to explain all there is.
+    return [(m, after) for m, after in sure if np.all(_gone(before, after)[wrong])]
 
 
 def _nearer(kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake) -> bool:
@@ -345,7 +348,8 @@ def _decisive(
         touched = kinematics.changed(given, rates) > SETTINGS.matters
         if not explains(before, after) or _left_alone(before, after, touched):
             continue
-        if not _UNITS & {*mistake.id.split("+")} or _shows_unit(kinematics, runs, mistake, before, after):
+        units = [m for m in mistake.both or (mistake,) if m.id in _UNITS]
+        if all(_shows_unit(kinematics, runs, unit, mistake, (before, after)) for unit in units):
             found.append((mistake, after))
     return found
 
@@ -360,22 +364,31 @@ _UNITS = UNITS_OF_MOTION | {"degrees_for_radians"}
 
 
 def _shows_unit(
-    kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake, before: Mismatch, after: Mismatch
+    kinematics: Kinematics,
+    runs: Sequence[Run],
+    unit: Mistake,
+    whole: Mistake,
+    change: tuple[Mismatch, Mismatch],
 ) -> bool:
-    """Whether a mismatch that goes away tells of another unit.
+    """Whether a mismatch that goes away with a mistake, or with both of a pair, tells of another unit.
 
     A little less of it does not where a sensor may be off as much. Nor does what goes away as well once the
     channels are zero: in their own unit they agree with the rest.
     """
-    if mistake.id in UNITS_OF_MOTION and not _explained(before, after) > PLAUSIBLE.other_unit:
+    before, after = change
+    if whole.id in UNITS_OF_MOTION and not _explained(before, after) > PLAUSIBLE.other_unit:
         return False
-    return _explained(kinematics.mismatch([_silenced(mistake, run) for run in runs]), after) > 0.0
+    silent = kinematics.mismatch([_silenced(unit, whole, run) for run in runs])
+    return _explained(silent, after) > 0.0
 
 
-def _silenced(mistake: Mistake, run: Run) -> Run:
-    """A run with zeros in the velocities whose unit a mistake is about, or in the positions."""
-    names = changed_channels(mistake, run)
-    return with_channels(run, {n: np.zeros(len(run.t)) for n in names & set(SPEEDS) or names})
+def _silenced(unit: Mistake, whole: Mistake, run: Run) -> Run:
+    """A mended run with zeros in the velocities that a unit is about, or else in all its channels."""
+    for part in whole.both or (whole,):
+        names = changed_channels(part, run) if part is unit else set()
+        zeros = {n: np.zeros(len(run.t)) for n in names & set(SPEEDS) or names}
+        run = with_channels(part.undo(run), zeros)
+    return run
 
 
 def _distinct(kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake]) -> list[Mistake]:
