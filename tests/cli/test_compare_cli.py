@@ -238,6 +238,11 @@ def test_a_fit_that_predicts_worse_is_not_written_without_force(
     written = json.loads(Path("fit.json").read_text())
     assert written["schema_id"] == "undertow/fit/1"
     assert written["error_after"] > 1.2 * written["error_before"]
+    # What the screen says of values is in the file, too.
+    words_of = {name: f"  {name}: {'; '.join(said)}" for name, said in written["remarks"].items()}
+    assert all(line in out.splitlines() for line in words_of.values())
+    assert all(note in " ".join(out.split()) for note in written["notes"])
+    assert written["remarks"] or written["notes"]
     longest = list(written["ahead_before"])[-1]
     percent = [f"{100 * written[f'ahead_{when}'][longest]:.0f}" for when in ("before", "after")]
     said = out.splitlines()[0]

@@ -27,7 +27,7 @@ from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
 from .estimation.data import prepare
-from .estimation.fitted import Fitted, cramer_rao, t_values, verdicts
+from .estimation.fitted import Fitted, cramer_rao, notes, remarks, t_values, verdicts
 from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict_each
@@ -245,7 +245,14 @@ class Refit:
             parameters=[FittedParameter(**row) for row in self.parameters.iter_rows(named=True)],
             by_run=self.by_run,
             condition=finite(self.fit.condition),
+            notes=notes(self.fit),
+            remarks=self.remarks,
         )
+
+    @property
+    def remarks(self) -> dict[str, list[str]]:
+        """Doubts about fitted values, by parameter: not identifiable, at a bound, far from the prior."""
+        return {name: words for name, words in remarks(self.fit, self.stated).items() if words}
 
     @property
     def by_run(self) -> list[ValuesByRun]:

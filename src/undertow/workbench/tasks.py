@@ -308,7 +308,7 @@ def add(job: Job) -> Result:
 def fit(job: Job) -> Result:
     """Refit what the present model marks as estimated, and write the vehicle file."""
     from undertow.identification.api import fit as run
-    from undertow.identification.estimation.fitted import base_parameters, correlation, notes, remarks
+    from undertow.identification.estimation.fitted import base_parameters, correlation, notes
 
     train, judge = job.to_fit
     done = run(job.vehicle, train, judge, report=_share(job.report, 0.0, 0.9), trust_log=job.trust)
@@ -324,7 +324,7 @@ def fit(job: Job) -> Result:
         "parameters": [_finite(row) for row in done.parameters.iter_rows(named=True)],
         "names": list(done.fit.model.free),
         "correlation": [_plain(row) for row in correlation(done.fit)],
-        "remarks": {name: lines for name, lines in remarks(done.fit, job.vehicle).items() if lines},
+        "remarks": done.remarks,
         "combinations": combined,
         "notes": notes(done.fit),
         "condition": done.fit.condition,

@@ -128,7 +128,7 @@ def fit(
 
 def show(done: Refit, given: CommandLine) -> None:
     """Print the error before and after, the parameters, and how far they can be trusted."""
-    from undertow.identification.estimation.fitted import notes, remarks
+    from undertow.identification.estimation.fitted import notes
 
     say(done.result().sentence())
     section(f"Parameters by {_METHODS[done.estimator.method]}", _parameters(done))
@@ -139,9 +139,8 @@ def show(done: Refit, given: CommandLine) -> None:
         say(f"  {line}", "yellow")
     for values in done.by_run:
         say(f"  {values}")
-    for name, said in remarks(done.fit, done.stated).items():
-        if said:
-            say(f"  {name}: {'; '.join(said)}", "yellow")
+    for name, said in done.remarks.items():
+        say(f"  {name}: {'; '.join(said)}", "yellow")
     horizon = done.before.windows.horizon
     section(f"Velocity error {horizon:.3g} s ahead on validation data, % of the motion", _errors(done))
 
