@@ -70,9 +70,9 @@ class FitResult(ResultTable):
     parameters: list[FittedParameter]
     by_run: list[ValuesByRun] = Field(default_factory=list)
     condition: float | None
-    # What held the fit where the data do not, and doubts about values, by parameter: not identifiable, at a
-    # bound, far from the prior.
+    # What held the fit where the data do not.
     notes: list[str] = Field(default_factory=list)
+    # Doubts about values, by parameter: not identifiable, at a bound, far from the prior.
     remarks: dict[str, list[str]] = Field(default_factory=dict)
     # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
     long_logs: LongLogs | None = None
