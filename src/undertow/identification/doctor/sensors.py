@@ -261,8 +261,15 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
 
 
 def contradicts(found: Explained, chosen: Mistake) -> bool:
-    """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them."""
-    return _explained(found.before, found.after) > possible_mismatch(chosen)
+    """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them.
+
+    It has to explain them wherever it does something: what stays is that of a sensor, and more may be.
+    """
+    before, after = found.before, found.after
+    moved = np.abs(after.share - before.share) > SETTINGS.matters
+    if np.any(inconsistent(before) & moved & ~_gone(before, after)):
+        return False
+    return _explained(before, after) > possible_mismatch(chosen)
 
 
 def possible_mismatch(chosen: Mistake) -> float:
