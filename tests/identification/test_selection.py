@@ -40,6 +40,20 @@ def test_what_makes_predictions_over_any_horizon_worse_is_not_worth_adding() -> 
     assert not worth.enough(0.1)
 
 
+def test_what_is_lacking_is_said_of_the_horizon_that_it_lacks() -> None:
+    falls, largest = {1.0: 0.1, 4.0: -0.03, 16.0: 0.2}, {1.0: 0.2, 4.0: 0.3, 16.0: 0.45}
+    words = Worth(falls, largest, ()).lacking(0.1)
+    assert words == "raises the error of predictions over 4 s by 3%"
+    assert Worth({**falls, 4.0: 0.01}, largest, ()).lacking(0.1) == ""
+    little = Worth({**falls, 4.0: 0.01}, dict.fromkeys(falls, 0.05), ()).lacking(0.1)
+    assert little == "lowers the error of no velocity over 16 s by 10% (5% at most)"
+
+
+def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:
+    assert Worth({2.0: 0.3}, {2.0: 0.4}, ()).enough(0.1)
+    assert "over 2 s by 30%" in Worth({2.0: -0.3}, {2.0: 0.4}, ()).lacking(0.1)
+
+
 def test_resamples_share_the_lead_between_candidates_that_differ_by_chance_only() -> None:
     rng = np.random.default_rng(2)
     errors = rng.uniform(0.5, 1.5, (3, 40, 2))

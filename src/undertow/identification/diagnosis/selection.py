@@ -72,9 +72,13 @@ class Worth:
 
     def enough(self, least: float) -> bool:
         """Whether long predictions get better by as much as matters, and those over no horizon worse."""
-        _, *longer = sorted(self.falls)
-        better = all(self.falls[h] >= 0.0 for h in longer)
-        return better and not self.worse and max(self.largest[h] for h in longer) >= least
+        better = all(self.falls[h] >= 0.0 for h in self._longer)
+        return better and not self.worse and max(self.largest[h] for h in self._longer) >= least
+
+    @property
+    def _longer(self) -> list[float]:
+        """The horizons but for the shortest; of runs as short as that, the only one."""
+        return sorted(self.falls)[1:] or [*self.falls]
 
     def lacking(self, least: float) -> str:
         """Why it is not worth adding, in words; empty where it is."""
@@ -83,11 +87,12 @@ class Worth:
         if self.worse:
             over = " and ".join(f"{h:g} s" for h in self.worse)
             return f"makes predictions over {over} worse"
-        longest = max(self.falls)
-        if self.falls[longest] < 0.0:
-            much = -self.falls[longest]
+        longest = self._longer[-1]
+        raised = next((h for h in reversed(self._longer) if self.falls[h] < 0.0), None)
+        if raised is not None:
+            much = -self.falls[raised]
             words = f"{much:.0%}" if much > 0.005 else "a little"
-            return f"raises the error of predictions over {longest:g} s by {words}"
+            return f"raises the error of predictions over {raised:g} s by {words}"
         gained = max(self.largest[longest], 0.0)
         return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 
