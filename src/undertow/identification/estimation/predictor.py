@@ -38,10 +38,7 @@ class StartSettings:
     rounds: int = 12
     secant: float = 1e-6
     shares: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.0)  # of a step that are tried together
-    # Where the search ends: fall of the sum of squares, as a share of it, or of the first fall where the
-    # beginning was known already but for a small change of the parameters.
-    least_fall: float = 1e-6
-    least_further_fall: float = 1e-3
+    least_fall: float = 1e-3  # of the sum of squares, as a share of the first one, with which the search ends
     # Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
     kept: int = 24
 
@@ -231,7 +228,7 @@ def best_start(
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
     moved = np.zeros_like(start) if first is None else (first - start) / width
-    least = None
+    falls: list[Array] = []
     for _ in range(SETTINGS.rounds):
         step = _gauss_newton(residual, moved)
         trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
@@ -240,11 +237,8 @@ def best_start(
         cost = np.nan_to_num(cost, nan=_LOST, posinf=_LOST)
         best = np.argmin(cost, axis=1)
         moved = trials[np.arange(len(best)), best]
-        gained = cost[:, -1] - cost[np.arange(len(best)), best]
-        if least is None:
-            share = SETTINGS.least_fall * np.maximum(cost[:, -1], 1.0)
-            least = share if first is None else SETTINGS.least_further_fall * gained
-        if not np.any(gained > least):
+        falls.append(cost[:, -1] - cost[np.arange(len(best)), best])
+        if not np.any(falls[-1] > SETTINGS.least_fall * falls[0]):
             break
     return start + moved * width
 
@@ -313,9 +307,9 @@ class Predictor:
         self, windows: Windows, p: Array, motion: Array | None = None, near: Array | None = None
     ) -> tuple[Array, Drive]:
         """States at the start of every window, (b, nx), and the commands in it, as for `reports`."""
-        found = self._found(windows, p, near)
-        drive = self._drive(windows, p)[0]
-        return np.column_stack([found.motion if motion is None else motion, found.own]), drive
+        arrival = self._drive(windows, p)
+        found = self._found(windows, p, near, arrival)
+        return np.column_stack([found.motion if motion is None else motion, found.own]), arrival[0]
 
     def _drive(self, windows: Windows, p: Array) -> tuple[Drive, list[Array], float]:
         """Commands as they arrive in every window, as they were sent in every run, and their delay."""
@@ -323,7 +317,13 @@ class Predictor:
         delay = float(self.functions.dead_time(p))
         return arriving(windows, held, delay), held, delay
 
-    def _found(self, windows: Windows, p: Array, near: Array | None = None) -> _Found:
+    def _found(
+        self,
+        windows: Windows,
+        p: Array,
+        near: Array | None = None,
+        arrival: tuple[Drive, list[Array], float] | None = None,
+    ) -> _Found:
         """Measured motion and own states at the starts, kept for the next calls with the same parameters.
 
         A descent comes back to the same parameters again and again while it moves the starts. Of one set of
@@ -335,7 +335,7 @@ class Predictor:
         key = p.tobytes() + (b"" if near is None else near.tobytes())
         if key not in recent:
             origin = None if near is None else self._found(windows, near).origin
-            drive, held, delay = self._drive(windows, p)
+            drive, held, delay = arrival or self._drive(windows, p)
             motion = self.measured_motion(windows, drive.u, p)
             own, origin = self._own_states.at_starts(windows, motion, held, delay, p, origin)
             if len(recent) >= SETTINGS.kept:
