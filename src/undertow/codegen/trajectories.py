@@ -301,23 +301,28 @@ def products_of(value: Array, slope: Array, measured: Array, weight: Array, grou
     measured, weight, group : arrays
         As for `Simulator.products`.
     """
-    used, measured = weight != 0, np.where(weight == 0, 0.0, measured)
+    b, n, channels, m = slope.shape
+    unused = weight == 0
+    both = np.empty((b, n, channels, m + 1))
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is reported as such
-        error = np.where(used, (value - measured) * weight, 0.0)
-        rows = np.where(used[..., None], slope * weight[..., None], 0.0)
-        squares = np.sum(error**2, axis=1)
-    b, groups, m = len(value), int(group.max(initial=0)) + 1, slope.shape[3]
+        np.multiply(slope, weight[..., None], out=both[..., :m])
+        np.multiply(value - measured, weight, out=both[..., m])
+        both[unused] = 0.0
+        squares = np.sum(both[..., m] ** 2, axis=1)
+    groups = int(group.max(initial=0)) + 1
     found = Products(np.zeros((b, groups, m + 1, m + 1)), squares, diverged=False)
-    if not (np.isfinite(value).all() and np.isfinite(squares).all() and np.isfinite(rows).all()):
+    if not (np.isfinite(value).all() and np.isfinite(squares).all() and np.isfinite(both).all()):
         return Products(found.table, found.squares, diverged=True)
-    both = np.concatenate([rows, error[..., None]], axis=3)
     for g in range(groups):
         inside = group == g
         there = np.flatnonzero(inside.any(axis=0))
         if not there.size:
             continue
         span = slice(there[0], there[-1] + 1)
-        part = np.where(inside[:, span, None, None], both[:, span], 0.0).reshape(b, -1, m + 1)
+        part = both[:, span]
+        if not inside[:, span].all():
+            part = np.where(inside[:, span, None, None], part, 0.0)
+        part = part.reshape(b, -1, m + 1)
         with np.errstate(over="ignore", invalid="ignore"):
             found.table[:, g] = np.swapaxes(part, 1, 2) @ part
     return Products(found.table, squares, diverged=not np.isfinite(found.table).all())

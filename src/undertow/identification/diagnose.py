@@ -21,6 +21,7 @@ from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, notes
+from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -349,6 +350,32 @@ class ResultBuilder:
         ]
 
 
+def _builder(
+    vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
+) -> ResultBuilder:
+    """The result of the search, or where it leaves more than noise, of the selection."""
+    if not _far_from_noise(found, validator):
+        report(0.9, "judging the result by simulation")
+        builder = ResultBuilder(vehicle, found, validator, known)
+        if builder.judgement.verdict != "unexplained":
+            return builder
+    report(0.92, "adding effects as long as predictions get better")
+    selection = select(found, validator, known, lambda done, words: report(0.92 + 0.07 * done, words))
+    return _confirmed(vehicle, found, validator, known, selection)
+
+
+def _far_from_noise(found: Search, validator: SimulationValidator) -> bool:
+    """Whether neither what was found nor what does as well in its place could be fitted down to the noise."""
+    limit = validator.settings.within_reach
+    sets = [found.effect_set, *(s for rivals in found.rivals for s in rivals)]
+
+    def far(fit: WeakFit) -> bool:
+        least = np.nanmax(noise_ratio(fit, found.bench.test))
+        return bool(least > limit and not np.mean(validator.squares(fit)) < limit)
+
+    return all(far(s.fit) for s in sets)
+
+
 def _confirmed(
     vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue, selection: Selection
 ) -> ResultBuilder:
@@ -566,14 +593,7 @@ def diagnose(
             validator.residual_is_noise,
             settings,
         )
-        report(0.9, "judging the result by simulation")
-        builder = ResultBuilder(vehicle, found, validator, effects)
-        if builder.judgement.verdict == "unexplained":
-            report(0.92, "adding effects as long as predictions get better")
-            selection = select(
-                found, validator, effects, lambda done, words: report(0.92 + 0.07 * done, words)
-            )
-            builder = _confirmed(vehicle, found, validator, effects, selection)
+        builder = _builder(vehicle, found, validator, effects, report)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
         diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())

@@ -538,7 +538,7 @@ def _text_complaints(cls: type[Effect]) -> Iterator[str]:
 
 
 def _requires_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
-    for what, ids in (("requires", cls.requires), ("shares", cls.shares)):
+    for what, ids in (("requires", cls.requires), ("shares", cls.shares), ("series_of", cls.series_of)):
         if not isinstance(ids, tuple):
             yield f"{what} is {ids!r}: write a tuple, such as ('added_mass',)"
             return

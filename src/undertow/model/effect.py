@@ -53,6 +53,9 @@ class Effect(abc.ABC):
         Ids of effects whose parameters this one shares; it can stand only in a vehicle that has them.
     shares : tuple of str
         Ids of effects whose parameters it shares where the vehicle has them, and takes as zero where not.
+    series_of : tuple of str
+        Ids of effects for whose forces this one is a polynomial with a coefficient for each term: it may fit
+        better than the physics without being another cause.
     built_in : bool
         True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
     of_shape : bool
@@ -84,6 +87,7 @@ class Effect(abc.ABC):
     signature: ClassVar[str] = ""
     requires: ClassVar[tuple[str, ...]] = ()
     shares: ClassVar[tuple[str, ...]] = ()
+    series_of: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
     of_shape: ClassVar[bool] = False
     weighed: ClassVar[bool] = False

@@ -43,11 +43,13 @@ class Worth:
     falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
     largest: the same of the velocity that gains most.
     worse: horizons over which the predictions get worse by more than chance.
+    better: how often predictions get better when the windows are drawn anew, and how often they have to.
     """
 
     falls: dict[float, float]
     largest: dict[float, float]
     worse: tuple[float, ...]
+    better: tuple[float, float] = (1.0, 0.0)
 
     @property
     def by_horizon(self) -> dict[str, float]:
@@ -68,12 +70,18 @@ class Worth:
             unit = np.maximum(np.mean(old, axis=0), 1e-300)
             if worse_by_rank_test(np.sum(new / unit, axis=1), np.sum(old / unit, axis=1), settings):
                 worse.append(horizon)
-        return cls(falls, largest, tuple(worse))
+        better = float(best_in_resamples([before, after], settings)[1])
+        return cls(falls, largest, tuple(worse), (better, settings.best_share))
 
     def enough(self, least: float) -> bool:
         """Whether long predictions get better by as much as matters, and those over no horizon worse."""
-        better = all(self.falls[h] >= 0.0 for h in self._longer)
-        return better and not self.worse and max(self.largest[h] for h in self._longer) >= least
+        lower = all(self.falls[h] >= 0.0 for h in self._longer) and not self.worse
+        return lower and max(self.largest[h] for h in self._longer) >= least and not self._by_chance
+
+    @property
+    def _by_chance(self) -> bool:
+        """Whether chance may make predictions better by as much."""
+        return self.better[0] < self.better[1]
 
     @property
     def _longer(self) -> list[float]:
@@ -93,6 +101,8 @@ class Worth:
             much = -self.falls[raised]
             words = f"{much:.0%}" if much > 0.005 else "a little"
             return f"raises the error of predictions over {raised:g} s by {words}"
+        if max(self.largest[h] for h in self._longer) >= least:
+            return f"lowers the error of predictions in only {self.better[0]:.0%} of the resamples"
         gained = max(self.largest[longest], 0.0)
         return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 
@@ -102,7 +112,7 @@ class Worth:
 
 
 def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
-    """How often each candidate predicts best when the windows are drawn anew, shape (len(candidates),).
+    """How often each model predicts best when the windows are drawn anew, shape (len(candidates),).
 
     candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
     """
@@ -378,6 +388,21 @@ def select(
     return _Selector(found, validator, known, report).run()
 
 
+def _stands(finding: FoundEffect, doubt: str, bench: Bench) -> bool:
+    """Whether nothing speaks against an effect beside one that predicts as well.
+
+    A current on one heading is not refuted: these logs do not show what would be special about it.
+    """
+    return not doubt or doubt == _never_turned(finding, bench)
+
+
+def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
+    """Whether an effect is a polynomial for the physics of another: that the series fits better, as with more
+    coefficients it will, does not speak against the physics.
+    """
+    return other.id in finding.trial.candidate.effect.series_of
+
+
 _NOT_BEST = "others are better in nearly all resamples of the logs"
 
 
@@ -469,11 +494,12 @@ class _Selector:
         if not worthy:
             return None
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
-        # A current on one heading is not refuted: these logs do not show what would be special about it.
         rivals = [
             f
-            for f in (*leading, *near)
-            if f is not chosen and (not doubts[f.id] or doubts[f.id] == _never_turned(f, bench))
+            for f in found.values()
+            if f is not chosen
+            and worth[f.id].enough(least)
+            and (_is_series_of(chosen, f) or (f.id in doubts and _stands(f, doubts[f.id], bench)))
         ]
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)

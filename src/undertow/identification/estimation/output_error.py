@@ -31,7 +31,10 @@ class OutputErrorSettings:
 
     horizon: float = 5.0  # length of a window, s
     most_steps: int = 40
-    least_fall: float = 1e-3  # of the sum of squares, below which there is nothing left to gain
+    # Fall of the sum of squares, in units of the mean square left, below which there is nothing left to gain.
+    least_fall: float = 1e-3
+    # The same as a share of it, while the weights are still to be estimated from what is left.
+    rough_fall: float = 0.01
     rounds: int = 3  # of weights by channel
     robust_rounds: int = 20  # of weights by sample
     # Change of a logarithm of a channel's weight, or of the parameters in standard deviations, with which
@@ -123,10 +126,7 @@ class State:
 
 
 class Descent:
-    """Levenberg-Marquardt on the parameters, with the best starts for every step.
-
-    It ends when the sum of squares falls by less than `enough`.
-    """
+    """Levenberg-Marquardt on the parameters, with the best starts for every step."""
 
     def __init__(
         self,
@@ -134,9 +134,7 @@ class Descent:
         windows: Windows,
         compiled: bool | None = None,
         progress: Progress = lambda done, words: None,
-        enough: float = SETTINGS.least_fall,
     ) -> None:
-        self._enough = enough
         self.model, self.windows = model, windows
         self._weight = channel_weights(windows)
         self._shooting = Shooting(
@@ -150,7 +148,7 @@ class Descent:
         """Minimise, weight every channel by what the model leaves in it, until the weights converge."""
         starts = self._shooting.fitted_starts(p)
         dispersion = np.ones(len(self.windows.names))
-        state = self.minimise(p, starts)
+        state = self._roughly(p, starts)
         for round_ in range(1, SETTINGS.rounds):
             self._progress(round_ / SETTINGS.rounds, "output error")
             found = np.maximum(1.0, np.nan_to_num(_mean_square(state.at, starts, dispersion), nan=1.0))
@@ -158,7 +156,8 @@ class Descent:
                 break
             dispersion = found
             self._shooting.weight = self._weight / np.sqrt(dispersion)
-            state = self.minimise(state.p, state.starts)
+            state = self._roughly(state.p, state.starts)
+        state = self._minimised(state, _nothing)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
         )
@@ -207,16 +206,29 @@ class Descent:
 
     def minimise(self, p: Array, starts: Array) -> State:
         """Minimise from these parameters and starts, with the weights as they are."""
+        return self._minimised(self._at(p, starts), _nothing)
+
+    def _roughly(self, p: Array, starts: Array) -> State:
+        """The same until what is left, and so the weights, hardly change."""
+        return self._minimised(
+            self._at(p, starts), lambda at: max(_nothing(at), SETTINGS.rough_fall * at.cost)
+        )
+
+    def _at(self, p: Array, starts: Array) -> State:
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         if not np.isfinite(state.at.cost):
             raise UndertowError(
                 "the simulation diverges with the starting values of the parameters: give a shorter horizon, "
                 "or values nearer to the truth"
             )
+        return state
+
+    def _minimised(self, state: State, enough: Callable[[Reduced], float]) -> State:
+        """Steps until one gains less than enough."""
         for _ in range(SETTINGS.most_steps):
             self._steps += 1
             state, gained = self._stepped(state)
-            if gained < self._enough:
+            if gained < enough(state.at):
                 break
         return state
 
@@ -232,13 +244,20 @@ class Descent:
             after = self._space.cost(p, at.cost)
             if after < before:
                 return State(p, starts, at, max(damping / 10, SETTINGS.least_damping)), before - after
-            if (
-                before - self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
-                < self._enough
-            ):
+            promised = self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
+            if before - promised < _nothing(state.at):
                 break
             damping *= 10
         return state, 0.0
+
+
+def _nothing(at: Reduced) -> float:
+    """A fall of the cost that is none.
+
+    What a poor model leaves is many times the noise: there a fraction of a noise variance moves no parameter
+    by a notable share of its standard error.
+    """
+    return SETTINGS.least_fall * max(1.0, at.cost / max(float(at.counts.sum()), 1.0))
 
 
 def _damped(at: Reduced, damping: float) -> Linearised:

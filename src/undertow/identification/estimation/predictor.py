@@ -285,6 +285,16 @@ class Predictor:
         other._recent = (lambda: None), {}
         return other
 
+    def beginning(self, windows: Windows, rows: Index, part: Windows, p: Array) -> Predictor:
+        """A predictor of `part`, which is the beginning of some of the windows.
+
+        What is known of the starts at these parameters is not worked out again.
+        """
+        found, other = self._found(windows, p), self.another()
+        known = _Found(found.motion[rows], found.own[rows], found.origin)
+        other._recent = weakref.ref(part), {p.tobytes(): known}
+        return other
+
     @property
     def values(self) -> Array:
         """Parameters of the vehicle."""

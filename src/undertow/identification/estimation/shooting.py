@@ -226,24 +226,39 @@ class Shooting:
         first = self.measured_starts(p)
         # In a velocity that was derived from the pose every sample is far off.
         if any(run.derived for run in self.windows.runs):
-            return self._fitted_progressively(p, first)[0]
+            return self._fitted_progressively(p, first)
         starts, squares = self._stepped(p, first)
-        if not np.max(squares) > SETTINGS.wrong_start * np.median(squares):
-            return starts
-        opened, after = self._fitted_progressively(p, first)
-        return np.where((after < squares)[:, None], opened, starts)
+        wrong = np.flatnonzero(squares > SETTINGS.wrong_start * np.median(squares))
+        if len(wrong):
+            some = self._some(wrong, self.windows.t.shape[1], p)
+            opened = some._fitted_progressively(p, first[wrong])
+            after = some.mean_squares(p, opened)
+            starts[wrong] = np.where((after < squares[wrong])[:, None], opened, starts[wrong])
+        return starts
 
-    def _fitted_progressively(self, p: Array, starts: Array) -> tuple[Array, Array]:
-        """Starts fitted to more and more of every window, and the mean square of each with them."""
-        trust = self.trust
+    def _fitted_progressively(self, p: Array, starts: Array) -> Array:
+        """Starts fitted to more and more of every window."""
         elapsed = self.windows.t - self.windows.t[:, :1]
-        part = SETTINGS.first_part
+        part, every = SETTINGS.first_part, np.arange(len(self.windows))
         while part < np.max(elapsed):
-            within = np.where(elapsed <= part, 1.0, 0.0)[:, :, None]
-            self.trust = within if trust is None else trust * within
-            starts, part = self._stepped(p, starts)[0], 2.0 * part
-        self.trust = trust
-        return self._stepped(p, starts)
+            within = self.windows.inside & (elapsed <= part)
+            beginning = self._some(every, int(within.sum(axis=1).max()), p)
+            weight = 1.0 if beginning.trust is None else beginning.trust
+            beginning.trust = np.where(within[:, : beginning.windows.t.shape[1], None], weight, 0.0)
+            starts, part = beginning._stepped(p, starts)[0], 2.0 * part
+        return self._stepped(p, starts)[0]
+
+    def _some(self, rows: Index, most: int, p: Array) -> Shooting:
+        """Some of the windows, each with its first samples, for simulations with these parameters."""
+        some = copy(self)
+        some.__dict__.pop("used", None)
+        some.windows = self.windows.take(rows, most)
+        some.trust = None if self.trust is None else self.trust[rows, :most]
+        if self.by_run:
+            some.by_run = some._runs()
+        else:
+            some.predictor = self.predictor.beginning(self.windows, rows, some.windows, p)
+        return some
 
     def _stepped(self, p: Array, starts: Array) -> tuple[Array, Array]:
         """Starts after Gauss-Newton steps of their own, and the mean square of each window with them.

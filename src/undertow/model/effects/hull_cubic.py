@@ -27,6 +27,7 @@ class HullCubic(Wrench):
         "Yasukawa and Yoshimura (2015), MMG standard method (hull forces, polynomials in v' and r'); "
         "Abkowitz (1964) for the series itself"
     )
+    series_of = ("crossflow_drag",)
     signature = "in tight turns, not in gentle ones, sway force and yaw moment differ from what lift gives"
 
     X_vvvv_per_UU = Parameter("N/(m/s)^2", "surge force per v^4/U^2")

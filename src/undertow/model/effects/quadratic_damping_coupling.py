@@ -25,6 +25,7 @@ class QuadraticDampingCoupling(Wrench):
         "Fossen (2021), chapter 6 (second-order modulus functions: Y_|r|v, N_|v|r and the like); "
         "Skjetne, Smogeli and Fossen (2004), MIC 25(1); Prestero (2001) for heave and pitch"
     )
+    series_of = ("crossflow_drag",)
     signature = (
         "drifting sideways turns the vehicle, and drift and turning together cost more than each alone"
     )
