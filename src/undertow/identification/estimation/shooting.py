@@ -170,6 +170,7 @@ class Shooting:
     ) -> None:
         self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
         self.trust: Array | None = None
+        self._of_starts = False  # derivatives in parameters are of no use
         self._columns = RunValues(functions, free)
         self.values = self._columns if values is None else values
         self.places = list(self._columns.local)
@@ -223,36 +224,37 @@ class Shooting:
         What is read off the log at one sample is a little off, and a window may run away from there: then
         its beginning is fitted first, twice as much of it after that and so on, and all in the end.
         """
-        first = self.measured_starts(p)
+        first, length = self.measured_starts(p), self.windows.t.shape[1]
+        every = np.arange(len(self.windows))
         # In a velocity that was derived from the pose every sample is far off.
         if any(run.derived for run in self.windows.runs):
-            return self._fitted_progressively(p, first)
-        starts, squares = self._stepped(p, first)
+            return self._fitted_progressively(every, p, first)
+        starts, squares = self._some(every, length, p)._stepped(p, first)
         wrong = np.flatnonzero(squares > SETTINGS.wrong_start * np.median(squares))
         if len(wrong):
-            some = self._some(wrong, self.windows.t.shape[1], p)
-            opened = some._fitted_progressively(p, first[wrong])
-            after = some.mean_squares(p, opened)
+            opened = self._fitted_progressively(wrong, p, first[wrong])
+            after = self._some(wrong, length, p).mean_squares(p, opened)
             starts[wrong] = np.where((after < squares[wrong])[:, None], opened, starts[wrong])
         return starts
 
-    def _fitted_progressively(self, p: Array, starts: Array) -> Array:
-        """Starts fitted to more and more of every window."""
-        elapsed = self.windows.t - self.windows.t[:, :1]
-        part, every = SETTINGS.first_part, np.arange(len(self.windows))
+    def _fitted_progressively(self, rows: Index, p: Array, starts: Array) -> Array:
+        """Starts of some windows, fitted to more and more of each."""
+        windows = self.windows.take(rows, self.windows.t.shape[1])
+        elapsed, part = windows.t - windows.t[:, :1], SETTINGS.first_part
         while part < np.max(elapsed):
-            within = self.windows.inside & (elapsed <= part)
-            beginning = self._some(every, int(within.sum(axis=1).max()), p)
+            within = windows.inside & (elapsed <= part)
+            beginning = self._some(rows, int(within.sum(axis=1).max()), p)
             weight = 1.0 if beginning.trust is None else beginning.trust
             beginning.trust = np.where(within[:, : beginning.windows.t.shape[1], None], weight, 0.0)
             starts, part = beginning._stepped(p, starts)[0], 2.0 * part
-        return self._stepped(p, starts)[0]
+        return self._some(rows, windows.t.shape[1], p)._stepped(p, starts)[0]
 
     def _some(self, rows: Index, most: int, p: Array) -> Shooting:
-        """Some of the windows, each with its first samples, for simulations with these parameters."""
+        """Some of the windows, each with its first samples, to fit their starts for these parameters."""
         some = copy(self)
-        some.__dict__.pop("used", None)
-        some.windows = self.windows.take(rows, most)
+        for worked_out in ("used", "_reports_states"):
+            vars(some).pop(worked_out, None)
+        some.windows, some._of_starts = self.windows.take(rows, most), True
         some.trust = None if self.trust is None else self.trust[rows, :most]
         if self.by_run:
             some.by_run = some._runs()
@@ -371,6 +373,8 @@ class Shooting:
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
         """Derivatives of the report in parameters that act before a window starts, too."""
+        if self._of_starts:
+            return {}
         return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts, near=p))
 
     def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
@@ -412,7 +416,8 @@ class Shooting:
     def _reports_states(self) -> bool:
         """Whether all that is compared are states of the simulation, and nothing acts before a window."""
         sensor_delay = self.predictor.sensor_delay
-        return self.predictor.sensors_are_true and not sensor_delay.present and not self._indirect
+        direct = self._of_starts or not self._indirect
+        return self.predictor.sensors_are_true and not sensor_delay.present and direct
 
     def _all_weights(self, rows: slice) -> Array:
         """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
