@@ -49,6 +49,27 @@ def test_what_is_lacking_is_said_of_the_horizon_that_it_lacks() -> None:
     assert little == "lowers the error of no velocity over 16 s by 10% (5% at most)"
 
 
+def test_a_gain_that_hangs_on_a_few_windows_is_not_worth_adding() -> None:
+    rng = np.random.default_rng(4)
+    before = {h: rng.uniform(0.5, 1.5, (8, 2)) for h in (1.0, 4.0, 16.0)}
+    some = np.ones((8, 1))
+    some[0] = 0.1  # in one window alone the error falls, but for a little
+    lucky = Worth.of(before, {h: squares * np.where(some < 1, some, 1.02) for h, squares in before.items()})
+    assert lucky.largest[16.0] > 0.05
+    assert lucky.falls[16.0] > 0.0
+    assert not lucky.enough(0.05)
+    assert "of the resamples" in lucky.lacking(0.05)
+    steady = Worth.of(before, {h: squares * 0.8 for h, squares in before.items()})
+    assert steady.better[0] == 1.0
+    assert steady.enough(0.05)
+
+
+def test_series_name_the_physics_that_they_are_polynomials_for() -> None:
+    known = catalogue()
+    of = {i: effect.series_of for i, effect in known.items() if effect.series_of}
+    assert of == {"hull_cubic": ("crossflow_drag",), "quadratic_damping_coupling": ("crossflow_drag",)}
+
+
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:
     assert Worth({2.0: 0.3}, {2.0: 0.4}, ()).enough(0.1)
     assert "over 2 s by 30%" in Worth({2.0: -0.3}, {2.0: 0.4}, ()).lacking(0.1)

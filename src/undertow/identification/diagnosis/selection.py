@@ -8,7 +8,7 @@ much as matters and nowhere worse, and that it says the same in every run and ev
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +43,8 @@ class Worth:
     falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
     largest: the same of the velocity that gains most.
     worse: horizons over which the predictions get worse by more than chance.
-    better: how often predictions get better when the windows are drawn anew, and how often they have to.
+    better: how often predictions over the horizon that shows it best get better when the windows are drawn
+        anew, and how often they have to. Windows of several horizons are the same stretches of the logs.
     """
 
     falls: dict[float, float]
@@ -70,23 +71,19 @@ class Worth:
             unit = np.maximum(np.mean(old, axis=0), 1e-300)
             if worse_by_rank_test(np.sum(new / unit, axis=1), np.sum(old / unit, axis=1), settings):
                 worse.append(horizon)
-        better = float(best_in_resamples([before, after], settings)[1])
+        pairs = [[{h: before[h]}, {h: after[h]}] for h in _longer(before)]
+        better = max(float(best_in_resamples(pair, settings)[1]) for pair in pairs)
         return cls(falls, largest, tuple(worse), (better, settings.best_share))
 
     def enough(self, least: float) -> bool:
         """Whether long predictions get better by as much as matters, and those over no horizon worse."""
-        lower = all(self.falls[h] >= 0.0 for h in self._longer) and not self.worse
-        return lower and max(self.largest[h] for h in self._longer) >= least and not self._by_chance
+        lower = all(self.falls[h] >= 0.0 for h in _longer(self.falls)) and not self.worse
+        return lower and max(self.largest[h] for h in _longer(self.falls)) >= least and not self._by_chance
 
     @property
     def _by_chance(self) -> bool:
         """Whether chance may make predictions better by as much."""
         return self.better[0] < self.better[1]
-
-    @property
-    def _longer(self) -> list[float]:
-        """The horizons but for the shortest; of runs as short as that, the only one."""
-        return sorted(self.falls)[1:] or [*self.falls]
 
     def lacking(self, least: float) -> str:
         """Why it is not worth adding, in words; empty where it is."""
@@ -95,13 +92,13 @@ class Worth:
         if self.worse:
             over = " and ".join(f"{h:g} s" for h in self.worse)
             return f"makes predictions over {over} worse"
-        longest = self._longer[-1]
-        raised = next((h for h in reversed(self._longer) if self.falls[h] < 0.0), None)
+        longest = _longer(self.falls)[-1]
+        raised = next((h for h in reversed(_longer(self.falls)) if self.falls[h] < 0.0), None)
         if raised is not None:
             much = -self.falls[raised]
             words = f"{much:.0%}" if much > 0.005 else "a little"
             return f"raises the error of predictions over {raised:g} s by {words}"
-        if max(self.largest[h] for h in self._longer) >= least:
+        if max(self.largest[h] for h in _longer(self.falls)) >= least:
             return f"lowers the error of predictions in only {self.better[0]:.0%} of the resamples"
         gained = max(self.largest[longest], 0.0)
         return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
@@ -109,6 +106,12 @@ class Worth:
     def something(self, least: float) -> bool:
         """Whether predictions over any horizon get better by as much as matters."""
         return max(self.largest.values()) >= least
+
+
+def _longer(horizons: Iterable[float]) -> list[float]:
+    """Horizons but for the shortest; of runs as short as that, the only one."""
+    found = sorted(horizons)
+    return found[1:] or found
 
 
 def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:

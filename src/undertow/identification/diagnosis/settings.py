@@ -247,7 +247,11 @@ class Settings:
     simulated: int = _number(6, "candidates of a round that are fitted by output error", _TIME, off=_NO_LIMIT)
     most_effects: int = _number(6, "effects that are added where each is worth it", _TIME, off=1)
     best_share: float = _number(
-        0.9, "share of the resamples in which the named effect, or one of a set, is the best", _LEVEL, off=0.0
+        0.9,
+        "share of the resamples in which the named effect, or one of a set, is the best, and in which "
+        "predictions get better with what is added",
+        _LEVEL,
+        off=0.0,
     )
     own_share: float = _number(
         0.5,
