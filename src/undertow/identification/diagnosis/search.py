@@ -40,7 +40,7 @@ from .evidence import (
 )
 from .rounds import Round, freed, try_all, values_to_free
 from .settings import DEFAULT, Settings
-from .trial import Bench, only_noise, open_bench, parameters_that_matter
+from .trial import Bench, noise_ratio, only_noise, open_bench, parameters_that_matter
 
 
 def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
@@ -277,8 +277,22 @@ def _steps(
             _log.info("a pair: %s, normalised error %.3f", [f.id for f in effect_set], pair.score.error)
             if residual_is_noise(fit, bench.test):
                 break
+        if _out_of_reach(bench.base, fit, bench, bench.settings.max_effects - len(effect_set)):
+            break
         bench = _on_top(current.bench, vehicle, effect_set, fit)
     return _Steps(rounds, effect_set, fit, {})
+
+
+def _out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> bool:
+    """Whether so many more effects, none of which does more than the last one, would stay far from the noise.
+
+    Effects come in the order of what they do. Where no set of them can explain all, which of them are worth
+    adding is for simulation to say.
+    """
+    ratios = [noise_ratio(fit, bench.test) for fit in (before, after)]
+    limit = bench.settings.within_reach * np.count_nonzero(np.isfinite(ratios[1]))
+    total, remaining = (float(np.nansum(ratio)) for ratio in ratios)
+    return remaining - left * max(total - remaining, 0.0) > limit
 
 
 def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
