@@ -470,7 +470,8 @@ class _Selector:
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads.
 
-        Beside an effect that is in doubt none is established: it may only make up for that.
+        Beside an effect that is in doubt, or one of too many, none is established: it may only make up for
+        that.
         """
         bench, least = current.bench, self._settings.worth
         found = {f.id: f for f in self._screened(current)}
@@ -483,7 +484,8 @@ class _Selector:
         worthy = [f for f in leading if worth[f.id].enough(least)]
         # What has run into a bound is not what it is called: to predict, too, others come first.
         worthy.sort(key=lambda f: bool(_undetermined(f, self._settings)))
-        doubtful = next((g.chosen.id for g in graded if g.doubt), "")
+        many = self._settings.many_alike
+        doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
             best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
             return Graded(best, [], worth[best.id], doubt)
