@@ -64,12 +64,6 @@ def test_a_gain_that_hangs_on_a_few_windows_is_not_worth_adding() -> None:
     assert steady.enough(0.05)
 
 
-def test_series_name_the_physics_that_they_are_polynomials_for() -> None:
-    known = catalogue()
-    of = {i: effect.series_of for i, effect in known.items() if effect.series_of}
-    assert of == {"hull_cubic": ("crossflow_drag",), "quadratic_damping_coupling": ("crossflow_drag",)}
-
-
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:
     assert Worth({2.0: 0.3}, {2.0: 0.4}, ()).enough(0.1)
     assert "over 2 s by 30%" in Worth({2.0: -0.3}, {2.0: 0.4}, ()).lacking(0.1)
