@@ -59,7 +59,6 @@ class Body:
     grids: int
     truth: dict[str, float]
     source: str
-    way: str = ""  # the only direction that is run, where one is enough
     longer: tuple[str, ...] = ()  # cases that are run with time steps of twice the length, to save time
 
 
@@ -128,6 +127,14 @@ BODIES = {
         {"X_udot": 1000.0 * np.pi * RADIUS**2 * 2.0},
         "Lamb",
     ),
+    "cylinder-drag": Body(
+        "the same cylinder, Reynolds 20 and 40",
+        _cylinder,
+        Orders(393.0, profiles=("step",), prescribed=True, viscosity=0.00375, span="y", step=2.0),
+        1,
+        {},
+        "",
+    ),
     "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
     "bullet": Body(
         "half-sphere before a cylinder, 0.5 x 0.5 m",
@@ -155,7 +162,6 @@ BODIES = {
         1,
         {},
         "",
-        "forward",
     ),
 }
 
@@ -167,11 +173,8 @@ def made(name: str, work: Path) -> Tank:
         surface = mended(body.hull(), name)[0]
         written = sha256(stl_bytes(surface)).hexdigest()
         tank, hull = make_tank(surface, body.orders, f"{name}.stl", written)
-        ways = ("forward", "backward")
         kept = tuple(
-            c.model_copy(update={"step": c.step * (1 + (c.name in body.longer))})
-            for c in tank.cases
-            if not body.way or not c.name.endswith(ways) or body.way in c.name
+            c.model_copy(update={"step": c.step * (1 + (c.name in body.longer))}) for c in tank.cases
         )
         write_tank(root, tank.model_copy(update={"cases": kept}), hull)
     return read_tank(root)

@@ -6,18 +6,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 
 import typer
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 
 from ._terminal import progress, say
 
 if TYPE_CHECKING:
     from undertow.identification.logs.chunks import LongLog
     from undertow.identification.logs.formats.fieldlog import FieldLog
-    from undertow.identification.logs.mapping import LogMapping
+    from undertow.identification.logs.mapping import Held, LogMapping
     from undertow.identification.logs.opening import FieldLogs
     from undertow.identification.logs.run import Run
     from undertow.identification.long_logs.choosing import Budget, Chosen
@@ -95,6 +95,15 @@ def _say_notes(notes: Mapping[str, Iterable[str]]) -> None:
             say(f"{source}: {line}", "dim")
 
 
+def _refuse_rig(model: Vehicle, runs: Iterable[Run]) -> None:
+    for run in runs:
+        if held := [d for d in model.degrees_of_freedom if d in run.held]:
+            raise UndertowError(
+                f"log {run.source}: a rig holds {', '.join(held)} of '{model.name}': undertow fit and "
+                "diagnose take such a log, this command one in which all motions are free"
+            )
+
+
 def say_long(found: LongLogs | None) -> None:
     """Print which stretches of long logs were used, and why."""
     for line in found.sentences() if found is not None else ():
@@ -141,12 +150,14 @@ class ReadOptions:
         to_fit: bool = False,
         in_any_order: bool = False,
         one_motion: bool = False,
+        on_rig: bool = False,
         budget: Budget | None = None,
     ) -> Loaded:
         """The vehicle, its logs and those for validation, with a progress bar.
 
         `to_fit` refuses more samples than a fit takes as soon as they are read; `in_any_order` drops rows
-        that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank).
+        that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank),
+        `on_rig` those in which a rig holds motions of the vehicle.
         With a `budget`, the stretches that tell most are taken of logs that are too long.
         """
         from undertow.identification.logs.reading import read_logs
@@ -155,13 +166,14 @@ class ReadOptions:
         with progress("reading the vehicle", None):
             model = load_vehicle(vehicle, effect_files=self.effects or ())
         opened: FieldLogs = {}
-        if budget is not None:
+        paths = [*logs, *(holdout or ())]
+        meanings = [self.meaning(path) for path in paths]
+        if budget is not None and not any(m.held for m in meanings if m is not None):
             taken = self._of_any_length(
                 model, logs, holdout or (), budget, opened, to_fit=to_fit, in_any_order=in_any_order
             )
             if taken is not None:
                 return taken._replace(field_logs=tuple(opened.values()))
-        paths = [*logs, *(holdout or ())]
         with progress("reading logs", total=len(paths)) as report:
             runs = read_logs(
                 paths,
@@ -169,6 +181,7 @@ class ReadOptions:
                 self.mapping,
                 window=(self.since, self.until),
                 missing_commands=self.fill,
+                held=self.rig,
                 to_fit=to_fit,
                 one_motion=one_motion,
                 in_any_order=in_any_order,
@@ -176,6 +189,8 @@ class ReadOptions:
                 progress=report,
             )
         _say_notes({run.source: run.reader_notes for run in runs})
+        if not (on_rig or one_motion):
+            _refuse_rig(model, runs)
         first = sum(run.source in set(map(str, logs)) for run in runs)
         return Loaded(model, runs[:first], runs[first:], field_logs=tuple(opened.values()))
 
@@ -233,7 +248,7 @@ class ReadOptions:
             report(done, f"reading {path.name}")
             found += long_logs(
                 path,
-                self.mapping,
+                self.meaning(path),
                 model.command_names,
                 (self.since, self.until),
                 self.fill,
@@ -244,6 +259,17 @@ class ReadOptions:
             return found
         return [replace(log, mapping=dropping_disorder(log.mapping)) for log in found]
 
+    def meaning(self, path: Path) -> LogMapping | None:
+        """What the columns of a log mean: by --map, or by the mapping file of its name beside it."""
+        from undertow.identification.logs.reading import mapping_for
+
+        return mapping_for(path, self.mapping, self.rig)
+
+    @property
+    def rig(self) -> Held:
+        """Motions that a rig holds in all logs; commands that cannot take such logs have no option for it."""
+        return ()
+
 
 @dataclass(frozen=True)
 class LogOptions(ReadOptions):
@@ -251,18 +277,63 @@ class LogOptions(ReadOptions):
 
     trust_log: TrustOption = False
 
+    @property
+    def _named(self) -> dict[str, object]:
+        """Options that were given, by name."""
+        return {"--map": self.map, "--from": self.since, "--to": self.until, "--fill": self.fill}
+
     def line(
         self, vehicle: str, logs: Sequence[Path], holdout: Sequence[Path] | None, written: Path | None = None
     ) -> CommandLine:
         """What a command named, for the command that it proposes; `written` is the JSON of a diagnosis."""
         from undertow.identification.report.sentences import CommandLine
 
-        given = {"--map": self.map, "--from": self.since, "--to": self.until, "--fill": self.fill}
-        pairs = [*given.items(), *(("--effects", path) for path in self.effects or ())]
+        pairs = [*self._named.items(), *(("--effects", path) for path in self.effects or ())]
         options = [str(word) for name, value in pairs if value is not None for word in (name, value)]
         options += ["--trust-log"] if self.trust_log else []
         kept, judges = (tuple(map(str, paths or ())) for paths in (logs, holdout))
         return CommandLine(vehicle, kept, judges, tuple(options), str(written or ""))
+
+
+@dataclass(frozen=True)
+class RigOptions(LogOptions):
+    """The same, with the option that says which motions a rig holds."""
+
+    held: Annotated[
+        str | None,
+        typer.Option(
+            "--held",
+            metavar="unlogged|NAME,NAME",
+            help="Motions that a rig (towing carriage) holds at rest, or moves as their columns say; "
+            "unlogged: all without a column.",
+            show_default="what the mapping file says",
+        ),
+    ] = None
+
+    @property
+    def rig(self) -> Held:
+        """Motions that a rig holds in all logs."""
+        from undertow.model.symbols import DOFS
+
+        names = words([self.held or ""]) if self.held else []
+        if names == ["unlogged"]:
+            return "unlogged"
+        for name in names:
+            if name not in DOFS:
+                raise UndertowError(
+                    f"--held {name} is no motion{nearest(name, DOFS)}: name some of {', '.join(DOFS)}, or "
+                    "unlogged"
+                )
+        return cast("Held", tuple(names))
+
+    @property
+    def _named(self) -> dict[str, object]:
+        return {**super()._named, "--held": self.held}
+
+
+def of_experiment(path: Path | None, name: str) -> Path | None:
+    """File for one of several experiments: out.json becomes out-surge.json; without a name itself."""
+    return path.with_stem(f"{path.stem}-{name}") if path and name else path
 
 
 def bundled(command: Callable[..., Any]) -> Callable[..., Any]:

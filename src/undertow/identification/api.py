@@ -15,7 +15,7 @@ from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
-from undertow.typing import Progress
+from undertow.typing import Array, Progress
 
 from .compare.comparison import finite
 from .diagnose import DiagnosisResult
@@ -233,9 +233,9 @@ class Refit:
         before, after = (finite(error) for error in self.errors)
         return FitResult(
             vehicle=self.stated.name,
-            command=self._command,
+            command=self.command,
             method=self.estimator.method,
-            runs=[run_info(run, role) for role, run in _roles(self.train, self.test)],
+            runs=[run_info(run, role) for role, run in roles(self.train, self.test)],
             horizon=self.before.windows.horizon or 0.0,
             error_before=before,
             error_after=after,
@@ -282,11 +282,11 @@ class Refit:
 
     def save(self, template: str | Path, out: Path) -> None:
         """Write the vehicle file with the fitted values, in the form of the one that it came from."""
-        history = _history(self._command, _roles(self.train, self.test), self.errors, self.fit)
-        save_vehicle(self.vehicle, template, out, history=history)
+        entry = history(self.command, roles(self.train, self.test), self.errors, *known_by(self.fit))
+        save_vehicle(self.vehicle, template, out, history=entry)
 
     @property
-    def _command(self) -> str:
+    def command(self) -> str:
         """The command that does the same."""
         e = self.estimator
         parts = [f"undertow fit --method {e.method}", *([] if e.loss == "gaussian" else [f"--loss {e.loss}"])]
@@ -306,16 +306,21 @@ def _spread(row: Mapping[str, Any]) -> str:
     return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
 
 
-def _history(
+def known_by(fit: Fitted) -> tuple[tuple[str, ...], Array, list[ValuesByRun]]:
+    """Names and covariance of what a fit found, and what has values in every run."""
+    return (*fit.vehicle_covariance, values_by_run(fit, fit.model.functions.vehicle))
+
+
+def history(
     command: str,
     logs: Sequence[tuple[str, Run | RunInfo]],
     errors: tuple[float, float],
-    fit: Fitted,
+    names: Sequence[str],
+    covariance: Array,
+    by_run: Sequence[ValuesByRun] = (),
     **more: object,
 ) -> dict[str, object]:
     """How the values of a vehicle file came about."""
-    names, covariance = fit.vehicle_covariance
-    by_run = values_by_run(fit, fit.model.functions.vehicle)
     return {
         "command": command,
         "date": date.today().isoformat(),
@@ -335,9 +340,9 @@ def _history_of(table: ValuesByRun) -> dict[str, object]:
     return {"parameter": table.parameter, "runs": runs, "spread": table.spread, "q": table.q}
 
 
-def _roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
-    roles: tuple[Role, Role] = ("train", "holdout")
-    return [(role, run) for role, runs in zip(roles, (train, test), strict=True) for run in runs]
+def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
+    names: tuple[Role, Role] = ("train", "holdout")
+    return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
 
 
 def refit(
@@ -575,21 +580,21 @@ def try_effect(
 
 def result_of(ground: AdditionSetup, addition: Addition) -> AdditionResult:
     """An addition as it is written to JSON."""
-    runs = [run_info(run, role) for role, run in _roles(ground.train, ground.test)]
+    runs = [run_info(run, role) for role, run in roles(ground.train, ground.test)]
     return addition_result(addition, ground.vehicle, runs)
 
 
 def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
     """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
-    history = _history(
+    entry = history(
         "undertow add",
-        _roles(ground.train, ground.test),
+        roles(ground.train, ground.test),
         (addition.before.error, addition.after.error),
-        addition.fit,
+        *known_by(addition.fit),
         added=[addition.effect],
         helps=addition.helps,
     )
-    save_vehicle(addition.fit.vehicle, template, out, history=history)
+    save_vehicle(addition.fit.vehicle, template, out, history=entry)
 
 
 def plan(
@@ -627,5 +632,5 @@ def save_diagnosis(
     """Write the vehicle file with what was found, in the form of the one that it came from."""
     d = result.diagnosis
     errors = d.steps[0].error, d.last_step.error
-    history = _history(command, [(r.role, r) for r in d.runs], errors, result.fit, added=d.effects)
-    save_vehicle(result.after, template, out, history=history)
+    entry = history(command, [(r.role, r) for r in d.runs], errors, *known_by(result.fit), added=d.effects)
+    save_vehicle(result.after, template, out, history=entry)

@@ -12,7 +12,7 @@ from undertow.errors import UndertowError
 from undertow.notebook import html
 
 from .composition import Composition
-from .effect import Effect
+from .effect import Actuation, Effect, Measurement
 from .effects.control_surfaces import ControlSurfaces
 from .effects.generalised_force import GeneralisedForce
 from .effects.propellers import Propellers
@@ -20,7 +20,7 @@ from .effects.steering_gear import SteeringGear
 from .effects.thrusters import Thrusters
 from .hardware import Law, Propeller, Surface
 from .parameter import WAYS, Parameter
-from .symbols import CHANNELS, DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, symbol
+from .symbols import CHANNELS, DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY, symbol
 from .units import short_unit
 
 
@@ -354,6 +354,31 @@ class Vehicle:
         hardware = {f"thrust_{t.name}" for t in thrusters}
         changed = dict(self.values) | {k: v for k, v in values.items() if k not in hardware}
         return replace(self, values=changed, thrusters=thrusters)
+
+    def constrained(self, free: Iterable[str], moved: Iterable[str] = (), *, pushed: bool = False) -> Vehicle:
+        """The vehicle on a rig (towing carriage, planar motion mechanism) that leaves some motions free.
+
+        The others are at rest, but for the channels in `moved`, which the log holds. `pushed`: the rig drives
+        what is free by known forces and measures its motion; actuators and sensors of the vehicle are off.
+        """
+        kept = tuple(d for d in self.degrees_of_freedom if d in set(free))
+        own = [f"tau_{FORCE[DOFS.index(d)]}" for d in kept]
+        inputs = dict(self.inputs) | {name: MOTION_UNITS[name] for name in moved}
+        alone = replace(
+            self,
+            degrees_of_freedom=kept,
+            inputs=inputs,
+            force_channels=tuple(n for n in own if pushed or n in self.force_channels),
+        )
+        if not pushed:
+            return alone
+        hardware = {*_HARDWARE_TABLES, Propellers.id}
+        effects = (
+            e
+            for e in self.effects
+            if not isinstance(e, Actuation | Measurement) and not hardware.intersection(e.requires)
+        )
+        return replace(alone, thrusters=(), surfaces=(), effects=tuple(effects))
 
     def without_priors_from(self, logs: Iterable[str]) -> Vehicle:
         """The vehicle without standard deviations of values that were fitted to one of these logs (sha256).

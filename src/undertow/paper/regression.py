@@ -17,7 +17,7 @@ from undertow.identification.estimation.fitted import Triangle
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.identification.logs.checks import constant_channels
 from undertow.identification.logs.run import Run
-from undertow.model.effect import Actuation, Measurement
+from undertow.model.effect import Measurement
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
@@ -85,11 +85,9 @@ def axis_of(vehicle: Vehicle, motion: str, run: Run) -> Axis:
     """
     place = DOFS.index(motion)
     own = f"tau_{FORCE[place]}"
-    alone = replace(vehicle, degrees_of_freedom=(motion,), force_channels=(own,) if run.has(own) else ())
-    if run.has(own):
-        kept = [e for e in vehicle.effects if not isinstance(e, Actuation) and "thrusters" not in e.requires]
-        alone = replace(alone, thrusters=(), effects=tuple(kept))
-    alone = replace(alone, effects=tuple(e for e in alone.effects if not isinstance(e, Measurement)))
+    alone = vehicle.constrained([motion], pushed=run.has(own))
+    kept = tuple(e for e in alone.effects if not isinstance(e, Measurement))
+    alone = replace(alone, effects=kept, force_channels=(own,) if run.has(own) else ())
     if not any(n in alone.sides for n in alone.parameter_names):
         return Axis(motion, "both", alone)
     direction = _direction(run, VELOCITY[place], vehicle.name)

@@ -82,6 +82,7 @@ def _mapping(record: Record, tank: Tank, case: Case) -> str:
         "schema": SCHEMA,
         "description": f"Towing tank, {case.name}, grid {record.grid} of {record.cells} cells; {flow}",
         "ignore": list(names[4:]),
+        "held": "unlogged",
         "time": {"column": names[0], "unit": "s"},
         "columns": {
             names[1]: {"channel": f"tau_{FORCE[place]}", "unit": "N m" if turns else "N"},

@@ -28,6 +28,7 @@ from .settings import HULL, RULES, Case, Tank, folder_of, log_of
 INSTALL = "OpenFOAM is not installed (no {} on the PATH): apt-get install openfoam"
 _TIME = re.compile(r"^Time = (\S+)")
 _COURANT = re.compile(r"^Courant Number mean: \S+ max: (\S+)")
+_RESIDUAL = re.compile(r"Solving for p, Initial residual = ([^,]+),")
 _FATAL = re.compile(r"FOAM FATAL|Foam::sigFpe::sigHandler|^Floating point exception")
 
 
@@ -39,6 +40,7 @@ class Watch:
     report: Callable[[float, str], None]
     time: float = 0.0
     courant: float = 0.0
+    residual: float = 1.0  # of the pressure, at the start of the last correction
     tail: deque[str] = field(default_factory=lambda: deque(maxlen=40))
     fatal: str = ""
     diverged: bool = False
@@ -51,14 +53,15 @@ class Watch:
         if found := _TIME.match(line):
             self.time = float(found[1])
             self.first = self.time if self.first is None else self.first
-            self.report(
-                self.time / self.end, f"t = {self.time:.3g} s, Courant {self.courant:.2g}{self._left()}"
-            )
+            now = f"t = {self.time:.3g} s, residual {self.residual:.1e}, Courant {self.courant:.2g}"
+            self.report(self.time / self.end, now + self._left())
         elif found := _COURANT.match(line):
             self.courant = float(found[1])
             if not self.courant <= RULES.courant_limit:
                 self.diverged = True
                 self.fatal = f"Courant number {self.courant:.3g}, limit {RULES.courant_limit:g}"
+        elif found := _RESIDUAL.search(line):
+            self.residual = float(found[1])
         elif _FATAL.search(line):
             self.fatal = self.fatal or "the solver gave up"
 
@@ -66,7 +69,7 @@ class Watch:
         done = self.time - (self.first or 0.0)
         if done <= 0:
             return ""
-        left = (monotonic() - self.begun) * (self.end - self.time) / done
+        left = (monotonic() - self.begun) * max(self.end - self.time, 0.0) / done
         return f", {left / 60:.0f} min left" if left > 90 else f", {left:.0f} s left"
 
 

@@ -13,6 +13,10 @@ others explain more than any effect, the answer names them, and what is written 
 weighed and drawn (mass, inertia, weight, buoyancy and their centres) is taken as known; where that is wrong,
 an effect says so: entrained_water, net_buoyancy, trim_offset.
 
+Logs in which a towing carriage or a planar motion mechanism holds some motions (--held, or held in their
+mapping files) are sorted by what is free, and each set has a diagnosis of its own; --apply writes what all of
+them found, --json and --report a file for each, with the free motions in its name.
+
 On Linux all cores share the work, which changes no result; UNDERTOW_JOBS=1 in the environment keeps it to
 one.
 
@@ -21,7 +25,9 @@ one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,13 +36,14 @@ import typer
 from .._options import (
     HoldoutOption,
     JsonFileOption,
-    LogOptions,
     LogsArgument,
+    RigOptions,
     VehicleArgument,
     bundled,
+    of_experiment,
     say_long,
 )
-from .._terminal import console, progress, text
+from .._terminal import console, progress, say, text
 from .doctor import show_finding
 
 if TYPE_CHECKING:
@@ -44,7 +51,12 @@ if TYPE_CHECKING:
 
     from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
+    from undertow.identification.diagnosis.settings import Settings
+    from undertow.identification.experiments import Experiment
+    from undertow.identification.report.sentences import CommandLine
     from undertow.model.vehicle import Vehicle
+
+    from .._options import Loaded
 
 _FALSE_ALARMS = typer.Option(
     metavar="CHANCE", help="Chance of naming an effect where nothing is missing, 0.005 to 0.2."
@@ -64,7 +76,7 @@ _APPLY = typer.Option(
 def diagnose(
     vehicle: VehicleArgument,
     logs: LogsArgument,
-    options: LogOptions,
+    options: RigOptions,
     holdout: HoldoutOption = None,
     false_alarms: Annotated[float, _FALSE_ALARMS] = 0.01,
     worth: Annotated[float, _WORTH] = 0.1,
@@ -72,44 +84,81 @@ def diagnose(
     report: Annotated[Path | None, _REPORT] = None,
     apply: Annotated[Path | None, _APPLY] = None,
 ) -> None:
-    from undertow.files import check_writable, together, write_whole
-    from undertow.identification.api import save_diagnosis
-    from undertow.identification.diagnose import diagnose as run
+    from undertow.files import check_writable
     from undertow.identification.diagnosis.settings import Settings
+    from undertow.identification.experiments import experiments, on_rig
     from undertow.identification.long_logs.choosing import SEARCH
-    from undertow.identification.report.sentences import next_command
 
     settings = Settings(false_alarm_rate=false_alarms, worth=worth)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=SEARCH)
-    model, train, test, _, _ = loaded
-    with progress("looking for what is missing") as bar:
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=SEARCH)
+    parts = experiments(loaded.vehicle, loaded.runs, loaded.holdout)
+    rig = on_rig(loaded.vehicle, [*loaded.runs, *loaded.holdout])
+    written: list[tuple[DiagnosisResult, Path | None, Path | None]] = []
+    for part in parts:
+        own = partial(of_experiment, name=part.name if len(parts) > 1 else "")
+        line = options.line(vehicle, logs, holdout, own(json))
+        outcome = _diagnosed(part, loaded, line, settings, options)
+        if rig:
+            say(str(part), "bold")
+        show(outcome)
+        say_long(outcome.diagnosis.long_logs)
+        written.append((outcome, own(json), own(report)))
+    _write(written, loaded.vehicle, vehicle, apply, rig)
+
+
+def _diagnosed(
+    part: Experiment, loaded: Loaded, line: CommandLine, settings: Settings, options: RigOptions
+) -> DiagnosisResult:
+    """The diagnosis of one experiment (without a rig the only one), with the command to go on with."""
+    from undertow.identification.diagnose import diagnose as run
+    from undertow.identification.report.sentences import next_command
+
+    where = f" in {part.name}" if part.held or part.moved else ""
+    with progress(f"looking for what is missing{where}") as bar:
         outcome = run(
-            model,
-            train,
-            test,
+            part.vehicle,
+            part.train,
+            part.test,
             known=options.known,
             report=bar,
             settings=settings,
             trust_log=options.trust_log,
         )
-    line = options.line(vehicle, logs, holdout, json)
-    command = next_command(outcome.diagnosis, line)
-    long = loaded.checked(_models(outcome, model))
-    changes = {"command": command, "long_logs": long}
-    outcome = replace(outcome, diagnosis=outcome.diagnosis.model_copy(update=changes))
-    show(outcome)
-    say_long(long)
+    long = loaded.checked(_models(outcome, part.vehicle))
+    changes = {"command": next_command(outcome.diagnosis, line), "long_logs": long}
+    return replace(outcome, diagnosis=outcome.diagnosis.model_copy(update=changes))
+
+
+def _write(
+    written: Sequence[tuple[DiagnosisResult, Path | None, Path | None]],
+    model: Vehicle,
+    template: str,
+    apply: Path | None,
+    rig: bool,
+) -> None:
+    """Write the files of all experiments, and one vehicle file with what was found in any of them."""
+    from undertow.files import together, write_whole
+    from undertow.identification.api import save_diagnosis
+    from undertow.identification.experiments import diagnosed
+
+    outcomes = [outcome for outcome, *_ in written]
     with progress("writing", None), together():
-        if json is not None:
-            write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
-        if report is not None:
-            outcome.report(report)
-        if apply is not None:
-            save_diagnosis(outcome, vehicle, apply)
-    for path in filter(None, (json, report, apply)):
-        about = f": {_content(outcome.diagnosis)}" if path == apply else ""
-        console().print(text(f"wrote {path}{about}"))
+        for outcome, json, report in written:
+            if json is not None:
+                write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
+            if report is not None:
+                outcome.report(report)
+        if apply is not None and rig:
+            named = list(dict.fromkeys(e for outcome in outcomes for e in outcome.effects))
+            diagnosed(model, outcomes).save(template, apply, "undertow diagnose", added=named)
+        elif apply is not None:
+            save_diagnosis(outcomes[0], template, apply)
+    for path in (path for _, *files in written for path in files if path is not None):
+        console().print(text(f"wrote {path}"))
+    if apply is not None:
+        contents = "; ".join(dict.fromkeys(_content(outcome.diagnosis) for outcome in outcomes))
+        console().print(text(f"wrote {apply}: {contents}"))
 
 
 def _models(outcome: DiagnosisResult, given: Vehicle) -> dict[str, Vehicle]:

@@ -22,13 +22,20 @@ can have does.
 
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 
-Without --holdout, stretches of the logs are used for validation. Without --out and --in-place nothing is
+Logs of a towing tank or a planar motion mechanism have few motions that are free. Those in which the same
+ones are make an experiment, which is fitted by itself; what they know adds up in one vehicle file:
+
+    undertow fit rov.toml surge.csv heave.csv yaw.csv --held unlogged --out fitted.toml
+
+Without --map, a mapping file of the name of a log beside it (surge.toml of surge.csv) says what its columns
+are. Without --holdout, stretches of the logs are used for validation. Without --out and --in-place nothing is
 written. The exit code is 1, and no vehicle file is written either, where the refitted model predicts
 validation data worse than the model as given; --force writes it all the same.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -38,11 +45,12 @@ from .._options import (
     HoldoutOption,
     InPlaceOption,
     JsonFileOption,
-    LogOptions,
     LogsArgument,
     OutOption,
+    RigOptions,
     VehicleArgument,
     bundled,
+    of_experiment,
     say_long,
     target_of,
 )
@@ -51,6 +59,7 @@ from .._terminal import console, progress, say, section, table, text, write_file
 if TYPE_CHECKING:
     from undertow.identification.api import Refit
     from undertow.identification.estimation.fitted import Fitted
+    from undertow.identification.report.results import FitResult
     from undertow.identification.report.sentences import CommandLine
 
 _METHOD = typer.Option("--method", help="Weak form, or simulation without or with a disturbance.")
@@ -70,7 +79,7 @@ _HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simu
 def fit(
     vehicle: VehicleArgument,
     logs: LogsArgument,
-    options: LogOptions,
+    options: RigOptions,
     holdout: HoldoutOption = None,
     method: Annotated[
         Literal["default", "weak", "integral", "instrumental", "output-error", "prediction-error"], _METHOD
@@ -85,45 +94,66 @@ def fit(
     force: Annotated[bool, _FORCE] = False,
     json: JsonFileOption = None,
 ) -> int:
-    from undertow.files import check_writable, write_whole
+    from undertow.files import check_writable
     from undertow.identification.api import fit as refit
+    from undertow.identification.experiments import experiments, on_rig, refitted
     from undertow.identification.long_logs.choosing import FIT
 
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT)
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=FIT)
     model, train, test, _, _ = loaded
-    with progress("fitting") as report:
-        done = refit(
-            model,
-            train,
-            test,
-            method=method,
-            horizon=horizon,
-            loss=loss,
-            equal=equal or [],
-            dissipative=dissipative,
-            report=report,
-            trust_log=options.trust_log,
-        )
-    show(done, options.line(vehicle, logs, holdout))
-    if correlation:
-        show_correlation(done.fit)
-    long = loaded.checked({"as given": done.stated, "refitted": done.vehicle})
+    parts = experiments(model, train, test)  # one, of the vehicle itself, where no rig holds a motion
+    fits = []
+    for part in parts:
+        with progress(f"fitting {part.name}" if len(parts) > 1 else "fitting") as report:
+            done = refit(
+                part.vehicle,
+                part.train,
+                part.test,
+                method=method,
+                horizon=horizon,
+                loss=loss,
+                equal=equal or [],
+                dissipative=dissipative,
+                report=report,
+                trust_log=options.trust_log,
+            )
+        fits.append(done)
+    rig = on_rig(model, [*train, *test])
+    for part, done in zip(parts, fits, strict=True):
+        if rig:
+            say(str(part), "bold")
+        show(done, options.line(vehicle, logs, holdout))
+        if correlation:
+            show_correlation(done.fit)
+    together = refitted(model, fits)
+    for line in together.disagreements():
+        say(line, "yellow")
+    long = loaded.checked({"as given": fits[0].stated, "refitted": fits[0].vehicle})
     say_long(long)
-    result = done.result().model_copy(update={"long_logs": long})
-    refused = result.worse and target is not None and not force
+    results = [done.result().model_copy(update={"long_logs": long}) for done in fits]
+    worse = [result for result in results if result.worse]
+    refused = bool(worse) and target is not None and not force
+    files = [of_experiment(json, part.name if len(parts) > 1 else "") for part in parts]
+    save = partial(together.save, vehicle, command=fits[0].command) if rig else partial(fits[0].save, vehicle)
     write_files(
-        (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),
-        (None if refused else target, lambda path: done.save(vehicle, path)),
+        *((path, partial(_write_json, r)) for path, r in zip(files, results, strict=True)),
+        (None if refused else target, save),
     )
     if refused:
-        typer.echo(f"{result.sentence()} No vehicle file was written; --force writes it", err=True)
+        typer.echo(f"{worse[0].sentence()} No vehicle file was written; --force writes it", err=True)
         return 1
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
     return 0
+
+
+def _write_json(result: FitResult, path: Path) -> None:
+    from undertow.files import write_whole
+
+    write_whole(path, result.model_dump_json(indent=1) + "\n")
 
 
 def show(done: Refit, given: CommandLine) -> None:

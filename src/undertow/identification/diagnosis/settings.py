@@ -325,6 +325,9 @@ class Settings:
     validation_pieces: tuple[int, ...] = _number((1, 4), "those kept for validation, from 0", _DEVELOPMENT)
     piece_gap: float = _number(1.0, "gap between two pieces", "memory of the vehicle", unit="s")
     fewest_samples: int = _number(10, "samples of a run that can be cut", "no piece is empty")
+    whole_below: float = _number(
+        0.1, "share of the longest run below which one is fitted whole", "pieces of a push in a tank", off=0.0
+    )
     excited: float = _number(
         2.0, "times its noise from which a velocity has moved", "noise alone has once its own", off=0.0
     )

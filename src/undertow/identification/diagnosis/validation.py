@@ -506,6 +506,12 @@ def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> boo
 
 def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
     """Runs with the velocities that they have a pose for only."""
+    for run in runs:
+        if held := [d for d in vehicle.degrees_of_freedom if d in run.held]:
+            raise UndertowError(
+                f"in run '{run.name}' a rig holds {', '.join(held)} of '{vehicle.name}': sort such logs by "
+                "undertow.identification.experiments.experiments, or give them to undertow fit or diagnose"
+            )
     return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
 
 
@@ -530,7 +536,13 @@ def training_and_validation(
 
 
 def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tuple[list[Run], list[Run]]:
-    """Cut every run into six pieces and keep the second and the fifth aside."""
+    """Cut every run into six pieces and keep the second and the fifth aside.
+
+    A run that is short beside the longest is fitted whole: predictions over its pieces would say nothing.
+    """
+    enough = settings.whole_below * max(float(run.t[-1] - run.t[0]) for run in runs)
+    short = [run for run in runs if float(run.t[-1] - run.t[0]) < enough]
+    runs = [run for run in runs if run not in short]
     for run in runs:
         if len(run.t) < settings.fewest_samples:
             raise UndertowError(
@@ -540,7 +552,7 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
             )
     pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run, settings))]
     train = [piece for i, piece in pieces if i not in settings.validation_pieces]
-    return train, [piece for i, piece in pieces if i in settings.validation_pieces]
+    return [*short, *train], [piece for i, piece in pieces if i in settings.validation_pieces]
 
 
 def _pieces(run: Run, settings: Settings) -> list[Run]:

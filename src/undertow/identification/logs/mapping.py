@@ -21,6 +21,8 @@ from .expressions import Formula
 
 SCHEMA = "undertow/mapping/1"
 CommandPolicy = Literal["refuse", "hold", "gap"]
+Motion = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]
+Held = tuple[Motion, ...] | Literal["unlogged"]
 
 
 class _Strict(BaseModel):
@@ -139,6 +141,9 @@ class LogMapping(_Strict):
     missing: tuple[float | str, ...] = ()
     ignore: tuple[str, ...] = ()  # columns to leave out without a note
     missing_commands: CommandPolicy = "refuse"  # what to do where a command has no sample
+    # Motions that a rig (towing carriage, planar motion mechanism) holds at rest, or moves as their columns
+    # say; "unlogged": all that have no column.
+    held: Held = ()
     # Folder with definitions that a log does not hold itself: of messages of ROS (.msg), of the sensors of a
     # glider (.cac).
     messages: Path | None = None
@@ -158,6 +163,14 @@ def read_mapping(path: str | Path) -> LogMapping:
         raise UndertowError(f"mapping file {path}: {_first_fault(error)}") from error
     _refuse_twins(mapping, path)
     return mapping
+
+
+def mapping_beside(log: Path) -> LogMapping | None:
+    """The mapping of a log that has a mapping file of its name beside it, run1.toml of run1.csv."""
+    path = log.with_name(f"{log.name.split('.')[0]}.toml")
+    if not path.is_file() or read_toml(path, "file").get("schema") != SCHEMA:
+        return None
+    return read_mapping(path)
 
 
 def mapping_text(mapping: LogMapping) -> str:

@@ -417,7 +417,8 @@ def _pose_needed(run: Run, asked: list[str]) -> list[str]:
         raise UndertowError(
             f"run {run.name!r} has neither the velocities nor the pose {', '.join(missing)} for "
             f"{', '.join(asked)}: "
-            "map these columns, or leave the degrees of freedom out of the vehicle"
+            "map these columns, leave the degrees of freedom out of the vehicle, or say which motions a rig "
+            'holds (held = ["sway"] in a mapping file)'
         )
     return [name for name in POSE if name in needed]
 

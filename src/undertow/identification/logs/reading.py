@@ -29,14 +29,14 @@ from undertow.identification.logs.table import (
     seconds,
 )
 from undertow.model.catalogue import catalogue, logged_quantities
-from undertow.model.symbols import FORCE, FORCE_UNITS, MOTION_UNITS, VELOCITY
+from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
 
 from . import checks
 from .formats.fieldlog import Window
-from .mapping import Channel, Column, CommandPolicy, LogMapping, seconds_of
+from .mapping import Channel, Column, CommandPolicy, Held, LogMapping, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,
     dropping_disorder,
@@ -122,6 +122,7 @@ def read_logs(
     *,
     window: Window = (None, None),
     missing_commands: CommandPolicy | None = None,
+    held: Held = (),
     to_fit: bool = False,
     one_motion: bool = False,
     in_any_order: bool = False,
@@ -137,7 +138,10 @@ def read_logs(
     vehicle : Vehicle
         The model, whose commands the logs must have.
     mapping, window, missing_commands
-        As for `read_log`.
+        As for `read_log`; without a mapping, a mapping file of the name of a log beside it counts.
+    held
+        Motions that a rig holds in all of the logs, whatever their mappings say; a log with such motions
+        needs no column for them, nor for commands.
     to_fit : bool
         Refuse more samples than a fit takes as soon as they are read.
     one_motion : bool
@@ -159,21 +163,29 @@ def read_logs(
     UndertowError
         If a file cannot be read or does not fit the vehicle, or a log is given twice.
     """
-    needed, also = ((), vehicle.command_names) if one_motion else (vehicle.command_names, ())
-    limits, time = WHOLE, (mapping or LogMapping()).time
-    if to_fit and window == (None, None) and time.disorder != "drop":
-        most = checks.MEASURABLE
-        limits = replace(WHOLE, rows=most.rows_per_sample * time.every * most.samples)
-    asked = _Asked(mapping, needed, window, missing_commands, also, limits, in_any_order, field_logs)
     runs: list[Run] = []
     for done, path in enumerate(paths):
         progress(done, f"reading {path.name}")
+        meaning = mapping_for(path, mapping, held)
+        part = one_motion or bool(meaning and meaning.held)
+        needed, also = ((), vehicle.command_names) if part else (vehicle.command_names, ())
+        limits, time = WHOLE, (meaning or LogMapping()).time
+        if to_fit and window == (None, None) and time.disorder != "drop":
+            most = checks.MEASURABLE
+            limits = replace(WHOLE, rows=most.rows_per_sample * time.every * most.samples)
+        asked = _Asked(meaning, needed, window, missing_commands, also, limits, in_any_order, field_logs)
         read = [_told_of_newtons(run, vehicle) for run in _runs_of(path, asked)]
         if to_fit:
             checks.refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
-        runs += read if one_motion else [_with_velocities(run, vehicle) for run in read]
+        runs += read if part else [_with_velocities(run, vehicle) for run in read]
     checks.refuse_twins(runs)
     return checks.with_distinct_names(runs)
+
+
+def mapping_for(path: Path, mapping: LogMapping | None, held: Held = ()) -> LogMapping | None:
+    """The mapping that is given, or that of the file beside a log, with the motions that a rig holds."""
+    meaning = mapping or mapping_beside(path)
+    return (meaning or LogMapping()).model_copy(update={"held": held}) if held else meaning
 
 
 def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
@@ -245,9 +257,18 @@ def run_of_table(
     ).slice(*window)
     slow = {turned_name(c.channel, mapping.frames.position) for c in sources.values() if c.fresh is not None}
     run = with_report_noise(_unwrapped(run, list(sources.values())), slow, part=before is not None)
+    run = replace(run, held=_held(run, mapping.held))
     if own.several:
         run = _where_commanded(run, [*commands, *FORCES], policy, before)
     return _checked(run, [*commands, *FORCES], policy, where, before)
+
+
+def _held(run: Run, stated: Held) -> tuple[str, ...]:
+    """Motions that a rig holds or moves, of those stated or of all that have no column."""
+    if stated != "unlogged":
+        return stated
+    columns = zip(DOFS, POSE, VELOCITY, strict=True)
+    return tuple(motion for motion, *names in columns if not any(map(run.has, names)))
 
 
 def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], where: str) -> dict[str, Column]:

@@ -75,6 +75,8 @@ class Run:
         How the columns of the file were read; None where the run was not read from a file.
     wrapped : dict of (n,) arrays
         Angles that jump by full turns in the log, as logged; in `channels` they are unwrapped.
+    held : tuple of str
+        Motions that a rig held at rest, or moved as their channels say.
     part_of : str
         Name of the run that this is a stretch of; empty for a whole run.
     dropped : int
@@ -96,6 +98,7 @@ class Run:
     part_of: str = ""
     reported: Mapping[str, Flags] = field(default_factory=dict)
     reader_notes: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", _frozen(self.t))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import polars as pl
 
 from undertow.files import together, write_whole
 
-from .mapping import Column, LogMapping, mapping_text, turned_name
+from .mapping import Column, Held, LogMapping, mapping_text, turned_name
 from .run import Run
 
 
@@ -42,7 +43,7 @@ def save_log(run: Run, out: Path) -> Path | None:
 
 
 def _stated(run: Run) -> LogMapping | None:
-    """The mapping file that states the noise and disturbance of a run; None where none is stated."""
+    """The mapping file that states noise, disturbance and rig of a run; None where none is stated."""
     given = run.mapping or LogMapping()
     if run.mapping is None:
         named = set(run.sigma)
@@ -50,7 +51,8 @@ def _stated(run: Run) -> LogMapping | None:
         told = (c.channel for c in given.columns.values() if c.noise is not None)
         named = {turned_name(channel, given.frames.position) for channel in told}
     noise = {name: sigma for name, sigma in run.sigma.items() if name in named and run.has(name)}
-    if not noise and not given.disturbance:
+    if not (noise or given.disturbance or run.held):
         return None
     columns = {name: Column(channel=name, noise=sigma, optional=True) for name, sigma in noise.items()}
-    return LogMapping(columns=columns, disturbance=given.disturbance)
+    held = cast("Held", run.held)
+    return LogMapping(columns=columns, disturbance=given.disturbance, held=held)
