@@ -189,6 +189,12 @@ def test_a_spell_without_aid_is_left_out(tmp_path: Path) -> None:
     assert "left out where the estimator held its place for want of aid" in log.notes
 
 
+def test_without_parameters_it_is_said_that_the_motors_are_not_known(tmp_path: Path) -> None:
+    path = write_bin(tmp_path / "cut.bin", {"PARM": lambda now, cells: []})
+    with pytest.raises(UndertowError, match=r"no motors that are known .*SERVOn_FUNCTION.* commands f1, f2"):
+        read_logs([path], vehicle_for(tmp_path)[1])
+
+
 def test_a_log_that_never_moves_is_used_where_it_is_armed(tmp_path: Path) -> None:
     log = read_field_log(write_bin(tmp_path / "still.bin", {"RCOU": lambda t, cells: [1500] * 8 + [0] * 6}))
     assert log.stretches == (pytest.approx((ARMED, DISARMED)),)
