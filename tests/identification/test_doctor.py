@@ -381,3 +381,14 @@ def test_what_a_zero_would_mend_as_well_is_no_other_unit(roll: float) -> None:
     tilted = {"phi": run.channels["phi"] + roll, "psi": run.channels["psi"] + 0.6}
     examined = examine(vehicle_of(case), [replace(run, channels={**run.channels, **tilted})])
     assert [f.text for f in examined.result.findings if "unit" in f.id] == []
+
+
+def test_a_heading_that_is_blank_now_and_then_is_still_the_heading(usv: Case) -> None:
+    """As where the smoother of a log without r drops single headings: north is not ahead for that."""
+    (columns,), vehicle = usv.runs.values(), vehicle_of(usv)
+    run = run_of("dive", columns)
+    blank = np.where(np.arange(len(run.t)) % 200 == 100, np.nan, run.channels["psi"])
+    without = replace(run, channels={**run.channels, "psi": blank}, derived=frozenset({"r"}))
+    kinematics = Kinematics([without], vehicle)
+    assert [kinematics.rows[i] for i in kinematics.blocks[0]] == ["x", "y"]
+    assert kinematics.mismatch([without]).excess[0] < 1e-3

@@ -13,7 +13,7 @@ import sympy as sm
 from sympy.printing.str import StrPrinter
 
 from .catalogue import Catalogue, catalogue
-from .composition import Part, Statement, statement_of
+from .composition import Composition, Part, Statement, statement_of
 from .effect import Actuation, Effect
 from .parameter import Parameter, PerSurface, PerThruster, declared, logged
 from .symbols import FORCE, VELOCITY
@@ -132,13 +132,33 @@ def _where(p: Parameter) -> str:
 
 
 # --- equations -----------------------------------------------------------------------------------
-def _equations(statement: Statement) -> Iterator[Equation]:
+def equations_on(vehicle: Composition, effect: Effect) -> tuple[Equation, ...]:
+    """What an effect of a vehicle does, written as by `describe`, in the motions that this vehicle has."""
+    known = {**catalogue(), **{e.id: type(e) for e in vehicle.effects}}
+    return tuple(_equations(statement_of(effect, known), vehicle))
+
+
+def _equations(statement: Statement, vehicle: Composition | None = None) -> Iterator[Equation]:
     """Rows in which the effect does something, then what is abbreviated in them."""
     short = statement.effect.abbreviations(statement.signals)
     names = {x: latex_name(str(x)) for x in (*statement.units, *statement.free_symbols, *short)}
-    for row, right in (*_written(statement), *((str(x), e) for x, e in short.items())):
-        left = latex_row(row)
-        yield Equation(row, _Plain().doprint(right), f"{left} = {sm.latex(right, symbol_names=names)}")
+    none = {} if vehicle is None else _missing_on(vehicle)
+    for row, written in (*_written(statement), *((str(x), e) for x, e in short.items())):
+        left, right = latex_row(row), written.xreplace(none)
+        right = right.xreplace({x: sm.Float(x, _DIGITS) for x in right.atoms(sm.Float)})
+        if sm.Symbol(row) not in none and not (none and right == 0):
+            yield Equation(row, _Plain().doprint(right), f"{left} = {sm.latex(right, symbol_names=names)}")
+
+
+_DIGITS = 4  # of numbers in equations: levers of thrusters and the like
+
+
+def _missing_on(vehicle: Composition) -> dict[sm.Basic, sm.Expr]:
+    """Motions that a vehicle does not have, over ground and through the water, and forces along them."""
+    s, away = vehicle.signals, [i for i in range(6) if i not in vehicle.dofs]
+    water = [m[i] for m in (s.nu_r, s.nu_r_dot) for i in away if str(s.nu[i]) not in vehicle.inputs]
+    forces = [sm.Symbol(FORCE[i]) for i in away]
+    return {**vehicle.locked, **dict.fromkeys([*water, *forces], sm.Integer(0))}
 
 
 def _written(statement: Statement) -> Iterator[tuple[str, sm.Expr]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,11 @@ from typing import Any
 from undertow.figures import unit_text
 from undertow.identification.report.page import parameter_text
 from undertow.identification.report.sentences import CommandLine
+from undertow.model.describe import equations_on
+from undertow.model.effect import Effect
 from undertow.model.parameter import printed
 from undertow.model.units import short_unit
+from undertow.model.vehicle import Vehicle
 
 from . import figures
 from .session import FORCE, ModelStep, Workspace, near
@@ -158,7 +162,8 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
     with details.props("dense").classes("w-full text-sm"):
         ui.label(c["about"]).classes("text-sm")
         place = ui.column().classes("w-full gap-1")
-        details.on_value_change(lambda: _equations(place, c))
+        written = zip_longest(c["equations"], c.get("typeset", ()))
+        details.on_value_change(lambda: _equations(place, written))
         if c["not_named"]:
             ui.label(f"not named: {c['effect']} {c['not_named']}").classes("text-sm")
         ui.label(
@@ -176,12 +181,12 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
         lines(line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv"))
 
 
-def _equations(place: Any, c: Mapping[str, Any]) -> None:
-    """The equations of a candidate, typeset when they are first looked at; as text where they cannot be."""
+def _equations(place: Any, written: Iterable[tuple[str, str | None]]) -> None:
+    """Equations, as text and for LaTeX, typeset when they are first looked at; else as text."""
     if place.default_slot.children:
         return
     with place:
-        for plain, latex in zip_longest(c["equations"], c.get("typeset", ())):
+        for plain, latex in written:
             equation(plain, None if latex is None else figures.typeset(latex))
 
 
@@ -296,6 +301,7 @@ def parameters_page(view: View) -> None:
     with ui.row().classes("w-full no-wrap items-start gap-6"):
         with ui.column().classes("gap-1").style("flex: none"):
             _table(view, rows)
+            _model(view.bench.vehicle)
         with ui.column().classes("grow gap-2").style("min-width: 0"):
             if found is None:
                 ui.label("Refit to see how far these logs determine each parameter.").classes("text-grey-8")
@@ -371,6 +377,25 @@ def _row(view: View, row: Mapping[str, Any]) -> None:
         ui.badge(row["identified"]).props(f"color={_VERDICT_COLOURS[row['identified']]}")
     else:
         ui.label("held fixed" if not row["free"] else "").classes("text-sm text-grey-6")
+
+
+def _model(vehicle: Vehicle) -> None:
+    """The effects of the model, each with the equations that its parameters stand in."""
+    from nicegui import ui
+
+    ui.label("Where they stand: the forces are the sum of these").classes("font-medium pt-4")
+    for effect in vehicle.all_effects:
+        details = ui.expansion(effect.id).mark(f"effect-{effect.id}")
+        with details.props("dense").classes("w-full text-sm"):
+            ui.label(effect.about())
+            place = ui.column().classes("w-full gap-1")
+        details.on_value_change(partial(_equations, place, _written(vehicle, effect)))
+
+
+def _written(vehicle: Vehicle, effect: Effect) -> Iterator[tuple[str, str]]:
+    """Equations of an effect of the model, found when they are asked for."""
+    for one in equations_on(vehicle.composition, effect):
+        yield f"{one.left} = {one.plain}", one.latex
 
 
 def _with_error(value: float | None, sigma: float | None) -> str:

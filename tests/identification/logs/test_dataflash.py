@@ -25,10 +25,9 @@ from tests.identification.logs.ardusub import (
     vehicle_for,
     write_bin,
 )
-from tests.identification.logs.dive import CURRENT, FULL, MISSING, dive
+from tests.identification.logs.dive import FULL, dive
 from tests.identification.logs.field import FIELD
 from undertow.errors import UndertowError
-from undertow.identification.diagnose import diagnose
 from undertow.identification.logs.formats.ardupilot import vehicle_text
 from undertow.identification.logs.formats.fieldlog import FieldLog
 from undertow.identification.logs.formats.frames import FRAMES
@@ -142,23 +141,6 @@ def test_what_is_left_out_is_said(log: FieldLog) -> None:
     )
 
 
-@pytest.mark.slow
-def test_the_current_is_found_in_it_with_the_same_values(run: Run, tmp_path: Path) -> None:
-    vehicle = vehicle_for(tmp_path)[1]
-    d = dive()
-    scaled = {n: d.run.channels[n] / FULL for n in vehicle.command_names}
-    direct = Run("dive", d.t, {**d.run.channels, **scaled}, sha256="direct")
-    # Cut between two samples of either clock.
-    told = diagnose(vehicle, [direct.slice(None, 40.025)], [direct.slice(40.025, None)])
-    found = diagnose(vehicle, [run.slice(None, DIVES + 40.025)], [run.slice(DIVES + 40.025, None)])
-    assert found.verdict == told.verdict
-    assert list(found.effects) == list(told.effects) == [MISSING]
-    for name, true in CURRENT.items():
-        one, other = (float(result.after.values[name].value) for result in (found, told))
-        assert one == pytest.approx(other, rel=1e-3)
-        assert one == pytest.approx(true, abs=0.02)
-
-
 # --- the autopilot --------------------------------------------------------------------------------
 
 
@@ -205,6 +187,12 @@ def test_a_spell_without_aid_is_left_out(tmp_path: Path) -> None:
     (a, b), (c, e) = log.stretches
     assert (a, b, c, e) == pytest.approx((DIVES, 30.0, 50.0, DISARMED), abs=1e-6)
     assert "left out where the estimator held its place for want of aid" in log.notes
+
+
+def test_without_parameters_it_is_said_that_the_motors_are_not_known(tmp_path: Path) -> None:
+    path = write_bin(tmp_path / "cut.bin", {"PARM": lambda now, cells: []})
+    with pytest.raises(UndertowError, match=r"no motors that are known .*SERVOn_FUNCTION.* commands f1, f2"):
+        read_logs([path], vehicle_for(tmp_path)[1])
 
 
 def test_a_log_that_never_moves_is_used_where_it_is_armed(tmp_path: Path) -> None:

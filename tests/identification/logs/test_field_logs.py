@@ -12,7 +12,7 @@ import pytest
 import undertow as ut
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats import registry
-from undertow.identification.logs.formats.fieldlog import FieldLog, Series, rising, union
+from undertow.identification.logs.formats.fieldlog import FieldLog, Series, in_order, rising, union
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.formats.stretches import cut_at
 from undertow.identification.logs.helper import Helper
@@ -48,6 +48,33 @@ def test_clocks_of_their_own_keep_their_times() -> None:
 
 def test_a_clock_that_goes_back_loses_those_samples_only() -> None:
     assert list(rising(np.array([0.0, 1.0, 0.5, np.nan, 2.0, 2.0, 3.0]))) == [0, 1, 4, 6]
+
+
+def _nav(t: np.ndarray) -> FieldLog:
+    mapping = LogMapping(columns={"nav.x": Column(channel="x")})
+    return FieldLog(Path("dive.bin"), "some", {"nav": Series("nav", t, {"x": t})}, mapping)
+
+
+def test_a_clock_that_goes_back_for_good_cuts_the_log() -> None:
+    """By 20 s at 60 s; before and after it the vehicle is at different places."""
+    t = np.concatenate([np.arange(0.0, 60.0, 0.5), np.arange(40.0, 90.0, 0.5)])
+    log = in_order(_nav(t))
+    (first, last), (after, end) = log.stretches
+    assert (first, after, end) == (0.0, 60.0, 89.5)
+    assert 59.5 <= last < 60.0
+    assert log.notes == (
+        "samples that are not later than those before are left out: 40 of nav",
+        "cut at 60.0 s, where the clock goes back",
+    )
+
+
+def test_a_time_twice_and_one_too_early_are_left_out_with_a_word() -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    log = in_order(_nav(np.insert(t, [20, 50], [9.5, 3.0])))
+    assert log.stretches == ()
+    assert log.notes == ("samples that are not later than those before are left out: 2 of nav",)
+    sound = _nav(t)
+    assert in_order(sound) is sound
 
 
 def test_a_reset_begins_a_new_stretch() -> None:
@@ -129,7 +156,7 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
     ("name", "head", "library"),
     [
         ("dive.ulg", b"ULog\x01\x12\x35\x01", "pyulog"),
-        ("dive.bag", b"#ROSBAG V2.0\n", "rosbags.highlevel"),
+        ("dive.bag", b"#ROSBAG V2.0\n", "rosbags.typesys"),
         ("dive.mat", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", "h5py"),
         ("dive.nc", b"CDF\x01", "netCDF4"),
     ],

@@ -11,6 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.formats import matlab
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
@@ -30,6 +31,47 @@ def test_the_dive_comes_back(tmp_path: Path, write: Write) -> None:
     log = read_field_log(path)
     assert list(log.series) == ["nav", "thruster"]
     assert [name for name, _ in log.actuators] == [f"thruster.f{k}" for k in range(1, 9)]
+
+
+def _of_tables(path: Path, version: str) -> Path:
+    """The dive as a timetable and a table, by mat-io."""
+    matio, pandas = pytest.importorskip("matio"), pytest.importorskip("pandas")
+    d = dive()
+    blocks = {"eta": d.pose, "nu": np.hstack([d.velocity, d.rates])}  # of six columns each in MATLAB
+    numbered = {f"{name}_{k}": a for name, block in blocks.items() for k, a in enumerate(block.T, 1)}
+    rows = pandas.Index(np.round(1e3 * d.t).astype("timedelta64[ms]"), name="Time")
+    commands = {"time": d.t, **{f"f{k}": a for k, a in enumerate(d.thrust.T, 1)}}
+    content = {"nav": pandas.DataFrame(numbered, index=rows), "thruster": pandas.DataFrame(commands)}
+    with pytest.warns(match="Defaulting to 's'"):  # how durations are shown
+        matio.save_to_mat(str(path), content, version=version)
+    return path
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_tables_and_timetables_are_series(tmp_path: Path, version: str) -> None:
+    (run,) = read_logs([_of_tables(tmp_path / "dive.mat", version)], load_vehicle("bluerov2"))
+    assert_the_dive(run, dive(), 1e-9)
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_dates_of_a_table_are_its_time_and_texts_are_passed_over(tmp_path: Path, version: str) -> None:
+    matio, pandas = pytest.importorskip("matio"), pytest.importorskip("pandas")
+    when = np.datetime64("2024-05-01T12:00:00.000") + 250 * np.arange(20).astype("timedelta64[ms]")
+    frame = pandas.DataFrame({"when": when, "depth": np.arange(20.0), "mode": ["dive"] * 20})
+    matio.save_to_mat(str(tmp_path / "log.mat"), {"ctd": frame}, version=version)
+    log = read_field_log(tmp_path / "log.mat")
+    assert log.series["ctd"].t == pytest.approx(0.25 * np.arange(20.0), abs=1e-6)
+    assert list(log.series["ctd"].columns) == ["depth"]
+
+
+def test_without_the_library_for_tables_one_line_says_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = _of_tables(tmp_path / "dive.mat", "v7.3")
+    monkeypatch.setattr(matlab, "find_spec", lambda name: None)
+    told = r"nav is an object .* table2struct.* pip install .undertow.field"
+    with pytest.raises(UndertowError, match=told):
+        read_log(path)
 
 
 def _written(folder: Path, content: dict[str, Any]) -> Path:

@@ -174,7 +174,9 @@ def test_messages_of_ones_own_are_read_by_their_definition_from_a_folder(tmp_pat
                 cells=[cell(volt=4.0)] * (k % 3))  # fmt: skip
             out.write("/esc", 0.1 * k, message)
     _forget_definitions(out.path)
-    with pytest.raises(UndertowError, match="no message with numbers"):
+    with pytest.raises(
+        UndertowError, match=r"no message with numbers.*/esc .* unknown type my_msgs.*--messages"
+    ):
         read_field_log(out.path)
     folder = tmp_path / "ws" / "my_msgs" / "msg"
     folder.mkdir(parents=True)
@@ -184,6 +186,23 @@ def test_messages_of_ones_own_are_read_by_their_definition_from_a_folder(tmp_pat
     assert columns["rpm"] == pytest.approx(np.arange(5.0))
     assert columns["state[2]"] == pytest.approx(np.arange(5.0))
     assert columns["cells[1].volt"] == pytest.approx([np.nan, np.nan, 4.0, np.nan, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize("name", ["dive.db3", "dive.mcap"])
+def test_events_of_services_do_not_hide_the_rest(tmp_path: Path, name: str) -> None:
+    """Since Iron, bags hold them, by a definition that is none of a message."""
+    with BagWriter(tmp_path / name) as out:
+        out.write("/depth", 0.0, out.store.types["std_msgs/msg/Float32"](data=1.0))
+        event = out.writer.add_connection(
+            "/arm/_service_event",
+            "my_msgs/srv/Arm_Event",
+            msgdef="bool on\n---\nbool done",
+            rihs01="RIHS01_0",
+        )
+        out.writer.write(event, out.begin * 1_000_000_000, b"\x00\x01\x00\x00")
+    log = read_field_log(out.path)
+    assert list(log.series) == ["/depth"]
+    assert log.notes == ()
 
 
 def _forget_definitions(path: Path) -> None:

@@ -5,34 +5,42 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.quick import quick_if
 from undertow.identification import api
-from undertow.identification.diagnose import diagnose
+from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.logs.formats.registry import read_field_log
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
 
-from .dive import MISSING, dive
-from .written import BAGS, bag, in_newtons, mat, mat73, netcdf, ulog
+from .ardusub import write_bin
+from .dive import CURRENT, MISSING, dive
+from .written import BAGS, bag, by_pyulog, in_newtons, mat, mat73, netcdf, ulog
 
 _DOUBLES = ["dive.mat", "dive-73.mat", "dive.nc", *sorted(BAGS)]
 _ONE_OF_A_LIBRARY = ("dive-73.mat", "dive.nc", min(BAGS))
+_FLOATS = ["dive.bin", "dive.ulg"]
+"""Formats of autopilots: their numbers have 32 bits."""
+
+
+def _written(path: Path) -> Path:
+    library = {".bin": "pymavlink", ".ulg": "pyulog", ".nc": "netCDF4", ".mat": "h5py"}
+    pytest.importorskip(library.get(path.suffix, "rosbags"))
+    if path.suffix == ".bin":
+        return write_bin(path)
+    if path.suffix == ".ulg":
+        return by_pyulog(ulog(dive()).write(path))
+    return {"dive.mat": mat, "dive-73.mat": mat73, "dive.nc": netcdf}.get(path.name, bag)(path, dive())
 
 
 def _read(folder: Path, name: str) -> Run:
-    """The dive from a file of a format, without being told what its columns mean."""
-    library = {".ulg": "pyulog", ".nc": "netCDF4", ".mat": "h5py"}.get(Path(name).suffix, "rosbags")
-    pytest.importorskip(library)
-    path, vehicle = folder / name, dive().vehicle
-    if name == "dive.ulg":
-        path = ulog(dive()).write(path)
+    """The dive from a file of a format, without being told what its columns mean; thrust in N."""
+    path, vehicle, mapping = _written(folder / name), dive().vehicle, None
+    if name in _FLOATS:  # they have shares of the full output
         mapping = in_newtons(read_field_log(path).mapping_for(vehicle.command_names))
-        return read_logs([path], vehicle, mapping)[0]
-    write = {"dive.mat": mat, "dive-73.mat": mat73, "dive.nc": netcdf}.get(name, bag)
-    return read_logs([write(path, dive())], vehicle)[0]
+    (run,) = read_logs([path], vehicle, mapping)
+    return run
 
 
 @cache
@@ -41,9 +49,15 @@ def _fitted_to_the_dive() -> dict[str, float]:
 
 
 def _values(run: Run) -> dict[str, float]:
-    """Values that a fit to two thirds of the dive has; it is cut between two samples."""
-    refitted = api.fit(dive().vehicle, [run.slice(None, 40.025)], [run.slice(40.025, None)], method="weak")
+    """Values that a fit to two thirds of the dive has."""
+    refitted = api.fit(dive().vehicle, *_parts(run), method="weak")
     return dict(zip(refitted.parameters["parameter"], refitted.parameters["value"], strict=True))
+
+
+def _parts(run: Run) -> tuple[list[Run], list[Run]]:
+    """To fit to and to judge by; the dive is cut between two samples of any clock."""
+    cut = run.t[0] + 40.025
+    return [run.slice(None, cut)], [run.slice(cut, None)]
 
 
 @pytest.mark.parametrize("name", quick_if(lambda name: name in _ONE_OF_A_LIBRARY, _DOUBLES))
@@ -56,20 +70,22 @@ def test_a_fit_has_the_same_values_from_floats_to_their_precision(tmp_path: Path
     assert found == pytest.approx(_fitted_to_the_dive(), rel=1e-3)
 
 
+@cache
+def _told() -> DiagnosisResult:
+    return diagnose(dive().vehicle, *_parts(dive().run))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["dive.mcap", "dive.ulg"])
-def test_the_diagnosis_finds_the_current_from_a_log_of_the_vehicle(tmp_path: Path, name: str) -> None:
-    train, test = slice(None, 40.025), slice(40.025, None)  # between two samples
-    logs = {"told": dive().run, "found": _read(tmp_path, name)}
-    results = {
-        what: diagnose(dive().vehicle, *([run.slice(part.start, part.stop)] for part in (train, test)))
-        for what, run in logs.items()
-    }
-    told, found = results["told"], results["found"]
-    assert list(found.effects) == [MISSING] == list(told.effects)
-    assert found.verdict == told.verdict
-    current, expected = (
-        {n: float(one.after.values[n].value) for n in ("V_N", "V_E")} for one in (found, told)
-    )
-    assert current == pytest.approx(expected, rel=1e-6 if name == "dive.mcap" else 1e-3)
-    assert np.hypot(*current.values()) == pytest.approx(np.hypot(0.25, 0.15), rel=0.1)
+@pytest.mark.parametrize("name", [*_DOUBLES, *_FLOATS])
+def test_the_diagnosis_is_the_same_from_every_format(tmp_path: Path, name: str) -> None:
+    found = diagnose(dive().vehicle, *_parts(_read(tmp_path, name)))
+    assert found.verdict == _told().verdict
+    assert list(found.effects) == [MISSING] == list(_told().effects)
+    one, other = (_estimates(result) for result in (found, _told()))
+    assert one == pytest.approx(other, rel=1e-3 if name in _FLOATS else 1e-6)
+    assert {n: one[n] for n in CURRENT} == pytest.approx(CURRENT, abs=0.02)
+
+
+def _estimates(result: DiagnosisResult) -> dict[str, float]:
+    """Values of the model with what was found."""
+    return {n: float(value.value) for n, value in result.after.values.items() if value.estimate}

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.mapping import Column, LogMapping
 from undertow.identification.logs.run import Run
 
 from .dive import FULL, Array, Dive
@@ -50,10 +50,14 @@ def refusal(act: Callable[[], object]) -> str:
     return ""
 
 
-def in_newtons(mapping: LogMapping, scale: float = FULL) -> LogMapping:
+def in_newtons(mapping: LogMapping) -> LogMapping:
     """A mapping whose commands are scaled, from shares of the largest thrust to N."""
+
+    def scaled(column: Column) -> Column:
+        return column.model_copy(update={"scale": FULL * column.scale, "offset": FULL * column.offset})
+
     columns = {
-        name: column.model_copy(update={"scale": scale}) if column.channel.startswith("f") else column
+        name: scaled(column) if column.channel.startswith("f") else column
         for name, column in mapping.columns.items()
     }
     return mapping.model_copy(update={"columns": columns})
@@ -131,6 +135,13 @@ def ulog(dive: Dive, resets: tuple[float, ...] = (), armed: tuple[float, float] 
         log.add("vehicle_status", {"timestamp": "uint64_t", "arming_state": "uint8_t"},
                 {"timestamp": at, "arming_state": [1, 2, 1]})  # fmt: skip
     return log
+
+
+def by_pyulog(path: Path) -> Path:
+    """A log that pyulog has read, and written over."""
+    log = pytest.importorskip("pyulog").ULog(str(path))
+    log.write_ulog(str(path))
+    return path
 
 
 # --- ROS ------------------------------------------------------------------------------------------

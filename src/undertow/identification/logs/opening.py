@@ -99,11 +99,13 @@ def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[
     """Refuse a log whose motors cannot be the commands of a vehicle."""
     known = {*(column.channel for column in meaning.columns.values())}
     lacking = [name for name in commands if name not in known]
-    if lacking and log.actuators:
+    if lacking:
+        motors = f"{len(log.actuators)} motors ({', '.join(n for n, _ in log.actuators)})"
+        unknown = f"no motors that are known ({'; '.join(log.notes)})"
         raise UndertowError(
-            f"log {log.path} has {len(log.actuators)} motors ({', '.join(n for n, _ in log.actuators)}), but "
-            f"the vehicle has commands {', '.join(lacking)}: say in a mapping file which is which (undertow "
-            f"import {log.path} --out NEW.parquet writes a first one)"
+            f"log {log.path} has {motors if log.actuators else unknown}, but the vehicle has commands "
+            f"{', '.join(lacking)}: say in a mapping file which is which (undertow import {log.path} --out "
+            "NEW.parquet writes a first one)"
         )
 
 

@@ -113,9 +113,8 @@ class _Navigation:
         rows = self._rows(f"{self.family}1", "PN", "PE", "PD", "VN", "VE", "VD") if self.family else None
         if rows is None:
             return False
-        span = float(rows[0][-1] - rows[0][0])
         still = all(np.ptp(place) == 0.0 for place in rows[1:3])
-        return not still and sum(b - a for a, b in self.held) < 0.95 * span
+        return not still and sum(b - a for a, b in self.held) < 0.95 * float(np.ptp(rows[0]))
 
     def columns(self) -> dict[str, Column]:
         """Position, velocity, attitude and rates."""

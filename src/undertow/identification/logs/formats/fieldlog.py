@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError, nearest
 from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.typing import Array, Flags
+
+from .stretches import cut_at, long_enough
 
 Places = NDArray[np.intp]
 Window = tuple[float | None, float | None]
@@ -220,6 +222,37 @@ class FieldLog:
     def drive(self) -> tuple[Array, Array] | None:
         """Times, s, (n,), and commands, (n, motors), of motors."""
         return outputs_of(self.series, self.actuators)
+
+
+def in_order(log: FieldLog) -> FieldLog:
+    """A log with a word on clocks that go back, cut where one does so for good."""
+    columns = [*log.mapping.columns, *(name for name, _ in log.actuators)]
+    clocks = {name.rpartition(".")[0] for name in columns} & {*log.series}
+    counts, seams = list[str](), list[float]()
+    for name in sorted(clocks):
+        lost, back = _lost(log.series[name].t)
+        seams += back
+        counts += [f"{lost} of {name}"] if lost else []
+    if not counts:
+        return log
+    ends = [log.series[name].t[rising(log.series[name].t)][[0, -1]] for name in sorted(clocks)]
+    whole = (float(np.min(ends)), float(np.max(ends)))
+    notes = [f"samples that are not later than those before are left out: {', '.join(counts)}"]
+    notes += [f"cut at {min(seams):.1f} s, where the clock goes back"] if seams else []
+    stretches = long_enough(cut_at(log.stretches or [whole], seams)) if seams else log.stretches
+    return replace(log, stretches=tuple(stretches), notes=(*log.notes, *notes))
+
+
+def _lost(t: Array) -> tuple[int, list[float]]:
+    """How many samples are not later than all before, and times, s, from which clocks go on that went back.
+
+    Messages that arrive in another order are no such clock, nor are a few damaged times.
+    """
+    kept = rising(t)
+    lost = np.setdiff1d(np.flatnonzero(np.isfinite(t)), kept)
+    blocks = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1) if len(lost) else []
+    back = [kept[kept > block[-1]][:1] for block in blocks if np.ptp(t[block]) > SETTINGS.jump]
+    return len(lost), [float(t[next_]) for places in back for next_ in places]
 
 
 def _between(t: Array, low: float, high: float) -> Flags:

@@ -1,4 +1,4 @@
-"""MATLAB: .mat, by SciPy up to version 7 and by h5py for version 7.3.
+"""MATLAB: .mat, by SciPy up to version 7 and by h5py for version 7.3; tables and timetables by mat-io.
 
 The workspace and every struct in it are series: vectors as long as a vector of time are their columns. A
 struct without a time of its own takes that of the struct it is in. Columns of matrices are numbered from one
@@ -8,8 +8,12 @@ is guessed from their names.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +35,7 @@ _SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 _MOVES = ("surge", "sway", "heave", "p", "q", "r")
 _SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
 _TURNS = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
+_LINEAR = {"pos", "position", "vel", "velocity", "acc", "acceleration", "gyro", "omega", "rates"}
 _ITSELF = {"values", "value", "data"}  # a member that is what its struct is called
 
 
@@ -51,10 +56,14 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     with path.open("rb") as stream:
         hdf5 = _HDF5 in stream.read(1024)[:520]
     content, hidden = _with_h5py(path) if hdf5 else _with_scipy(path)
+    tables = _tables(path) if hidden else {}
+    content |= tables
+    how = "" if find_spec("matio") else ', or pip install "undertow[field]", whose mat-io reads these'
     notes = [
         f"{name} is an object of MATLAB: save it as a struct, for a table or timetable by S = "
-        f"table2struct(timetable2table({name}), 'ToScalar', true)"
+        f"table2struct(timetable2table({name}), 'ToScalar', true){how}"
         for name in hidden
+        if name not in tables
     ]
     found = list(_series(_WORKSPACE, content, {}))
     if not found:
@@ -75,9 +84,11 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 # --- from the file to names and arrays ------------------------------------------------------------
 def _with_scipy(path: Path) -> tuple[dict[str, Any], list[str]]:
     from scipy.io import loadmat
-    from scipy.io.matlab import MatlabOpaque
+    from scipy.io.matlab import MatlabOpaque, MatReadWarning
 
-    raw = loadmat(str(path), simplify_cells=True)
+    with warnings.catch_warnings():  # every object is called None, and the last one is kept
+        warnings.simplefilter("ignore", MatReadWarning)
+        raw = loadmat(str(path), simplify_cells=True)
     content = {name: value for name, value in raw.items() if not name.startswith("__") and name != "None"}
     hidden = [name for name, value in content.items() if isinstance(value, MatlabOpaque)]
     opaque = raw.get("None")
@@ -94,8 +105,50 @@ def _with_h5py(path: Path) -> tuple[dict[str, Any], list[str]]:
         return {name: _plain(file[name], file) for name in names if name not in hidden}, hidden
 
 
+def _tables(path: Path) -> dict[str, dict[str, Any]]:
+    """Tables and timetables as structs; none without mat-io, or where it cannot read them either."""
+    if find_spec("matio") is None:
+        return {}
+    with warnings.catch_warnings(), suppress(Exception):  # what it cannot read is told as hidden
+        warnings.simplefilter("ignore")
+        found = import_module("matio").load_from_mat(str(path))
+        return {name: _members(value) for name, value in found.items() if hasattr(value, "columns")}
+    return {}
+
+
+def _members(frame: Any) -> dict[str, Any]:
+    """Columns of a table of pandas; the time of its rows, or its only column of times, is called time."""
+    columns = {"time": frame.index.to_numpy()} if frame.index.dtype.kind in "mM" else {}
+    columns |= {str(name): frame[name].to_numpy() for name in frame}
+    stamped = [name for name, cells in columns.items() if cells.dtype.kind in "mM"]
+    if len(stamped) == 1 and not any(map(is_time, columns)):
+        columns["time"] = columns.pop(stamped.pop())
+        stamped.append("time")
+    columns |= {name: _in_seconds(columns[name]) for name in stamped}
+    return _joined(columns)
+
+
+def _joined(columns: dict[str, Any]) -> dict[str, Any]:
+    """Variables of several columns put together again, which mat-io numbers (``eta_1`` …)."""
+    for first in [name for name in columns if name.endswith("_1")]:
+        base = first[:-2]
+        width = 6 if base.lower() in _SIX else 3 if {*Name.of(base).words} & (_TURNS | _LINEAR) else 0
+        parts = [f"{base}_{k}" for k in range(1, width + 1)]
+        if parts and all(part in columns for part in parts):
+            columns[base] = np.column_stack([columns.pop(part) for part in parts])
+    return columns
+
+
+def _in_seconds(times: Any) -> Array:
+    """Durations, or dates since 1970, s; NaN for none."""
+    ns = times.astype(f"{times.dtype.kind}8[ns]")
+    return np.where(np.isnat(ns), np.nan, ns.astype(np.int64) * 1e-9)
+
+
 def _plain(item: Any, file: Any) -> Any:
     """Groups as dictionaries, arrays of references as lists, arrays turned as MATLAB has them."""
+    if "MATLAB_object_decode" in item.attrs:
+        return None
     if hasattr(item, "keys"):
         return {name: _plain(item[name], file) for name in item}
     if item.dtype.kind == "O":

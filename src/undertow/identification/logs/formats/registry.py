@@ -15,7 +15,7 @@ from pathlib import Path
 from undertow.errors import UndertowError
 from undertow.identification.logs.helper import Helper
 
-from .fieldlog import FieldLog, Format
+from .fieldlog import FieldLog, Format, in_order
 
 _HEAD = 512  # bytes from the start of a file that tell its format
 TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
@@ -84,7 +84,7 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
             f"{_seconds(size):.0f} s: copy it again"
         )
     try:
-        return found.read(path, messages)
+        return in_order(found.read(path, messages))
     except (UndertowError, MemoryError):
         raise
     except Exception as error:  # whatever a library makes of a damaged file

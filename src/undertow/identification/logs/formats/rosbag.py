@@ -7,8 +7,10 @@ else when they were recorded. What the usual messages mean is said in `ros_meani
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -76,7 +78,8 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     except MemoryError as error:  # a damaged length asks for it, too
         raise UndertowError(f"log {path} is damaged, or larger than the memory: copy it again") from error
     if not records:
-        raise UndertowError(f"log {path} has no message with numbers in it: check what was recorded")
+        what = "; ".join(notes) or "check what was recorded"
+        raise UndertowError(f"log {path} has no message with numbers in it: {what}")
     begin = min(min(one.stamps) for one in records.values())
     topics = {}
     for name, one in records.items():
@@ -161,17 +164,17 @@ _BASE, _NAME = 1, 2  # of rosbags.interfaces.Nodetype
 
 
 def _recorded(path: Path, messages: Path | None) -> tuple[dict[str, _Records], _Types, list[str]]:
-    highlevel = library("rosbags.highlevel", _WHAT)
     typesys = library("rosbags.typesys", _WHAT)
-    usual = typesys.get_typestore(typesys.Stores.LATEST)
-    own = _definitions(messages, typesys) if messages else {}
-    usual.register({name: one for name, one in own.items() if name not in usual.fielddefs})
-    with highlevel.AnyReader([path], default_typestore=usual) as reader:
-        store, ros1 = reader.typestore, not reader.is2
-        store.register({name: one for name, one in own.items() if name not in store.fielddefs})
+    ros1 = path.suffix == ".bag"
+    with library("rosbags.rosbag1" if ros1 else "rosbags.rosbag2", _WHAT).Reader(path) as reader:
+        known = {} if ros1 else typesys.get_typestore(typesys.Stores.LATEST).fielddefs
+        own = _definitions(messages, typesys) if messages else {}
+        store = typesys.get_typestore(typesys.Stores.EMPTY)
+        store.register({**own, **known, **_defined_in(reader.connections, typesys)})
         types = _Types(store, ros1)
         readable = [c for c in reader.connections if types.known(c.msgtype)]
-        unknown = {c.topic: c.msgtype for c in reader.connections if c not in readable}
+        strange = [c for c in reader.connections if c not in readable and "/srv/" not in c.msgtype]
+        unknown = {c.topic: c.msgtype for c in strange}
         records, large = _collected(path, reader.messages(readable) if readable else [], readable)
     notes = [
         f"{topic} has messages of the unknown type {name}: give the folder with its definition (--messages)"
@@ -179,6 +182,20 @@ def _recorded(path: Path, messages: Path | None) -> tuple[dict[str, _Records], _
     ]
     notes += [f"{topic} has messages too large to be measurements: left out" for topic in sorted(large)]
     return records, types, notes
+
+
+def _defined_in(connections: Iterable[Any], typesys: Any) -> dict[str, Any]:
+    """Types that the bag itself defines, without those that cannot be parsed, as of events of services."""
+    found: dict[str, Any] = {}
+    for connection in connections:
+        text = connection.msgdef.data
+        with suppress(typesys.TypesysError):
+            if connection.msgdef.format.name == "MSG":
+                found |= typesys.get_types_from_msg(text, connection.msgtype)
+            else:  # several follow each other below lines of their own
+                for part in re.split(r"={80}\nIDL: .*\n", text):
+                    found |= typesys.get_types_from_idl(part) if part.strip() else {}
+    return found
 
 
 def _collected(path: Path, messages: Any, connections: list[Any]) -> tuple[dict[str, _Records], set[str]]:

@@ -75,18 +75,19 @@ def used_stretches(
         notes.append("armed, but no motor leaves its rest: all of it that is armed is used")
     # No command is known before the first message on them.
     begin = float(outputs[0][0]) if outputs is not None and len(outputs[0]) else span[0]
-    kept = _long_enough((max(a, begin), b) for a, b in moving or armed or [span])
+    kept = long_enough((max(a, begin), b) for a, b in moving or armed or [span])
     inside = [r for r in resets if any(a < r < b for a, b in kept)]
     notes += [f"cut at {_times(inside)} s, where the estimator was reset"] if inside else []
-    pieces = _long_enough(cut_at(kept, [*inside, *(edge for stretch in held for edge in stretch)]))
+    pieces = long_enough(cut_at(kept, [*inside, *(edge for stretch in held for edge in stretch)]))
     aided = [p for p in pieces if not _within(sum(p) / 2, held)]
     if len(aided) < len(pieces) and aided:
         notes.append("left out where the estimator held its place for want of aid")
-    pieces = aided or _long_enough(cut_at(kept, inside))
+    pieces = aided or long_enough(cut_at(kept, inside))
     return tuple(pieces), [*notes, *_left_out(span, pieces, armed)]
 
 
-def _long_enough(stretches: Iterable[Stretch]) -> list[Stretch]:
+def long_enough(stretches: Iterable[Stretch]) -> list[Stretch]:
+    """Those that have something to tell."""
     return [s for s in stretches if s[1] - s[0] >= SETTINGS.shortest]
 
 
