@@ -46,21 +46,11 @@ _TIME_LIMIT = 600.0
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler on this machine.
+    """A C compiler on this machine."""
 
-    Attributes
-    ----------
-    command : tuple of str
-        How it is called.
-    version : str
-        First line of what it says about itself.
-    more : tuple of str
-        Options beyond the usual ones.
-    """
-
-    command: tuple[str, ...]
-    version: str
-    more: tuple[str, ...] = ()
+    command: tuple[str, ...]  # how it is called
+    version: str  # first line of what it says about itself
+    more: tuple[str, ...] = ()  # options beyond the usual ones
 
     def for_this_machine(self, *options: str) -> Compiler:
         """The same compiler, using all that this processor can do; what it builds may not run elsewhere."""

@@ -38,49 +38,29 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One state, input or parameter.
+    """One state, input or parameter."""
 
-    Attributes
-    ----------
-    name, unit : str
-        What it is and what it is measured in.
-    value : float, optional
-        Value of a parameter in the vehicle file, SI and SNAME signs.
-    """
-
+    # name, unit: what it is and what it is measured in
     name: Printable
     unit: Printable
-    value: float | None = None
+    value: float | None = None  # value of a parameter in the vehicle file, SI and SNAME signs
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """A model as its generated code stands for it.
+    """A model as its generated code stands for it."""
 
-    Attributes
-    ----------
-    vehicle : str
-        Name of the vehicle.
-    effects : tuple of str
-        Ids of the effects.
-    states, inputs, parameters : tuple of Entry
-        Entries of x, u and p in order.
-    input_delay : float
-        Dead time of the inputs, s, which the caller has to provide.
-    output_delay : mapping
-        Dead time of the outputs that are reported late, s, by name, which the caller has to provide, too.
-    rows : mapping
-        Values of every row of the equations of motion at fixed points. They tell an equation from another one
-        whatever way it is written, and do not change when a parameter moves to another place in p.
-    """
-
-    vehicle: Printable
-    effects: tuple[Printable, ...]
+    vehicle: Printable  # name of the vehicle
+    effects: tuple[Printable, ...]  # ids of the effects
+    # states, inputs, parameters: entries of x, u and p in order
     states: tuple[Entry, ...]
     inputs: tuple[Entry, ...]
     parameters: tuple[Entry, ...]
-    input_delay: float
+    input_delay: float  # dead time of the inputs, s, which the caller has to provide
+    # dead time of the outputs that are reported late, s, by name, which the caller has to provide, too
     output_delay: Mapping[Printable, float]
+    # Values of every row of the equations of motion at fixed points. They tell an equation from another one
+    # whatever way it is written, and do not change when a parameter moves to another place in p.
     rows: Mapping[Printable, tuple[float, ...]]
 
     def to_json(self, files: Mapping[str, str], compiler: str) -> str:
@@ -258,21 +238,11 @@ def _same(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
 
 @dataclass(frozen=True)
 class Report:
-    """What came of an export or of a check.
+    """What came of an export or of a check."""
 
-    Attributes
-    ----------
-    folder : Path
-        Where the generated code lies.
-    first : bool
-        True where no code was there before.
-    changes : tuple of str
-        What has changed since, in words.
-    """
-
-    folder: Path
-    first: bool
-    changes: tuple[str, ...]
+    folder: Path  # where the generated code lies
+    first: bool  # True where no code was there before
+    changes: tuple[str, ...]  # what has changed since, in words
 
     def with_line(self, line: str) -> Report:
         """The report with one more change."""

@@ -30,22 +30,13 @@ _AXES = {
 
 @dataclass(frozen=True)
 class MjcfSettings:
-    """Numbers of the export.
+    """Numbers of the export."""
 
-    Attributes
-    ----------
-    float_share : float
-        Part of the mass that stands at the centre of buoyancy: MuJoCo lifts a body at its centre of mass. It
-        is taken from the rest, so that the sum stays; small, so that what is left is a body.
-    float_radius : float
-        Radius of gyration of that part, m: MuJoCo takes no point for a body.
-    step : float
-        Time step, s.
-    """
-
+    # Part of the mass that stands at the centre of buoyancy: MuJoCo lifts a body at its centre of mass. It is
+    # taken from the rest, so that the sum stays; small, so that what is left is a body.
     float_share: float = 1e-6
-    float_radius: float = 0.01
-    step: float = 0.002
+    float_radius: float = 0.01  # radius of gyration of that part, m: MuJoCo takes no point for a body
+    step: float = 0.002  # time step, s
 
 
 class Mjcf(Body):

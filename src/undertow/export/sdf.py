@@ -24,46 +24,24 @@ _BODY = ("rigid_body", "rigid_body_coriolis", "added_mass", "added_mass_coupling
 
 @dataclass(frozen=True)
 class SdfSettings:
-    """Numbers of the export.
+    """Numbers of the export."""
 
-    Attributes
-    ----------
-    propeller_mass : float
-        Mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle.
-    rounding : float
-        Part of the largest force below which a misfit or a coefficient is rounding.
-    points : int
-        Velocities at which the damping is compared with what the plugin can say: more than its 69 terms.
-    seed : int
-        Of these velocities.
-    step : float
-        Time step of the world, s.
-    """
-
+    # mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle
     propeller_mass: float = 0.001
-    rounding: float = 1e-9
+    rounding: float = 1e-9  # part of the largest force below which a misfit or a coefficient is rounding
+    # velocities at which the damping is compared with what the plugin can say: more than its 69 terms
     points: int = 200
-    seed: int = 1
-    step: float = 0.002
+    seed: int = 1  # of these velocities
+    step: float = 0.002  # time step of the world, s
 
 
 @dataclass(frozen=True)
 class Drag:
-    """Damping and lift as the plugin states them, body frame of undertow, SNAME signs.
+    """Damping and lift as the plugin states them, body frame of undertow, SNAME signs."""
 
-    Attributes
-    ----------
-    linear : ndarray, shape (6, 6)
-        Force i per velocity j.
-    absolute : ndarray, shape (6, 6, 6)
-        Force i per velocity j times the magnitude of velocity k.
-    plain : ndarray, shape (6, 6, 6)
-        Force i per velocity j times velocity k, j not after k.
-    """
-
-    linear: Array
-    absolute: Array
-    plain: Array
+    linear: Array  # (6, 6): force i per velocity j
+    absolute: Array  # (6, 6, 6): force i per velocity j times the magnitude of velocity k
+    plain: Array  # (6, 6, 6): force i per velocity j times velocity k, j not after k
 
     def elements(self) -> dict[str, float]:
         """Name and value of every coefficient that is not zero, forward-left-up."""

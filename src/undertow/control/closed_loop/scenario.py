@@ -18,20 +18,11 @@ MOST_SAMPLES = 50_000_000
 
 @dataclass(frozen=True)
 class Push:
-    """A force on the vehicle that the controller does not know of.
+    """A force on the vehicle that the controller does not know of."""
 
-    Attributes
-    ----------
-    axis : str
-        X, Y, Z, K, M or N, body frame.
-    value : float
-        N or N m.
-    begin, end : float
-        When it acts, s.
-    """
-
-    axis: str
-    value: float
+    axis: str  # X, Y, Z, K, M or N, body frame
+    value: float  # N or N m
+    # begin, end: when it acts, s
     begin: float = 0.0
     end: float = math.inf
 
@@ -45,44 +36,24 @@ class Push:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One run of a closed loop.
+    """One run of a closed loop."""
 
-    Attributes
-    ----------
-    to : tuple
-        Desired position and, if wanted, heading, or the whole desired pose; in the order of the vehicle's
-        pose coordinates, numbers in SI or quantities such as "135 deg". Missions have their own.
-    duration : float
-        Length of the run, s.
-    dt : float
-        Sampling interval of the controller, s.
-    start : tuple
-        Where the vehicle begins, as `to`; missing coordinates are zero.
-    moving : mapping
-        Body velocities that it begins with, SI, by name; at rest by default. Of parameters that differ by
-        direction the mean holds at exactly zero velocity.
-    continuous : bool
-        Whether the law acts without sampling, at every stage of the integration with steps of at most dt.
-    noise : mapping
-        Standard deviation of what a sensor adds to each sample, SI, by channel (x ... psi, u ... r).
-    seed : int
-        Of the noise.
-    pushes : tuple of Push
-        Forces that disturb.
-    log_interval : float, optional
-        Interval of the recorded rows, s; by default about 5000 rows.
-    """
-
+    # Desired position and, if wanted, heading, or the whole desired pose; in the order of the vehicle's pose
+    # coordinates, numbers in SI or quantities such as "135 deg". Missions have their own.
     to: Sequence[Quantity] = ()
-    duration: float = 240.0
-    dt: float = 0.001
-    start: Sequence[Quantity] = ()
+    duration: float = 240.0  # length of the run, s
+    dt: float = 0.001  # sampling interval of the controller, s
+    start: Sequence[Quantity] = ()  # where the vehicle begins, as `to`; missing coordinates are zero
+    # Body velocities that it begins with, SI, by name; at rest by default. Of parameters that differ by
+    # direction the mean holds at exactly zero velocity.
     moving: Mapping[str, float] = field(default_factory=dict)
+    # whether the law acts without sampling, at every stage of the integration with steps of at most dt
     continuous: bool = False
+    # standard deviation of what a sensor adds to each sample, SI, by channel (x ... psi, u ... r)
     noise: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0
-    pushes: tuple[Push, ...] = ()
-    log_interval: float | None = None
+    seed: int = 0  # of the noise
+    pushes: tuple[Push, ...] = ()  # forces that disturb
+    log_interval: float | None = None  # interval of the recorded rows, s; by default about 5000 rows
 
     def __post_init__(self) -> None:
         for name, value in (("length of the run", self.duration), ("dt", self.dt)):

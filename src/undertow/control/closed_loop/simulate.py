@@ -78,24 +78,14 @@ class Differences:
 
 @dataclass(frozen=True)
 class Runs:
-    """Many runs.
+    """Many runs."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times of the rows, s.
-    states : ndarray, shape (b, n, nx)
-        True states; NaN from the first row on at which a run has diverged: it is no number any more, or none
-        that a vehicle in water can have (`Credible`).
-    commands : ndarray, shape (b, n, nu)
-        Commands that the controller gives at the rows.
-    state_names, command_names : tuple of str
-        Names of the last axes.
-    """
-
-    t: np.ndarray
+    t: np.ndarray  # (n,): times of the rows, s
+    # (b, n, nx): true states; NaN from the first row on at which a run has diverged: it is no number any
+    # more, or none that a vehicle in water can have (`Credible`)
     states: np.ndarray
-    commands: np.ndarray
+    commands: np.ndarray  # (b, n, nu): commands that the controller gives at the rows
+    # state_names, command_names: names of the last axes
     state_names: tuple[str, ...]
     command_names: tuple[str, ...]
 
@@ -426,25 +416,16 @@ _SWAY_FORCE = "tau_Y"
 
 @dataclass(frozen=True)
 class Choices:
-    """Changes to what the vehicle file and the gain file say; None leaves what they say.
+    """Changes to what the vehicle file and the gain file say; None leaves what they say."""
 
-    Attributes
-    ----------
-    order, heading, integrators : str, optional
-        As in [schedule] of a gain file.
-    gate : str, optional
-        Error of the heading that opens the gate, with its unit.
-    sway : str, optional
-        "actuated" gives the vehicle an ideal sway force, "unactuated" leaves that force out.
-    current : tuple of float, optional
-        Velocity of the water to the north and to the east, m/s; the controller does not know of it.
-    """
-
+    # order, heading, integrators: as in [schedule] of a gain file
     order: Literal["together", "yaw-first"] | None = None
     heading: Literal["atan", "atan2"] | None = None
     integrators: Literal["gate", "start"] | None = None
-    gate: str | None = None
+    gate: str | None = None  # error of the heading that opens the gate, with its unit
+    # "actuated" gives the vehicle an ideal sway force, "unactuated" leaves that force out
     sway: Literal["actuated", "unactuated"] | None = None
+    # velocity of the water to the north and to the east, m/s; the controller does not know of it
     current: tuple[float, float] | None = None
 
     def loop(

@@ -88,36 +88,18 @@ LIMITS = MissionLimits()
 
 @dataclass(frozen=True)
 class Mission:
-    """A mission file in SI.
+    """A mission file in SI."""
 
-    Attributes
-    ----------
-    name, kind : str
-        Name, and "setpoints", "spline", "trajectory" or "legs".
-    points : ndarray, shape (k, 3)
-        Way-points x, y, z, m, NED.
-    headings : tuple of float or None
-        Heading at each, rad; None goes along the way.
-    times : tuple of float or None
-        When to be there, s.
-    limits : Limits
-        Speeds and accelerations of the reference.
-    hold : float
-        Rest at every set-point, s.
-    guidance : Guidance
-        Line of sight; legs use it.
-    current : tuple of float or None
-        Velocity of the water to the north and to the east in simulations, m/s.
-    """
-
+    # name, kind: name, and "setpoints", "spline", "trajectory" or "legs"
     name: str
     kind: str
-    points: np.ndarray
-    headings: tuple[float | None, ...]
-    times: tuple[float | None, ...]
-    limits: Limits
-    hold: float
-    guidance: Guidance
+    points: np.ndarray  # (k, 3): way-points x, y, z, m, NED
+    headings: tuple[float | None, ...]  # heading at each, rad; None goes along the way
+    times: tuple[float | None, ...]  # when to be there, s
+    limits: Limits  # speeds and accelerations of the reference
+    hold: float  # rest at every set-point, s
+    guidance: Guidance  # line of sight; legs use it
+    # velocity of the water to the north and to the east in simulations, m/s
     current: tuple[float, float] | None
 
     @property

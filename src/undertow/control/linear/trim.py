@@ -273,31 +273,18 @@ def at_parameters(balance: Balance, p: Array, x: Array, u: Array) -> tuple[Array
 
 @dataclass(frozen=True)
 class Trim:
-    """A steady motion of a vehicle.
+    """A steady motion of a vehicle."""
 
-    Attributes
-    ----------
-    states, commands : mapping
-        Value by name, SI; place x, y is where the motion begins.
-    direction : mapping
-        Velocity to 1 or -1 where parameters of one direction of motion were taken because the motion itself
-        does not tell (it is at rest in the water in that direction).
-    remarks : tuple of str
-        What was assumed.
-    wanted : Request
-        What was held.
-    turning : bool
-        Whether the heading changes, so that slopes in x and y depend on time.
-    reports : mapping
-        What the sensors report of pose and velocity, by name, SI: what a controller gets.
-    """
-
+    # states, commands: value by name, SI; place x, y is where the motion begins
     states: Mapping[str, float]
     commands: Mapping[str, float]
+    # velocity to 1 or -1 where parameters of one direction of motion were taken because the motion itself
+    # does not tell (it is at rest in the water in that direction)
     direction: Mapping[str, int]
-    wanted: Request
-    remarks: tuple[str, ...] = ()
-    turning: bool = False
+    wanted: Request  # what was held
+    remarks: tuple[str, ...] = ()  # what was assumed
+    turning: bool = False  # whether the heading changes, so that slopes in x and y depend on time
+    # what the sensors report of pose and velocity, by name, SI: what a controller gets
     reports: Mapping[str, float] = field(default_factory=dict)
 
     @property
