@@ -10,10 +10,11 @@ import secrets
 import shutil
 import stat
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -114,6 +115,22 @@ def read_json(path: str | os.PathLike[str], kind: str, limits: TextLimits = RESU
     if _depth(_QUOTED.sub("_", text)) > limits.depth:
         raise UndertowError(_too_deep(os.fspath(path), kind, limits))
     return text
+
+
+def json_ready(content: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:
+    """Content as JSON has it: sequences and arrays as lists, complex numbers as [real, imaginary].
+
+    Numbers that are not finite become what `not_finite` makes of them.
+    """
+    if isinstance(content, Mapping):
+        return {str(k): json_ready(v, not_finite) for k, v in content.items()}
+    if isinstance(content, list | tuple):
+        return [json_ready(v, not_finite) for v in content]
+    if isinstance(content, complex):
+        return json_ready([content.real, content.imag], not_finite)
+    if isinstance(content, float):
+        return float(content) if isfinite(content) else not_finite(content)
+    return json_ready(content.tolist(), not_finite) if hasattr(content, "tolist") else content
 
 
 def _refuse_depth(text: str, where: str, kind: str, limits: TextLimits) -> None:

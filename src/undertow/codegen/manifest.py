@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
-from math import isclose, isfinite
+from math import isclose
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 from pydantic import TypeAdapter
 
 from undertow.errors import UndertowError
+from undertow.files import json_ready
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.tables import Printable
 from undertow.typing import Array
 from undertow.version import __version__
 
 from .functions import Functions
+from .source import digest
 
 _log = logging.getLogger(__name__)
 SCHEMA = "undertow/codegen/2"
@@ -73,10 +73,11 @@ class Manifest:
         compiler : str
             Compiler of this machine, for the record.
         """
-        hashes = {name: sha256(text) for name, text in files.items()}
+        hashes = {name: digest(text) for name, text in files.items()}
         versions = {"undertow": __version__, "casadi": ca.__version__, "compiler": compiler}
         content = {"schema": SCHEMA, **versions, **asdict(self), "files": hashes}
-        return json.dumps(_in_json(content), indent=1, allow_nan=False) + "\n"
+        # A thrust without a limit is limited by the word "inf": JSON has no such number.
+        return json.dumps(json_ready(content, str), indent=1, allow_nan=False) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> tuple[Manifest, dict[str, str]]:
@@ -95,20 +96,6 @@ class Manifest:
             return found, TypeAdapter(dict[Printable, str]).validate_python(content["files"])
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise UndertowError(f"not a manifest of generated code ({error}): generate it again") from error
-
-
-def _in_json(content: Any) -> Any:
-    """Content without what JSON has no number for: a thrust without a limit is limited by the word "inf"."""
-    if isinstance(content, dict):
-        return {k: _in_json(v) for k, v in content.items()}
-    if isinstance(content, list | tuple):
-        return [_in_json(v) for v in content]
-    return str(content) if isinstance(content, float) and not isfinite(content) else content
-
-
-def sha256(text: str) -> str:
-    """SHA-256 of a text, hexadecimal."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 # --- describing -----------------------------------------------------------------------------------
@@ -183,7 +170,7 @@ def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
 
 def _coordinate(name: str, point: int, *, signed: bool) -> float:
     """A number between 0.2 and 1 that belongs to a name; motions and commands go both ways."""
-    share = int(hashlib.sha256(f"{name}/{point}".encode()).hexdigest()[:12], 16) / 16**12
+    share = int(digest(f"{name}/{point}")[:12], 16) / 16**12
     return (0.2 + 0.8 * share) * (-1 if signed and point % 2 else 1)
 
 

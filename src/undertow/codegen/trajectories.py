@@ -148,7 +148,7 @@ def shares(runs: int, work: float, threads: int | None, lanes: int) -> list[slic
     return [slice(a, min(a + each, runs)) for a in range(0, runs, each)]
 
 
-# From what is worth a thread of its own, a millisecond, to the tenth of a second in which Ctrl-C is heard.
+# From a millisecond, which is worth a thread of its own, to the tenth of a second that Ctrl-C may wait.
 _STEPS_IN_SHARE = (20_000, 1_000_000)
 # For each thread, so that none waits long for the others.
 _SHARES = 4

@@ -17,7 +17,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.model.loading import is_file, read_table
 from undertow.model.symbols import DOFS, POSE
 from undertow.model.tables import FileTable, Identifier, Quantity
-from undertow.model.units import to_si
+from undertow.model.units import si_of, to_si
 from undertow.model.vehicle import Vehicle
 
 from .laws import LAWS, GainMatrix, Law, LawSignals
@@ -256,10 +256,7 @@ def _by_coordinate(gain: GainMatrix, stated: Diagonal, coordinates: tuple[str, .
 
 
 def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
-    try:
-        value = to_si(stated, gain.unit(coordinate))
-    except UndertowError as error:
-        raise UndertowError(f"gain {gain.name} for {coordinate}: {error}") from error
+    value = si_of(f"gain {gain.name} for {coordinate}", stated, gain.unit(coordinate))
     if value <= 0:
         raise UndertowError(
             f"gain {gain.name} for {coordinate} is {stated}, not above zero: gains are positive, the law "

@@ -84,28 +84,6 @@ def nis(found: Estimate, channels: tuple[str, ...]) -> tuple[Normalised, ...]:
     return (*(_normalised(n, squares) for n, squares in each.items()), _normalised("all", whole))
 
 
-def nees(found: Estimate, truth: Array, rows: slice = slice(None)) -> Array:
-    """Normalised estimation error squared of every row, for each state, shape (n,).
-
-    Parameters
-    ----------
-    truth : ndarray, shape (n, nx)
-        True states.
-    rows : slice
-        Rows that are looked at. Errors of neighbours are correlated: bounds hold for rows far apart, or
-        of different runs.
-    """
-    error = (found.mean - truth)[rows]
-    solved = np.linalg.solve(found.covariance[rows], error[..., None])[..., 0]
-    return np.asarray((error * solved).sum(axis=1)) / error.shape[1]
-
-
-def nees_bounds(states: int, count: int) -> tuple[float, float]:
-    """Bounds of the mean of so many independent NEES values, for each state."""
-    k, tail = states * count, (1 - SETTINGS.level) / 2
-    return float(chi2.ppf(tail, k)) / k, float(chi2.ppf(1 - tail, k)) / k
-
-
 def whiteness(found: Estimate, channels: tuple[str, ...]) -> tuple[Whiteness, ...]:
     """The Ljung-Box test for every channel with reports enough (Ljung and Box 1978)."""
     each = ((n, innovations(found, i)) for i, n in enumerate(channels))

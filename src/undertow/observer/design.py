@@ -88,8 +88,8 @@ def _function(name: str, given: Mapping[str, ca.SX], outputs: list[ca.SX], names
 class Design:
     """An observer for one vehicle."""
 
-    name: str  #
-    process: Process  #
+    name: str
+    process: Process
     channels: tuple[int, ...]  # channels of the process that are reported
     # variance, period: (k,): variance of a report and time between reports, s, of each of them
     variance: Array

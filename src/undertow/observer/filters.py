@@ -35,7 +35,7 @@ class FilterSettings:
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
-    # Rows in one call: some tenths of a second, in which Ctrl-C is not heard.
+    # Rows in one call: some tenths of a second, during which Ctrl-C has no effect.
     rows_per_call: int = 500
     # Rows that are held in memory with their covariances.
     most_rows: int = 200_000

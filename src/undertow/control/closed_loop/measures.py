@@ -130,7 +130,7 @@ def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float)
     name, value = names[place], float(x[place] - (start[place] if place < pose else 0.0))
     unit = MOTION_UNITS.get(name, "")
     if not math.isfinite(value):
-        why = f"{name} is no finite number any more"
+        why = f"{name} is no longer a finite number"
     elif place < pose:
         why = (
             f"{name} is {value:.4g} {unit} from where it began, and nothing in water gets beyond {limit:.4g}"

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.signals import Followed
+from undertow.files import json_ready
 from undertow.model.symbols import MOTION_UNITS
 
 from .measures import CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
@@ -65,7 +65,7 @@ class LoopResult:
     to: Mapping[str, float]
     # when the heading came within the gate, s; None if it did not, or there is no gate
     gate_passed: float | None
-    # When the state was none of a vehicle in water any more, s: not finite, or beyond `Credible`. The
+    # When the state left what a vehicle in water can have, s: not finite, or beyond `Credible`. The
     # measures are of the run up to there.
     diverged: float | None
     divergence: Divergence | None  # what diverged, with the numbers
@@ -133,7 +133,7 @@ class Record:
 
     def to_json(self) -> str:
         """The result as JSON; what has grown beyond all numbers is null."""
-        return json.dumps(_in_json(asdict(self.result)), indent=2, allow_nan=False) + "\n"
+        return json.dumps(json_ready(asdict(self.result)), indent=2, allow_nan=False) + "\n"
 
 
 class Recorder:
@@ -229,14 +229,6 @@ def _judged(mission: Mission | None, t: np.ndarray, followed: Followed) -> Follo
         errors.append(FollowedError(name, MOTION_UNITS.get(name, "m"), *numbers))
     arrived = float(t[done[0]]) if done.size else None
     return FollowedResult(mission.name, mission.kind, arrived, tuple(errors))
-
-
-def _in_json(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {k: _in_json(v) for k, v in content.items()}
-    if isinstance(content, list | tuple):
-        return [_in_json(v) for v in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def _cycle(t: np.ndarray, error: np.ndarray) -> Cycle | None:

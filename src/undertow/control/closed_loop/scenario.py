@@ -11,7 +11,7 @@ import numpy as np
 from undertow.errors import UndertowError, nearest
 from undertow.model.symbols import FASTEST, FORCE_UNITS, MOTION_UNITS
 from undertow.model.tables import Quantity
-from undertow.model.units import to_si
+from undertow.model.units import si_of
 
 MOST_SAMPLES = 50_000_000
 
@@ -58,7 +58,7 @@ class Scenario:
     def __post_init__(self) -> None:
         for name, value in (("length of the run", self.duration), ("dt", self.dt)):
             if not 0 < value < math.inf:
-                raise UndertowError(f"{name} = {value:g} s is no time: give one above zero")
+                raise UndertowError(f"{name} = {value:g} s is too short: give a time above zero")
         if self.duration < self.dt:
             raise UndertowError(
                 f"dt = {self.dt:g} s is longer than the run of {self.duration:g} s: shorten it"
@@ -103,7 +103,7 @@ class Scenario:
         for known in (flat, upright, list(names)):
             if len(values) == len(known):
                 units = (MOTION_UNITS[n] for n in known)
-                return {n: _number(v, u, f"{what} {n}") for n, v, u in zip(known, values, units, strict=True)}
+                return {n: si_of(f"{what} {n}", v, u) for n, v, u in zip(known, values, units, strict=True)}
         raise UndertowError(
             f"{what} has {len(values)} values: give {len(flat)} ({','.join(flat)}), or {len(upright)} with "
             f"the heading ({','.join(upright)})"
@@ -117,10 +117,10 @@ class Scenario:
         UndertowError
             If the vehicle does not have one that is given, or nothing in water is as fast.
         """
-        alien = [n for n in self.moving if n not in names]
-        if alien:
+        unknown = [n for n in self.moving if n not in names]
+        if unknown:
             raise UndertowError(
-                f"velocity '{alien[0]}' is none of the vehicle's{nearest(alien[0], names)}: it has "
+                f"the vehicle has no velocity '{unknown[0]}'{nearest(unknown[0], names)}: it has "
                 f"{', '.join(names)}"
             )
         for name, value in self.moving.items():
@@ -142,13 +142,6 @@ class Scenario:
             if not 0 <= value < math.inf:
                 raise UndertowError(f"noise of {name} = {value:g}: give a standard deviation, zero or above")
         return np.array([self.noise.get(name, 0.0) for name in names])
-
-
-def _number(value: Quantity, unit: str, what: str) -> float:
-    try:
-        return to_si(value, unit)
-    except UndertowError as error:
-        raise UndertowError(f"{what}: {error}") from error
 
 
 def force_unit(axis: str) -> str:

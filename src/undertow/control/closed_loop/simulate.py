@@ -1,4 +1,4 @@
-"""Runs of a closed loop, one or many that differ, in parts so that Ctrl-C is heard."""
+"""Runs of a closed loop, one or many that differ, in parts so that Ctrl-C takes effect."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def run_many(
 
     done = 0
 
-    def tell(share: slice) -> None:
+    def report(share: slice) -> None:
         nonlocal done
         done += share.stop - share.start
         if progress is not None:
@@ -141,7 +141,7 @@ def run_many(
 
     steps = scenario.samples * problem.substeps
     threads = threads if loop.stepper.parallel else 1
-    in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, tell)
+    in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, report)
     return runs
 
 
@@ -171,7 +171,7 @@ _SAMPLES_PER_CALL = 20_000
 def blocks(
     parts: Parts, scenario: Scenario, runs: range, stride: int = 1, wanted: tuple[str, ...] = ALL
 ) -> Iterator[Block]:
-    """Blocks of samples one after the other, so that Ctrl-C is heard in between.
+    """Blocks of samples one after the other, so that Ctrl-C takes effect in between.
 
     The noise of run i is that of seed + i.
     """

@@ -1,4 +1,4 @@
-"""What a controller and its reference tell each other: the interface that every reference has."""
+"""What a controller and its reference exchange: the interface that every reference has."""
 
 from __future__ import annotations
 

@@ -49,13 +49,13 @@ def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection
 def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) -> None:
     if name not in known:
         raise UndertowError(
-            f"'{name}' is no velocity, pose or command of '{vehicle.name}'{nearest(name, known)}: it has "
+            f"'{name}' is not a velocity, pose or command of '{vehicle.name}'{nearest(name, known)}: it has "
             f"{', '.join(known)}"
         )
     if name in _PLACE:
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
     if not isfinite(value):
-        raise UndertowError(f"{name} = {value} is no value for a steady motion: give a finite one")
+        raise UndertowError(f"{name} = {value} cannot be a value of a steady motion: give a finite one")
     most = FASTEST if name in VELOCITY else _FARTHEST
     if abs(value) > most:
         raise UndertowError(f"{name} = {value:g} (SI) is too much for a steady motion: stay within {most:g}")
