@@ -15,7 +15,7 @@ from undertow.version import __version__
 
 from .body import FLIP, STATICS, Body, numbers, point_of_action
 
-_SAID = ("rigid_body", "rigid_body_coriolis", *STATICS, "thrusters")
+_EXPORTED = ("rigid_body", "rigid_body_coriolis", *STATICS, "thrusters")
 # Motions that a coordinate in the world's axes stands for only if these are there, too.
 _NEEDS = {"yaw": {"surge", "sway"}, "pitch": {"surge", "heave"}, "roll": {"sway", "heave"}}
 _AXES = {
@@ -144,7 +144,7 @@ class Mjcf(Body):
     # --- what is lost --------------------------------------------------------------------------
     def _what_is_left(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
-        for effect in self.unsaid(_SAID):
+        for effect in self.not_exported(_EXPORTED):
             hint = ", which MuJoCo has for ellipsoids only" if effect.id == "added_mass" else ""
             yield f"{effect.id} is left out{hint}"
         if self.effects("damping"):
