@@ -36,26 +36,17 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class TextLimits:
-    """What a file of statements (vehicle, gains, mapping, diagnosis) may be before it is parsed.
+    """What a file of statements (vehicle, gains, mapping, diagnosis) may be before it is parsed."""
 
-    Attributes
-    ----------
-    size : int
-        Bytes. The largest honest one, a vehicle of 60 effects with its history, has a twentieth of it.
-    depth : int
-        Parts of a dotted key, and brackets within each other. A parser needs time in the square of the first
-        and stack for the second; an honest file has four.
-    dotted_keys : int
-        Keys and headings with dots: tomlkit, which keeps comments, takes time in the square of their number
-        (1 s for these).
-    integer : int
-        Largest magnitude of an integer, that of 64 bits, which TOML promises.
-    """
-
+    # Bytes. The largest honest one, a vehicle of 60 effects with its history, has a twentieth of it.
     size: int = 2_000_000
+    # Parts of a dotted key, and brackets within each other. A parser needs time in the square of the first
+    # and stack for the second; an honest file has four.
     depth: int = 32
+    # keys and headings with dots: tomlkit, which keeps comments, takes time in the square of their number (1
+    # s for these)
     dotted_keys: int = 4_000
-    integer: int = 2**63
+    integer: int = 2**63  # largest magnitude of an integer, that of 64 bits, which TOML promises
 
 
 STATEMENTS = TextLimits()

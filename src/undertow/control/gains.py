@@ -79,29 +79,15 @@ LIMITS = GainLimits()
 
 @dataclass(frozen=True)
 class GainSet:
-    """A control law with its numbers for one vehicle.
+    """A control law with its numbers for one vehicle."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the set.
-    law : Law
-        The law.
-    plant : Plant
-        The vehicle as the law knows it.
-    values : dict of float
-        Gain by name (K_P_x ...), SI; zero where a degree of freedom is unactuated and no gain is stated.
-    unactuated : tuple of str
-        Degrees of freedom whose force is knowingly left out.
-    schedule, allocation
-        The tables of the file.
-    """
-
-    name: str
+    name: str  # name of the set
     law: Law
-    plant: Plant
+    plant: Plant  # the vehicle as the law knows it
+    # gain by name (K_P_x ...), SI; zero where a degree of freedom is unactuated and no gain is stated
     values: Mapping[str, float]
-    unactuated: tuple[str, ...] = ()
+    unactuated: tuple[str, ...] = ()  # degrees of freedom whose force is knowingly left out
+    # schedule, allocation: the tables of the file
     schedule: ScheduleTable = field(default_factory=ScheduleTable)
     allocation: AllocationTable = field(default_factory=AllocationTable)
 

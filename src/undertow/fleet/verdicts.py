@@ -228,17 +228,12 @@ def _half_width(change: Change, limit: float) -> float:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter over some days.
-
-    Attributes
-    ----------
-    value, error : float or None
-        Estimate and standard error, SI, in the sign convention of the vehicle's file; None where the days do
-        not determine it.
-    """
+    """A parameter over some days."""
 
     name: str
     unit: str
+    # value, error: estimate and standard error, SI, in the sign convention of the vehicle's file; None where
+    # the days do not determine it
     value: float | None
     error: float | None
 

@@ -98,11 +98,6 @@ class FleetOptions:
         return "{}" if self.map is None else read_mapping(self.map).model_dump_json()
 
 
-@app.callback()
-def _fleet() -> None:
-    pass
-
-
 @app.command()
 @bundled
 def diagnose(

@@ -41,11 +41,6 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False)
 
 
-@app.callback()
-def added_mass() -> None:
-    pass
-
-
 def _metres(name: str, help: str) -> typer.models.OptionInfo:
     return typer.Option(name, metavar="M", help=help)  # type: ignore[no-any-return]
 

@@ -139,11 +139,6 @@ def read(path: Path, unit: str | None, frame: str) -> Hull:
     return hull
 
 
-@app.callback()
-def vehicle() -> None:
-    pass
-
-
 @app.command()
 def new(
     mass: Annotated[float | None, _MASS] = None,
