@@ -35,11 +35,9 @@ def compare(
     json: JsonFileOption = None,
     plots: Annotated[Path | None, _PLOTS] = None,
 ) -> None:
-    from undertow.figures import save_pictures
     from undertow.files import check_folder, check_writable, together, write_whole
     from undertow.identification.compare.comparison import compare as compared
     from undertow.identification.long_logs.choosing import LOOK
-    from undertow.identification.report.tables import comparison_pictures
 
     check_writable(json, inputs=[vehicle, *logs, *options.files])
     if plots is not None:
@@ -57,6 +55,9 @@ def compare(
         if json is not None:
             write_whole(json, comparison.to_json())
         if plots is not None:
+            from undertow.figures import save_pictures
+            from undertow.identification.report.tables import comparison_pictures
+
             drawn = save_pictures(comparison_pictures(comparison), plots)
     if plots is not None:
         typer.echo(f"{len(drawn)} pictures in {plots}")
