@@ -6,7 +6,7 @@ INTRODUCTION = """\
 Vehicles from one to six degrees of freedom, simulated by a program that shares no code with undertow
 (`benchmarks/hidden_effects`), with something hidden, with nothing hidden, or with something that no
 catalogue lists. The seeds were not used while the measured program was developed; what was mended after a
-failure is said beside it. Every number comes with Wilson's 95 % confidence interval, wrong answers stand in
+failure is listed with it. Every number comes with Wilson's 95 % confidence interval, wrong answers stand in
 a list of their own, and this page is made by a program.
 """
 NO_PEERS = "Other methods were not run on these data.\n"
@@ -41,7 +41,7 @@ DEFINITIONS = """\
 - *Error*: rms of the residual of the weak form on the run kept aside, over all equations (forces and pose
   rates), in units of the noise that the sensors make.
 - *Oracle refit*: the model with the hidden effects added by hand, all their parameters free, the search
-  begun at the true values, refitted to the same logs as the diagnosis refits what it names: weak form, then
+  started at the true values, refitted to the same logs as the diagnosis refits what it names: weak form, then
   output error where that simulates the run kept aside no worse.
 - *Ratio*: error of the refitted incomplete model (by weak form or output error, whichever is less) over that
   of the oracle refit. Strong: 3 and more; medium: 1.5 to 3; weak: 1.1 to 1.5; below that the effect is
@@ -57,7 +57,7 @@ DEFINITIONS = """\
   same equations for a vehicle without roll and pitch, and so are, in still water, water in the hull and
   added mass with the coupling Y_rdot; there, and nowhere else, either or both of them count as the truth.
   With roll and pitch, water in the hull is a special case of added mass with couplings (the same form of
-  inertia matrix, the same Coriolis force): a set that holds both is what can be said, and counts.
+  inertia matrix, the same Coriolis force): a set that holds both is the correct answer, and counts.
 - *False alarm*: an effect is named for a complete model.
 - *Left out*: a dead band with a jump at its edge. The catalogue's is continuous, so that neither its name nor
   `unexplained` would be wrong.
@@ -108,7 +108,7 @@ differ by 2, where 15 is what tells; which of them leads such a set is chance.
 No faint effect is larger than ten times its drawn size. Water in the hull reported together with added
 mass, of which it is a special case, counts as named and nothing else, also with roll and pitch.
 
-What the page said before, each time on seeds that were new then: base seeds 730029, 883311 and 440917,
+Earlier results, each on seeds that were new at the time: base seeds 730029, 883311 and 440917,
 commits 1e58c41 to 8e0a94b, 128 cases, the program being mended between the three: one wrong name
 (tether_drag, by a cable of eleven kilometres, for square drag; mended); strong 41 of 43 first, medium 29 of
 32, weak 10 of 10, pairs 6 of 6, no false alarm in 23 complete models, 9 of 9 effects outside

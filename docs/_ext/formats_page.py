@@ -41,7 +41,7 @@ _VEHICLE = """\
 
 A vehicle file is TOML. It says which motions the vehicle has, which effects act on it with which
 parameters, and what drives it. A quantity is a number in SI units or a text with a unit, such as `"11.5
-kg"` or `"0.3 deg"`. What the table of an effect may hold is said by `undertow effects show ID`, and on
+kg"` or `"0.3 deg"`. What the table of an effect may hold is shown by `undertow effects show ID`, and on
 the page of the [catalogue](catalogue.md). `undertow vehicle new` writes a first file from a hull or a
 type of vehicle, `undertow vehicles show FILE` prints what a file says and leaves open.
 """

@@ -3,7 +3,7 @@
 The model is the vehicle's own: `Functions.dynamics`, the same expressions that are simulated and exported.
 Multiple shooting with steps of Runge-Kutta, thruster limits as bounds, the circle as a constraint with a
 slack that costs. Every sample takes a few steps of sequential quadratic programming with the Gauss-Newton
-matrix, begun at the last solution moved on by a sample.
+matrix, started from the last solution moved on by a sample.
 
     python examples/mpc/around_a_keep_out.py                 # prints times, writes mpc.png
 """

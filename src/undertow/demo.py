@@ -55,21 +55,11 @@ Bar = Callable[[str], AbstractContextManager[Progress]]
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """What counts in the second example, chosen by the look of its six runs.
+    """What counts in the second example, chosen by the look of its six runs."""
 
-    Attributes
-    ----------
-    noticeable : float
-        Share of an error by which it must change to be worth a word.
-    start_up : float
-        Length of the start of a run, s.
-    no_push : float
-        Share of the largest push below which the hull coasts.
-    """
-
-    noticeable: float = 0.05
-    start_up: float = 3.0
-    no_push: float = 0.01
+    noticeable: float = 0.05  # share of an error by which it must change to be worth a word
+    start_up: float = 3.0  # length of the start of a run, s
+    no_push: float = 0.01  # share of the largest push below which the hull coasts
 
 
 SETTINGS = DemoSettings()

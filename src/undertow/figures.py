@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from undertow.files import write_whole
+from undertow.files import make_folder, write_whole
 
 # From the palette of Okabe and Ito, which readers with any kind of colour vision can tell apart.
 BEFORE = "#d55e00"
@@ -103,6 +103,14 @@ def save_png(picture: Figure, path: Path) -> None:
     with _quietly():
         picture.savefig(stream, format="png", dpi=_DPI, facecolor="white")
     write_whole(path, stream.getvalue())
+
+
+def save_pictures(drawn: Mapping[str, Figure], folder: Path) -> list[Path]:
+    """Write pictures into a folder, which is made, each under its name; the paths."""
+    make_folder(folder)
+    for name, picture in drawn.items():
+        save_png(picture, folder / f"{name}.png")
+    return [folder / f"{name}.png" for name in drawn]
 
 
 def svg(picture: Figure, prefix: str) -> str:

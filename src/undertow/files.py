@@ -10,10 +10,11 @@ import secrets
 import shutil
 import stat
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -35,26 +36,17 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class TextLimits:
-    """What a file of statements (vehicle, gains, mapping, diagnosis) may be before it is parsed.
+    """What a file of statements (vehicle, gains, mapping, diagnosis) may be before it is parsed."""
 
-    Attributes
-    ----------
-    size : int
-        Bytes. The largest honest one, a vehicle of 60 effects with its history, has a twentieth of it.
-    depth : int
-        Parts of a dotted key, and brackets within each other. A parser needs time in the square of the first
-        and stack for the second; an honest file has four.
-    dotted_keys : int
-        Keys and headings with dots: tomlkit, which keeps comments, takes time in the square of their number
-        (1 s for these).
-    integer : int
-        Largest magnitude of an integer, that of 64 bits, which TOML promises.
-    """
-
+    # Bytes. The largest honest one, a vehicle of 60 effects with its history, has a twentieth of it.
     size: int = 2_000_000
+    # Parts of a dotted key, and brackets within each other. A parser needs time in the square of the first
+    # and stack for the second; an honest file has four.
     depth: int = 32
+    # keys and headings with dots: tomlkit, which keeps comments, takes time in the square of their number (1
+    # s for these)
     dotted_keys: int = 4_000
-    integer: int = 2**63
+    integer: int = 2**63  # largest magnitude of an integer, that of 64 bits, which TOML promises
 
 
 STATEMENTS = TextLimits()
@@ -114,6 +106,22 @@ def read_json(path: str | os.PathLike[str], kind: str, limits: TextLimits = RESU
     if _depth(_QUOTED.sub("_", text)) > limits.depth:
         raise UndertowError(_too_deep(os.fspath(path), kind, limits))
     return text
+
+
+def json_ready(content: Any, not_finite: Callable[[float], Any] = lambda _: None) -> Any:
+    """Content as JSON has it: sequences and arrays as lists, complex numbers as [real, imaginary].
+
+    Numbers that are not finite become what `not_finite` makes of them.
+    """
+    if isinstance(content, Mapping):
+        return {str(k): json_ready(v, not_finite) for k, v in content.items()}
+    if isinstance(content, list | tuple):
+        return [json_ready(v, not_finite) for v in content]
+    if isinstance(content, complex):
+        return json_ready([content.real, content.imag], not_finite)
+    if isinstance(content, float):
+        return float(content) if isfinite(content) else not_finite(content)
+    return json_ready(content.tolist(), not_finite) if hasattr(content, "tolist") else content
 
 
 def _refuse_depth(text: str, where: str, kind: str, limits: TextLimits) -> None:

@@ -262,7 +262,7 @@ def test_what_an_effect_cannot_state_is_left_out_and_said(undertow: Undertow, tm
 def test_an_id_that_is_no_snake_case_is_refused(bad: str, undertow: Undertow, tmp_path: Path) -> None:
     code, out, err = undertow("effects", "new", bad)
     assert (code, out) == (2, "")
-    assert "is no id for an effect" in err
+    assert "cannot be an id" in err
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -303,10 +303,10 @@ def test_the_diagnosis_itself_is_not_replaced(undertow: Undertow, found: Path) -
     ("content", "message"),
     [
         (None, "cannot be read"),
-        ("no json", "is no diagnosis (Invalid JSON"),
-        ("[]", "is no diagnosis"),
-        ("{}", "is no diagnosis (undertow: Field required)"),
-        ('{"schema_id": "undertow/comparison/1"}', "is no diagnosis"),
+        ("no json", "is not a diagnosis (Invalid JSON"),
+        ("[]", "is not a diagnosis"),
+        ("{}", "is not a diagnosis (undertow: Field required)"),
+        ('{"schema_id": "undertow/comparison/1"}', "is not a diagnosis"),
         (b"\xff\xfe\x00", "not UTF-8 text"),
     ],
 )

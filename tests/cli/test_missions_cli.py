@@ -86,7 +86,7 @@ SHIP = ["simulate", "cybership2", "g.toml"]
 BAD = {
     "neither": (SHIP, ["--to X,Y,Z or --path MISSION.toml"]),
     "both": ([*SHIP, "--to", "1,1", "--path", "m.toml"], ["either a set-point or a mission"]),
-    "no file": ([*SHIP, "--path", "none.toml"], ["mission 'none.toml' is no file"]),
+    "no file": ([*SHIP, "--path", "none.toml"], ["mission 'none.toml' is not a file"]),
     "another file": ([*SHIP, "--path", "g.toml"], ["g.toml"]),
     "a kind": ([*SHIP, "--path", "kind.toml"], ["kind", "legs"]),
     "a unit": ([*SHIP, "--path", "unit.toml"], ["unit.toml: way-point 2 x", "kg"]),

@@ -133,7 +133,7 @@ def test_a_diagnosis_that_named_one_effect_is_asked_again(case: Path) -> None:
 
 
 REFUSED = {
-    "no number": (["--limit", "much"], "'much' is no number"),
+    "no number": (["--limit", "much"], "'much' is not a number"),
     "no such command": (["--limit", "f9=1"], "'f9'"),
     "limit above the file's": (["--limit", "5"], "above its limit in the vehicle file, 2"),
     "limit of zero": (["--limit", "0"], "--limit"),
@@ -151,7 +151,7 @@ REFUSED = {
     "models without the goal": (["--goal", "parameters", "--between", "lift"], "--goal separate"),
     "two sources of models": (["--between", "lift", "--diagnosis", "found.json"], "give one of them"),
     "parameters and models": (["--between", "lift", "--only", "X_u"], "--only"),
-    "no diagnosis": (["--diagnosis", "usv.toml"], "no diagnosis"),
+    "no diagnosis": (["--diagnosis", "usv.toml"], "is not a diagnosis"),
     "a missing diagnosis": (["--diagnosis", "nothing.json"], "nothing.json"),
     "output over an input": (["--out", "usv.toml"], "usv.toml"),
     "the same output twice": (["--out", "plan.x", "--json", "plan.x"], "plan.x"),

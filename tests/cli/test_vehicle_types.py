@@ -125,7 +125,7 @@ def test_vehicles_of_every_type_go_where_they_are_steered() -> None:
     ("change", "message"),
     [
         ({"--height": "0.2"}, "is a block coefficient of 1.84 (possible: 0.1 to 0.98)"),
-        ({"--beam": "3"}, "length / beam = 2.33 is no ship's (limit: 4)"),
+        ({"--beam": "3"}, "length / beam = 2.33 is not of a ship (limit: 4)"),
         ({"--mass": "0"}, "mass = 0 must be a positive number"),
         ({"--length": None}, "--type ship lacks dimensions"),
         ({"--type": None}, "give the shape once"),

@@ -549,18 +549,18 @@ def test_a_note_is_found_again(own_cache: Path) -> None:
         asked.append(1)
         return "yes\n"
 
-    assert [cache.noted("is it?", answer) for _ in range(3)] == ["yes\n"] * 3
+    assert [cache.remembered("is it?", answer) for _ in range(3)] == ["yes\n"] * 3
     assert len(asked) == 1
-    assert cache.noted("is it not?", lambda: "no") == "no"
+    assert cache.remembered("is it not?", lambda: "no") == "no"
 
 
 @pytest.mark.parametrize("spoiled", ["", "yes", "0" * 64 + "\nyes", "\xff"])
 def test_a_spoiled_note_is_not_believed(spoiled: str, own_cache: Path) -> None:
-    cache.noted("is it?", lambda: "yes")
+    cache.remembered("is it?", lambda: "yes")
     (note,) = own_cache.glob("*.note")
     note.write_text(spoiled, encoding="latin-1")
-    assert cache.noted("is it?", lambda: "after all") == "after all"
-    assert cache.noted("is it?", lambda: "no") == "after all"
+    assert cache.remembered("is it?", lambda: "after all") == "after all"
+    assert cache.remembered("is it?", lambda: "no") == "after all"
 
 
 def test_without_room_there_is_an_answer_all_the_same(
@@ -570,13 +570,13 @@ def test_without_room_there_is_an_answer_all_the_same(
         raise UndertowError("no space left")
 
     monkeypatch.setattr(cache, "write_whole", full)
-    assert [cache.noted("is it?", lambda: "yes") for _ in range(2)] == ["yes", "yes"]
+    assert [cache.remembered("is it?", lambda: "yes") for _ in range(2)] == ["yes", "yes"]
     assert not list(own_cache.glob("*.note"))
 
 
 def test_an_empty_answer_is_not_kept(own_cache: Path) -> None:
-    assert cache.noted("is it?", lambda: "") == ""
-    assert cache.noted("is it?", lambda: "yes") == "yes"
+    assert cache.remembered("is it?", lambda: "") == ""
+    assert cache.remembered("is it?", lambda: "yes") == "yes"
 
 
 # --- the processor ------------------------------------------------------------------------------

@@ -342,7 +342,7 @@ def test_a_pose_that_jumps_has_diverged() -> None:
     found = divergence(names, x[0], np.zeros(4), 1000.0)
     assert (found.name, found.value, found.limit) == ("z", -3e12, 2 * FASTEST * 1001.0)
     far = divergence(names, np.array([0.0, 0.0, math.nan, *[0.0] * 5]), np.zeros(4), 1.0)
-    assert "z is no finite number" in far.text
+    assert "z is no longer a finite number" in far.text
 
 
 def test_progress_is_told() -> None:

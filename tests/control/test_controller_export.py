@@ -165,4 +165,4 @@ def test_what_is_current_and_what_is_stale(tmp_path: Path) -> None:
     assert library.check(tmp_path).changes == ()
     stiffer = replace(gains, values=gains.values | {"K_P_x": 7.0})
     assert library_of(vehicle, [stiffer]).check(tmp_path).changes == (f"{source} has changed",)
-    assert Library(vehicle).check(tmp_path).changes == (f"{source} is no part any more",)
+    assert Library(vehicle).check(tmp_path).changes == (f"{source} is no longer part of it",)

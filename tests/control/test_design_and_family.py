@@ -115,9 +115,9 @@ def test_lqg_refuses_what_it_cannot_hold(auv: Vehicle) -> None:
     force = dict.fromkeys(plant.input_labels, 5.0)
     with pytest.raises(UndertowError, match="y, v cannot be moved by commands or seen"):
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, dict.fromkeys(auv.pose_names, 0.1))
-    with pytest.raises(UndertowError, match="'a' is no output"):
+    with pytest.raises(UndertowError, match="'a' is not an output"):
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, {"a": 0.1})
-    with pytest.raises(UndertowError, match="weight of 'surge', which is no state"):
+    with pytest.raises(UndertowError, match="weight of 'surge', which is not a state"):
         lqg(auv, find_trim(auv), {"x": 1.0, "surge": 0.1}, force, {"u": 0.1}, {"x": 0.1})
     with pytest.raises(UndertowError, match=r"disturbance of u is -0\.1"):
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": -0.1}, {"x": 0.1})

@@ -98,8 +98,8 @@ def test_a_dead_band_does_not_hide_the_trim(auv: Vehicle) -> None:
     ("held", "free", "words"),
     [
         ({"u": 0.5, "r": 0.1, "v": 0.0}, (), "no steady motion of 'mini-auv' has these values: v keeps"),
-        ({"uu": 0.5}, (), "'uu' is no velocity, pose or command of 'mini-auv' (did you mean 'u'?)"),
-        ({"u": float("nan")}, (), "u = nan is no value"),
+        ({"uu": 0.5}, (), "'uu' is not a velocity, pose or command of 'mini-auv' (did you mean 'u'?)"),
+        ({"u": float("nan")}, (), "u = nan cannot be a value"),
         ({"x": 1.0}, (), "x cannot be held"),
         ({"u": 0.5}, ("u",), "'u' cannot be left free"),
         ({"r": 0.5}, ("r",), "r is both held and free"),

@@ -160,7 +160,7 @@ def test_positive_definite_is_said_only_where_it_is() -> None:
 
 @pytest.mark.parametrize(
     ("start", "told"),
-    [("x:1", "is not NAME=SIZE"), ("q=1", "is not NAME=SIZE"), ("x=-1", "no size"), ("x=0", "zero")],
+    [("x:1", "write NAME=VALUE"), ("q=1", "has no q"), ("x=-1", "no size"), ("x=0", "zero")],
 )
 def test_a_start_that_is_none_is_bad_input(start: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gains", "mini-auv", "paper-pd", "--form", "derived", "--start", start]) == 2

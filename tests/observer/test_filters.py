@@ -8,13 +8,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm, solve_discrete_are
+from scipy.stats import chi2
 
 from benchmarks.observer_log import CURRENT, DRIVE, auv, log
 from undertow.errors import UndertowError
 from undertow.identification.observe import first_guess, reports_of
 from undertow.model.loading import load_vehicle
-from undertow.observer.consistency import ljung_box, nees, nees_bounds, nis, whiteness
-from undertow.observer.filters import Method, Observer, Reports, smoothed
+from undertow.observer.consistency import SETTINGS, ljung_box, nis, whiteness
+from undertow.observer.filters import Estimate, Method, Observer, Reports, smoothed
 from undertow.observer.process import Prior, Process, process_of
 
 A = np.array([[0.0, 1.0], [-0.09, -0.3]])
@@ -28,6 +29,19 @@ def linear() -> Process:
     names = (("x", "u"), ("x", "u"), (1,))
     equations = (A @ x + B @ u, C @ x, np.zeros(1), np.zeros(2), 0.0)
     return Process(load_vehicle("mini-auv"), "model", *names, x, u, p, t, *equations)
+
+
+def nees(found: Estimate, truth: np.ndarray, rows: slice) -> np.ndarray:
+    """Normalised estimation error squared of some rows, for each state; rows far apart are independent."""
+    error = (found.mean - truth)[rows]
+    solved = np.linalg.solve(found.covariance[rows], error[..., None])[..., 0]
+    return (error * solved).sum(axis=1) / error.shape[1]
+
+
+def nees_bounds(states: int, count: int) -> tuple[float, float]:
+    """Bounds of the mean of so many independent NEES values, for each state."""
+    k, tail = states * count, (1 - SETTINGS.level) / 2
+    return float(chi2.ppf(tail, k)) / k, float(chi2.ppf(1 - tail, k)) / k
 
 
 def discrete() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

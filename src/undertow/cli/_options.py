@@ -62,6 +62,10 @@ OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
 ]
 InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Change the vehicle file itself.")]
+CurrentOption = Annotated[
+    str | None,
+    typer.Option("--current", metavar="NORTH,EAST", help="Velocity of the water over ground, m/s."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 JsonFileOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the whole result as JSON.")
@@ -89,7 +93,7 @@ class Loaded(NamedTuple):
 
 
 def _say_notes(notes: Mapping[str, Iterable[str]]) -> None:
-    """Print what the readers of vehicles' own logs said, by the path of the log."""
+    """Print the notes of the readers of vehicles' own logs, by the path of the log."""
     for source, lines in notes.items():
         for line in lines:
             say(f"{source}: {line}", "dim")
@@ -158,7 +162,7 @@ class ReadOptions:
         `to_fit` refuses more samples than a fit takes as soon as they are read; `in_any_order` drops rows
         that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank),
         `on_rig` those in which a rig holds motions of the vehicle.
-        With a `budget`, the stretches that tell most are taken of logs that are too long.
+        With a `budget`, the most informative stretches of logs that are too long are taken.
         """
         from undertow.identification.logs.reading import read_logs
         from undertow.model.loading import load_vehicle
@@ -413,9 +417,26 @@ def number_or_text(value: str) -> float | str:
 
 def in_si(option: str, value: str | float, unit: str) -> float:
     """A value in SI: a plain number, or one with a unit."""
-    from undertow.model.units import to_si
+    from undertow.model.units import si_of
 
-    try:
-        return to_si(number_or_text(value) if isinstance(value, str) else value, unit)
-    except UndertowError as error:
-        raise UndertowError(f"{option}: {error}") from error
+    return si_of(option, number_or_text(value) if isinstance(value, str) else value, unit)
+
+
+def quantities(
+    option: str,
+    texts: Iterable[str],
+    units: Mapping[str, str],
+    otherwise: str = "1",
+    example: str = "u=0.5",
+) -> dict[str, float]:
+    """Values in SI by name, out of "u=0.5" and "x=1 m,psi=20 deg"; `otherwise` is the unit of other names."""
+    pairs = names_and_values(option, texts, example)
+    return {n: in_si(f"{option} {n}", value, units.get(n, otherwise)) for n, value in pairs}
+
+
+def current_of(text: str) -> tuple[float, float]:
+    """The velocities of --current to the north and to the east, m/s."""
+    parts = [in_si("--current", part, "m/s") for part in text.split(",")]
+    if len(parts) != 2:
+        raise UndertowError(f"--current {text}: give two velocities, such as 0.3,0.1 (north, east)")
+    return parts[0], parts[1]

@@ -177,7 +177,7 @@ def _sha256(path: Path) -> str:
 # --- notes --------------------------------------------------------------------------------------
 
 
-def noted(question: str, find_out: Callable[[], str]) -> str:
+def remembered(question: str, find_out: Callable[[], str]) -> str:
     """The answer to a question that always has the same one, found out once and kept beside the libraries.
 
     Parameters

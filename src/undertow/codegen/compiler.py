@@ -21,7 +21,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 
-from .cache import library_for, noted
+from .cache import library_for, remembered
 from .functions import Functions
 from .source import c_source, digest, engine_file, with_unique_symbols
 
@@ -46,21 +46,11 @@ _TIME_LIMIT = 600.0
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler on this machine.
+    """A C compiler on this machine."""
 
-    Attributes
-    ----------
-    command : tuple of str
-        How it is called.
-    version : str
-        First line of what it says about itself.
-    more : tuple of str
-        Options beyond the usual ones.
-    """
-
-    command: tuple[str, ...]
-    version: str
-    more: tuple[str, ...] = ()
+    command: tuple[str, ...]  # how it is called
+    version: str  # first line of what it says about itself
+    more: tuple[str, ...] = ()  # options beyond the usual ones
 
     def for_this_machine(self, *options: str) -> Compiler:
         """The same compiler, using all that this processor can do; what it builds may not run elsewhere."""
@@ -105,9 +95,9 @@ class Compiler:
         libraries = [] if self.is_msvc else ["-lm"]
         done = _run([*self.command, *self._flags, *target, source.name, *libraries], source.parent)
         if done.returncode or not library.is_file():
-            said = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
+            log = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
             raise UndertowError(
-                f"the C compiler '{' '.join(self.command)}' failed, code {done.returncode}: {said[0][:200]}; "
+                f"the C compiler '{' '.join(self.command)}' failed, code {done.returncode}: {log[0][:200]}; "
                 "repair it or set UNDERTOW_NO_COMPILER=1"
             )
 
@@ -162,7 +152,9 @@ def _processor(command: tuple[str, ...]) -> str:
             return ""
         return "" if answer.returncode else "\n".join(sorted(answer.stdout.splitlines()))
 
-    return noted("\n".join(["processor", *_LOCAL_FLAGS, *command, _program(command), _this_processor()]), ask)
+    return remembered(
+        "\n".join(["processor", *_LOCAL_FLAGS, *command, _program(command), _this_processor()]), ask
+    )
 
 
 def _macros(known: str) -> dict[str, str]:

@@ -325,24 +325,14 @@ class Functions:
 # --- the dynamics in two steps --------------------------------------------------------------------
 @dataclass(frozen=True)
 class Prepared:
-    """The dynamics for many evaluations with the same parameters.
+    """The dynamics for many evaluations with the same parameters."""
 
-    Attributes
-    ----------
-    prepare : casadi.Function
-        `q = prepare(p)`: coefficients, with the inverse of M where it depends on parameters alone.
-    dynamics : casadi.Function
-        `x_dot = dynamics(x, u, q, t)`.
-    hold : casadi.Function
-        `w = hold(u, q)`: what follows from q and inputs, for many evaluations with the same inputs.
-    held_dynamics : casadi.Function
-        `x_dot = held_dynamics(x, w, q, t)`.
-    """
-
+    # `q = prepare(p)`: coefficients, with the inverse of M where it depends on parameters alone
     prepare: ca.Function
-    dynamics: ca.Function
+    dynamics: ca.Function  # `x_dot = dynamics(x, u, q, t)`
+    # `w = hold(u, q)`: what follows from q and inputs, for many evaluations with the same inputs
     hold: ca.Function
-    held_dynamics: ca.Function
+    held_dynamics: ca.Function  # `x_dot = held_dynamics(x, w, q, t)`
 
 
 def prepared(functions: Functions) -> Prepared:

@@ -38,25 +38,14 @@ _CHUNK = 128
 
 @dataclass(frozen=True)
 class Layout:
-    """The rows of a model that is linear in what is sought.
+    """The rows of a model that is linear in what is sought."""
 
-    Attributes
-    ----------
-    function : casadi.Function
-        `rows(x, nu_dot, u, p, t)`: of every row the structural nonzeros, then the target.
-    row, column : tuple of int
-        Where each of these stands; the target in the last column.
-    size : int
-        Number of parameters that are sought.
-    needed : tuple of int
-        Which of x, nu_dot, u and t, in this order, the rows depend on.
-    """
-
-    function: ca.Function
+    function: ca.Function  # `rows(x, nu_dot, u, p, t)`: of every row the structural nonzeros, then the target
+    # row, column: where each of these stands; the target in the last column
     row: tuple[int, ...]
     column: tuple[int, ...]
-    size: int
-    needed: tuple[int, ...]
+    size: int  # number of parameters that are sought
+    needed: tuple[int, ...]  # which of x, nu_dot, u and t, in this order, the rows depend on
 
     @property
     def degrees(self) -> int:
@@ -110,19 +99,12 @@ def layout(functions: Functions, places: Sequence[int]) -> Layout:
 
 @dataclass
 class Sums:
-    """Sums over the samples of logs, with what rounding takes from them kept beside.
+    """Sums over the samples of logs, with what rounding takes from them kept beside."""
 
-    Attributes
-    ----------
-    value, lost : ndarray
-        Sum and correction.
-    count : int
-        Samples that were taken in; those with gaps are not.
-    """
-
+    # value, lost: sum and correction
     value: Array
     lost: Array = field(init=False)
-    count: int = 0
+    count: int = 0  # samples that were taken in; those with gaps are not
 
     def __post_init__(self) -> None:
         self.lost = np.zeros_like(self.value)

@@ -14,7 +14,8 @@ from undertow.version import __version__
 
 from .compiler import find_compiler
 from .functions import Functions
-from .manifest import Manifest, Report, changes, describe, sha256
+from .manifest import Manifest, Report, changes, describe
+from .source import digest
 from .spelling import Dialect, Part, Writer, comment, filled, identifier, listing, slug
 from .thruster_c import has_inverse, thrusters_c
 from .vehicle_c import jacobians_c, vehicle_c
@@ -105,7 +106,7 @@ class Library:
                 if (
                     _is_example(name)
                     and path.is_file()
-                    and _edited(path, recorded.get(name, ""), sha256(text))
+                    and _edited(path, recorded.get(name, ""), digest(text))
                 ):
                     report = report.with_line(f"{name} was edited and is kept")
                 else:
@@ -137,10 +138,10 @@ class Library:
         lines += [
             f"{n} has changed"
             for n in sources
-            if recorded.get(n, sha256(self.texts[n])) != sha256(self.texts[n])
+            if recorded.get(n, digest(self.texts[n])) != digest(self.texts[n])
         ]
         gone = [n for n in recorded if n.endswith(".c") and n.startswith("src/") and n not in self.texts]
-        return lines + [f"{n} is no part any more" for n in gone]
+        return lines + [f"{n} is no longer part of it" for n in gone]
 
     # --- the files ----------------------------------------------------------------------------
     @cached_property
@@ -171,9 +172,9 @@ class Library:
         return filled(text, {**fields, "LOWER": self.name, "UPPER": self.name.upper(), **more})
 
     def _header(self, name: str, part: Part) -> str:
-        told = "".join(f"\n   {what}:\n{listing(entries)}\n" for what, entries in part.notes.items())
+        lists = "".join(f"\n   {what}:\n{listing(entries)}\n" for what, entries in part.notes.items())
         guard, declared = f"{self.name}_{name}".upper(), "\n".join(part.declared)
-        fields = {"WHAT": part.what, "LISTS": told, "DECLARATIONS": declared, "GUARD": guard}
+        fields = {"WHAT": part.what, "LISTS": lists, "DECLARATIONS": declared, "GUARD": guard}
         return self._filled("library.h", DELAY=_delays(self.manifest), **fields)
 
     def _source(self, name: str, part: Part) -> str:
@@ -220,7 +221,7 @@ def _is_example(name: str) -> bool:
 def _edited(path: Path, *generated: str) -> bool:
     """Whether a file is none of those with the given hashes."""
     try:
-        return sha256(path.read_text(encoding="utf-8")) not in generated
+        return digest(path.read_text(encoding="utf-8")) not in generated
     except (OSError, UnicodeDecodeError):
         return True
 

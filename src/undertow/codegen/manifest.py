@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
-from math import isclose, isfinite
+from math import isclose
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 from pydantic import TypeAdapter
 
 from undertow.errors import UndertowError
+from undertow.files import json_ready
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
 from undertow.model.tables import Printable
 from undertow.typing import Array
 from undertow.version import __version__
 
 from .functions import Functions
+from .source import digest
 
 _log = logging.getLogger(__name__)
 SCHEMA = "undertow/codegen/2"
@@ -38,49 +38,29 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One state, input or parameter.
+    """One state, input or parameter."""
 
-    Attributes
-    ----------
-    name, unit : str
-        What it is and what it is measured in.
-    value : float, optional
-        Value of a parameter in the vehicle file, SI and SNAME signs.
-    """
-
+    # name, unit: what it is and what it is measured in
     name: Printable
     unit: Printable
-    value: float | None = None
+    value: float | None = None  # value of a parameter in the vehicle file, SI and SNAME signs
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """A model as its generated code stands for it.
+    """A model as its generated code stands for it."""
 
-    Attributes
-    ----------
-    vehicle : str
-        Name of the vehicle.
-    effects : tuple of str
-        Ids of the effects.
-    states, inputs, parameters : tuple of Entry
-        Entries of x, u and p in order.
-    input_delay : float
-        Dead time of the inputs, s, which the caller has to provide.
-    output_delay : mapping
-        Dead time of the outputs that are reported late, s, by name, which the caller has to provide, too.
-    rows : mapping
-        Values of every row of the equations of motion at fixed points. They tell an equation from another one
-        whatever way it is written, and do not change when a parameter moves to another place in p.
-    """
-
-    vehicle: Printable
-    effects: tuple[Printable, ...]
+    vehicle: Printable  # name of the vehicle
+    effects: tuple[Printable, ...]  # ids of the effects
+    # states, inputs, parameters: entries of x, u and p in order
     states: tuple[Entry, ...]
     inputs: tuple[Entry, ...]
     parameters: tuple[Entry, ...]
-    input_delay: float
+    input_delay: float  # dead time of the inputs, s, which the caller has to provide
+    # dead time of the outputs that are reported late, s, by name, which the caller has to provide, too
     output_delay: Mapping[Printable, float]
+    # Values of every row of the equations of motion at fixed points. They tell an equation from another one
+    # whatever way it is written, and do not change when a parameter moves to another place in p.
     rows: Mapping[Printable, tuple[float, ...]]
 
     def to_json(self, files: Mapping[str, str], compiler: str) -> str:
@@ -93,10 +73,11 @@ class Manifest:
         compiler : str
             Compiler of this machine, for the record.
         """
-        hashes = {name: sha256(text) for name, text in files.items()}
+        hashes = {name: digest(text) for name, text in files.items()}
         versions = {"undertow": __version__, "casadi": ca.__version__, "compiler": compiler}
         content = {"schema": SCHEMA, **versions, **asdict(self), "files": hashes}
-        return json.dumps(_in_json(content), indent=1, allow_nan=False) + "\n"
+        # A thrust without a limit is limited by the word "inf": JSON has no such number.
+        return json.dumps(json_ready(content, str), indent=1, allow_nan=False) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> tuple[Manifest, dict[str, str]]:
@@ -115,20 +96,6 @@ class Manifest:
             return found, TypeAdapter(dict[Printable, str]).validate_python(content["files"])
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise UndertowError(f"not a manifest of generated code ({error}): generate it again") from error
-
-
-def _in_json(content: Any) -> Any:
-    """Content without what JSON has no number for: a thrust without a limit is limited by the word "inf"."""
-    if isinstance(content, dict):
-        return {k: _in_json(v) for k, v in content.items()}
-    if isinstance(content, list | tuple):
-        return [_in_json(v) for v in content]
-    return str(content) if isinstance(content, float) and not isfinite(content) else content
-
-
-def sha256(text: str) -> str:
-    """SHA-256 of a text, hexadecimal."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 # --- describing -----------------------------------------------------------------------------------
@@ -203,7 +170,7 @@ def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
 
 def _coordinate(name: str, point: int, *, signed: bool) -> float:
     """A number between 0.2 and 1 that belongs to a name; motions and commands go both ways."""
-    share = int(hashlib.sha256(f"{name}/{point}".encode()).hexdigest()[:12], 16) / 16**12
+    share = int(digest(f"{name}/{point}")[:12], 16) / 16**12
     return (0.2 + 0.8 * share) * (-1 if signed and point % 2 else 1)
 
 
@@ -258,21 +225,11 @@ def _same(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
 
 @dataclass(frozen=True)
 class Report:
-    """What came of an export or of a check.
+    """What came of an export or of a check."""
 
-    Attributes
-    ----------
-    folder : Path
-        Where the generated code lies.
-    first : bool
-        True where no code was there before.
-    changes : tuple of str
-        What has changed since, in words.
-    """
-
-    folder: Path
-    first: bool
-    changes: tuple[str, ...]
+    folder: Path  # where the generated code lies
+    first: bool  # True where no code was there before
+    changes: tuple[str, ...]  # what has changed since, in words
 
     def with_line(self, line: str) -> Report:
         """The report with one more change."""

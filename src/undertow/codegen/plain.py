@@ -25,24 +25,13 @@ _OPERATION = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
 
 @dataclass(frozen=True)
 class Words:
-    """How C is spelled.
+    """How C is spelled."""
 
-    Attributes
-    ----------
-    real : str
-        Type of a number.
-    spread : str
-        How a double becomes one.
-    form : mapping
-        The expression of every operation, operands as {0} and {1}.
-    together : bool
-        Whether sine and cosine of an angle are computed together, and those of several angles, and whether
-        what divides several values is inverted once.
-    """
-
-    real: str
-    spread: str
-    form: Mapping[str, str]
+    real: str  # type of a number
+    spread: str  # how a double becomes one
+    form: Mapping[str, str]  # the expression of every operation, operands as {0} and {1}
+    # whether sine and cosine of an angle are computed together, and those of several angles, and whether what
+    # divides several values is inverted once
     together: bool
 
 

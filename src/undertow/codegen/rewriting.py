@@ -32,21 +32,13 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class Inertia:
-    """Inertial wrenches in rows and columns of the degrees of freedom.
+    """Inertial wrenches in rows and columns of the degrees of freedom."""
 
-    Attributes
-    ----------
-    ids : tuple of str
-        The effects.
-    mass, water_mass : SX, shape (6, 6)
-        What multiplies nu_dot and, apart from that, the translations of nu_r_dot.
-    momentum, water_momentum : SX, shape (6, 6)
-        A for the velocity over ground, and for the velocity through the water.
-    """
-
-    ids: tuple[str, ...]
+    ids: tuple[str, ...]  # the effects
+    # mass, water_mass: (6, 6): what multiplies nu_dot and, apart from that, the translations of nu_r_dot
     mass: ca.SX
     water_mass: ca.SX
+    # momentum, water_momentum: (6, 6): A for the velocity over ground, and for the velocity through the water
     momentum: ca.SX
     water_momentum: ca.SX
 

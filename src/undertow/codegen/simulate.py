@@ -31,7 +31,7 @@ from .trajectories import (
     shares,
 )
 
-# Runge-Kutta steps (times runs) in one call; between calls Ctrl-C is heard.
+# Runge-Kutta steps (times runs) in one call; between calls Ctrl-C takes effect.
 _STEPS_PER_CALL = 200_000
 # A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 it is unstable.
 _REACH = 0.7
@@ -472,7 +472,7 @@ class Model:
             If a shape does not fit, or dt is not positive.
         """
         if not (np.isfinite(dt) and dt > 0):
-            raise UndertowError(f"dt = {dt:g} s is no time between samples: give a positive one")
+            raise UndertowError(f"dt = {dt:g} s cannot be the time between samples: give a positive one")
         inputs = np.asarray(u, dtype=float)
         p = np.array(self._functions.values(), dtype=float)
         return self._simulator.run(np.asarray(x0, dtype=float), dt * np.arange(float(len(inputs))), inputs, p)

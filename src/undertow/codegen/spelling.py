@@ -172,27 +172,15 @@ def _members(names: Iterable[str]) -> tuple[str, ...]:
 # --- modules of a library --------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Part:
-    """One module of the library: a header, a source and an example.
+    """One module of the library: a header, a source and an example."""
 
-    Attributes
-    ----------
-    what : str
-        What it is, for the first line of the header.
-    notes : mapping
-        Entries that the header lists, by what they are.
-    declared, defined : sequence of str
-        Lines of header and source.
-    example : str
-        Body of the main function that shows how it is used.
-    about_model : bool
-        Whether its source says what the manifest's rows and parameters say; otherwise text is compared.
-    """
-
-    what: str
-    notes: Mapping[str, Sequence[Entry]]
+    what: str  # what it is, for the first line of the header
+    notes: Mapping[str, Sequence[Entry]]  # entries that the header lists, by what they are
+    # declared, defined: lines of header and source
     declared: Sequence[str]
     defined: Sequence[str]
-    example: str
+    example: str  # body of the main function that shows how it is used
+    # whether its source says what the manifest's rows and parameters say; otherwise text is compared
     about_model: bool = False
 
 

@@ -19,22 +19,15 @@ from .spelling import Dialect, Part, filled
 
 @dataclass(frozen=True)
 class ThrusterSettings:
-    """Numbers of thrusters in C.
+    """Numbers of thrusters in C."""
 
-    Attributes
-    ----------
-    points : int
-        Points of the table from thrust to command of a thruster with a curve: 33 keep the T200 to 1 %.
-    neutral, span : float
-        Servo pulse without thrust and from there to full thrust, microseconds: that of common motor
-        controllers, 1100 to 1900.
-    reach : float
-        Command up to which a thruster without curve and limit follows its line: beyond any thrust.
-    """
-
+    # points of the table from thrust to command of a thruster with a curve: 33 keep the T200 to 1 %
     points: int = 33
+    # neutral, span: servo pulse without thrust and from there to full thrust, microseconds: that of common
+    # motor controllers, 1100 to 1900
     neutral: float = 1500.0
     span: float = 400.0
+    # command up to which a thruster without curve and limit follows its line: beyond any thrust
     reach: float = 1e6
 
 

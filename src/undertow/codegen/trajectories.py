@@ -27,32 +27,16 @@ from .source import c_file, integers, with_entry
 
 @dataclass
 class Problem:
-    """Arrays of a simulation; where runs share t, u or p, its leading size is one.
+    """Arrays of a simulation; where runs share t, u or p, its leading size is one."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (b or 1, n)
-        Times of the samples, s.
-    steps : ndarray of int64, shape (b or 1, n - 1)
-        Runge-Kutta steps from sample to sample.
-    u : ndarray, shape (b or 1, n, nu)
-        Inputs, held from their sample to the next.
-    p : ndarray, shape (b or 1, np)
-        Parameters.
-    x : ndarray, shape (b, n, nx)
-        States; the first sample is given, the others are written.
-    wrt : ndarray of int64, shape (m,)
-        Parameter of every sensitivity column, -1 for columns of an initial state.
-    s : ndarray, shape (b, n, nx, m)
-        Sensitivities; the first sample is given, the others are written. No column where none are wanted.
-    """
-
-    t: Array
-    steps: Integers
-    u: Array
-    p: Array
-    x: Array
-    wrt: Integers
+    t: Array  # (b or 1, n): times of the samples, s
+    steps: Integers  # (b or 1, n - 1): runge-Kutta steps from sample to sample
+    u: Array  # (b or 1, n, nu): inputs, held from their sample to the next
+    p: Array  # (b or 1, np): parameters
+    x: Array  # (b, n, nx): states; the first sample is given, the others are written
+    wrt: Integers  # (m,): parameter of every sensitivity column, -1 for columns of an initial state
+    # (b, n, nx, m): sensitivities; the first sample is given, the others are written. No column where none
+    # are wanted.
     s: Array
 
     def part(self, runs: slice) -> Problem:
@@ -164,7 +148,7 @@ def shares(runs: int, work: float, threads: int | None, lanes: int) -> list[slic
     return [slice(a, min(a + each, runs)) for a in range(0, runs, each)]
 
 
-# From what is worth a thread of its own, a millisecond, to the tenth of a second in which Ctrl-C is heard.
+# From a millisecond, which is worth a thread of its own, to the tenth of a second that Ctrl-C may wait.
 _STEPS_IN_SHARE = (20_000, 1_000_000)
 # For each thread, so that none waits long for the others.
 _SHARES = 4
@@ -271,22 +255,13 @@ _ABREAST = 8
 
 @dataclass(frozen=True)
 class Products:
-    """Sums of products of weighted errors and their derivatives, by window and group of samples.
+    """Sums of products of weighted errors and their derivatives, by window and group of samples."""
 
-    Attributes
-    ----------
-    table : (b, groups, m + 1, m + 1) array
-        Products of the m derivatives (parameters, then initial values of pose and velocity) and, as the last
-        row and column, the error.
-    squares : (b, 2n) array
-        Sum of squares of the weighted errors by channel.
-    diverged : bool
-        Whether a simulation left the finite numbers; the sums then mean nothing.
-    """
-
+    # products of the m derivatives (parameters, then initial values of pose and velocity) and, as the last
+    # row and column, the error
     table: Array
-    squares: Array
-    diverged: bool
+    squares: Array  # sum of squares of the weighted errors by channel
+    diverged: bool  # whether a simulation left the finite numbers; the sums then mean nothing
 
 
 def products_of(value: Array, slope: Array, measured: Array, weight: Array, group: Integers) -> Products:

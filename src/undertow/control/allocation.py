@@ -15,24 +15,12 @@ from .gains import GainSet
 
 @dataclass(frozen=True)
 class Allocation:
-    """The inverse of B f = tau for the degrees of freedom that the thrusters push in.
+    """The inverse of B f = tau for the degrees of freedom that the thrusters push in."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (n, m)
-        Body-frame force of a unit of each command, N and N m.
-    rows : tuple of int
-        Degrees of freedom that are allocated; the others are left out.
-    weights : ndarray, shape (m,)
-        Price of the squared command of each.
-    limits : ndarray, shape (m,)
-        Largest magnitude of each command; infinite where there is none.
-    """
-
-    matrix: np.ndarray
-    rows: tuple[int, ...]
-    weights: np.ndarray
-    limits: np.ndarray
+    matrix: np.ndarray  # (n, m): body-frame force of a unit of each command, N and N m
+    rows: tuple[int, ...]  # degrees of freedom that are allocated; the others are left out
+    weights: np.ndarray  # (m,): price of the squared command of each
+    limits: np.ndarray  # (m,): largest magnitude of each command; infinite where there is none
 
     @property
     def limited(self) -> bool:

@@ -14,7 +14,7 @@ from undertow.codegen.library import Library
 from undertow.codegen.manifest import Report as Written
 from undertow.codegen.spelling import slug
 from undertow.errors import UndertowError
-from undertow.files import check_folder, make_folder, read_json, together, write_whole
+from undertow.files import check_folder, read_json, together, write_whole
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design, load_observer
 from undertow.observer.observer_c import observer_c
@@ -199,7 +199,7 @@ def update(
     UndertowError
         If something cannot be read, stated in C or written; nothing is written then.
     """
-    from undertow.figures import save_png
+    from undertow.figures import save_pictures
 
     from .linear.numeric import as_input_error
     from .linear.report import snapshot
@@ -215,13 +215,10 @@ def update(
         drawn = _pictures(vehicle, sets, at, loops)
         with together():
             written = library.write(out)
-            folder = written.folder / _PICTURES
-            make_folder(folder)
-            for name, picture in drawn.items():
-                save_png(picture, folder / f"{name}.png")
+            paths = save_pictures(drawn, written.folder / _PICTURES)
             # Last, so that an interrupted update is made again.
-            write_whole(folder.parent / _STATE, new.to_json())
-        return Update(old, new, written, [folder / f"{name}.png" for name in drawn])
+            write_whole(written.folder / _STATE, new.to_json())
+        return Update(old, new, written, paths)
 
 
 def library_of(

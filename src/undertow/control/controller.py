@@ -41,17 +41,10 @@ SETTINGS = ControllerSettings()
 # --- allocation -------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Sharing:
-    """An allocation as expressions: constants, or symbols whose values the caller has.
+    """An allocation as expressions: constants, or symbols whose values the caller has."""
 
-    Attributes
-    ----------
-    allocation : Allocation
-        What it is made of: its zeros and infinite limits are constants in any case.
-    acting, weights, limits : casadi.SX
-        Shapes (k, m), (m, 1) and (m, 1).
-    """
-
-    allocation: Allocation
+    allocation: Allocation  # what it is made of: its zeros and infinite limits are constants in any case
+    # acting, weights, limits: shapes (k, m), (m, 1) and (m, 1)
     acting: ca.SX
     weights: ca.SX
     limits: ca.SX
@@ -139,21 +132,12 @@ _WAITING, _IDLE = ("x", "y"), ("u", "v")
 
 
 class Numbered(NamedTuple):
-    """A controller with its numbers p as an input.
+    """A controller with its numbers p as an input."""
 
-    Attributes
-    ----------
-    control : casadi.Function
-        `(u, s_next, tau) = control(y, r, s, p, dt)`: `Controller.sampled`.
-    allocate : casadi.Function
-        `u = allocate(tau, p)`: `thruster_commands`.
-    values : mapping
-        The values of p by name: gains; masses, weight and the like that the law is stated in; matrix, weights
-        and limits of the allocation.
-    """
-
-    control: ca.Function
-    allocate: ca.Function
+    control: ca.Function  # `(u, s_next, tau) = control(y, r, s, p, dt)`: `Controller.sampled`
+    allocate: ca.Function  # `u = allocate(tau, p)`: `thruster_commands`
+    # the values of p by name: gains; masses, weight and the like that the law is stated in; matrix, weights
+    # and limits of the allocation
     values: Mapping[str, float]
 
 

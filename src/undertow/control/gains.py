@@ -17,7 +17,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.model.loading import is_file, read_table
 from undertow.model.symbols import DOFS, POSE
 from undertow.model.tables import FileTable, Identifier, Quantity
-from undertow.model.units import to_si
+from undertow.model.units import si_of, to_si
 from undertow.model.vehicle import Vehicle
 
 from .laws import LAWS, GainMatrix, Law, LawSignals
@@ -79,29 +79,15 @@ LIMITS = GainLimits()
 
 @dataclass(frozen=True)
 class GainSet:
-    """A control law with its numbers for one vehicle.
+    """A control law with its numbers for one vehicle."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the set.
-    law : Law
-        The law.
-    plant : Plant
-        The vehicle as the law knows it.
-    values : dict of float
-        Gain by name (K_P_x ...), SI; zero where a degree of freedom is unactuated and no gain is stated.
-    unactuated : tuple of str
-        Degrees of freedom whose force is knowingly left out.
-    schedule, allocation
-        The tables of the file.
-    """
-
-    name: str
+    name: str  # name of the set
     law: Law
-    plant: Plant
+    plant: Plant  # the vehicle as the law knows it
+    # gain by name (K_P_x ...), SI; zero where a degree of freedom is unactuated and no gain is stated
     values: Mapping[str, float]
-    unactuated: tuple[str, ...] = ()
+    unactuated: tuple[str, ...] = ()  # degrees of freedom whose force is knowingly left out
+    # schedule, allocation: the tables of the file
     schedule: ScheduleTable = field(default_factory=ScheduleTable)
     allocation: AllocationTable = field(default_factory=AllocationTable)
 
@@ -256,10 +242,7 @@ def _by_coordinate(gain: GainMatrix, stated: Diagonal, coordinates: tuple[str, .
 
 
 def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
-    try:
-        value = to_si(stated, gain.unit(coordinate))
-    except UndertowError as error:
-        raise UndertowError(f"gain {gain.name} for {coordinate}: {error}") from error
+    value = si_of(f"gain {gain.name} for {coordinate}", stated, gain.unit(coordinate))
     if value <= 0:
         raise UndertowError(
             f"gain {gain.name} for {coordinate} is {stated}, not above zero: gains are positive, the law "

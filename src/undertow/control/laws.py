@@ -68,26 +68,14 @@ class Law(abc.ABC):
 
     The reference enters by its velocity nu_r and that one's rate, with the feed-forward
     M nu_r_dot + C nu_r + D nu_r + g of the model; a set-point is the reference with nu_r = 0.
-
-    Attributes
-    ----------
-    id : str
-        Name in gain files.
-    reference : str
-        Where it is from.
-    gains : tuple of GainMatrix
-        Its gain matrices.
-    states : tuple of str
-        Names of its own states; each is one number for every pose coordinate.
-    offset_order : int
-        Power of the sampling interval with which `offset` grows.
     """
 
-    id: ClassVar[str]
-    reference: ClassVar[str]
-    gains: ClassVar[tuple[GainMatrix, ...]]
+    id: ClassVar[str]  # name in gain files
+    reference: ClassVar[str]  # where it is from
+    gains: ClassVar[tuple[GainMatrix, ...]]  # its gain matrices
+    # names of its own states; each is one number for every pose coordinate
     states: ClassVar[tuple[str, ...]] = ()
-    offset_order: ClassVar[int] = 1
+    offset_order: ClassVar[int] = 1  # power of the sampling interval with which `offset` grows
 
     @abc.abstractmethod
     def force(self, s: LawSignals) -> sm.Matrix:

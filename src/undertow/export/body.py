@@ -153,9 +153,9 @@ class Body:
             names = ", ".join(locked)
             yield f"{names} are free in {self.program}, without damping: the model has no such motion"
 
-    def unsaid(self, said: Collection[str]) -> list[Effect]:
+    def not_exported(self, exported: Collection[str]) -> list[Effect]:
         """The effects that no part of the file stands for."""
-        return [e for e in self.vehicle.all_effects if e.id not in said]
+        return [e for e in self.vehicle.all_effects if e.id not in exported]
 
 
 def point_of_action(force: Array, moment: Array) -> Array:

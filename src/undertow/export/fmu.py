@@ -34,18 +34,12 @@ _NO_DATE = (1980, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True)
 class FmuSettings:
-    """What a unit does unless its user says otherwise.
+    """What a unit does unless its user says otherwise."""
 
-    Attributes
-    ----------
-    max_step : float
-        Longest Runge-Kutta step of co-simulation, s; that of `undertow simulate`. Lags that are quicker
-        shorten it at the export.
-    stop_time, communication_step : float
-        Default experiment, s.
-    """
-
+    # Longest Runge-Kutta step of co-simulation, s; that of `undertow simulate`. Lags that are quicker shorten
+    # it at the export.
     max_step: float = 0.05
+    # stop_time, communication_step: default experiment, s
     stop_time: float = 10.0
     communication_step: float = 0.05
 

@@ -15,7 +15,7 @@ from undertow.version import __version__
 
 from .body import FLIP, STATICS, Body, numbers, point_of_action
 
-_SAID = ("rigid_body", "rigid_body_coriolis", *STATICS, "thrusters")
+_EXPORTED = ("rigid_body", "rigid_body_coriolis", *STATICS, "thrusters")
 # Motions that a coordinate in the world's axes stands for only if these are there, too.
 _NEEDS = {"yaw": {"surge", "sway"}, "pitch": {"surge", "heave"}, "roll": {"sway", "heave"}}
 _AXES = {
@@ -30,22 +30,13 @@ _AXES = {
 
 @dataclass(frozen=True)
 class MjcfSettings:
-    """Numbers of the export.
+    """Numbers of the export."""
 
-    Attributes
-    ----------
-    float_share : float
-        Part of the mass that stands at the centre of buoyancy: MuJoCo lifts a body at its centre of mass. It
-        is taken from the rest, so that the sum stays; small, so that what is left is a body.
-    float_radius : float
-        Radius of gyration of that part, m: MuJoCo takes no point for a body.
-    step : float
-        Time step, s.
-    """
-
+    # Part of the mass that stands at the centre of buoyancy: MuJoCo lifts a body at its centre of mass. It is
+    # taken from the rest, so that the sum stays; small, so that what is left is a body.
     float_share: float = 1e-6
-    float_radius: float = 0.01
-    step: float = 0.002
+    float_radius: float = 0.01  # radius of gyration of that part, m: MuJoCo takes no point for a body
+    step: float = 0.002  # time step, s
 
 
 class Mjcf(Body):
@@ -153,7 +144,7 @@ class Mjcf(Body):
     # --- what is lost --------------------------------------------------------------------------
     def _what_is_left(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
-        for effect in self.unsaid(_SAID):
+        for effect in self.not_exported(_EXPORTED):
             hint = ", which MuJoCo has for ellipsoids only" if effect.id == "added_mass" else ""
             yield f"{effect.id} is left out{hint}"
         if self.effects("damping"):

@@ -19,51 +19,30 @@ from undertow.version import __version__
 from .body import FLIP, STATICS, Body, leaves, numbers, point_of_action
 
 _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
+_SYSTEMS = {"physics": "Physics", "user-commands": "UserCommands", "scene-broadcaster": "SceneBroadcaster"}
 _BODY = ("rigid_body", "rigid_body_coriolis", "added_mass", "added_mass_coupling", "added_mass_coriolis")
 
 
 @dataclass(frozen=True)
 class SdfSettings:
-    """Numbers of the export.
+    """Numbers of the export."""
 
-    Attributes
-    ----------
-    propeller_mass : float
-        Mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle.
-    rounding : float
-        Part of the largest force below which a misfit or a coefficient is rounding.
-    points : int
-        Velocities at which the damping is compared with what the plugin can say: more than its 69 terms.
-    seed : int
-        Of these velocities.
-    step : float
-        Time step of the world, s.
-    """
-
+    # mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle
     propeller_mass: float = 0.001
-    rounding: float = 1e-9
+    rounding: float = 1e-9  # part of the largest force below which a misfit or a coefficient is rounding
+    # velocities at which the damping is compared with what the plugin can say: more than its 69 terms
     points: int = 200
-    seed: int = 1
-    step: float = 0.002
+    seed: int = 1  # of these velocities
+    step: float = 0.002  # time step of the world, s
 
 
 @dataclass(frozen=True)
 class Drag:
-    """Damping and lift as the plugin states them, body frame of undertow, SNAME signs.
+    """Damping and lift as the plugin states them, body frame of undertow, SNAME signs."""
 
-    Attributes
-    ----------
-    linear : ndarray, shape (6, 6)
-        Force i per velocity j.
-    absolute : ndarray, shape (6, 6, 6)
-        Force i per velocity j times the magnitude of velocity k.
-    plain : ndarray, shape (6, 6, 6)
-        Force i per velocity j times velocity k, j not after k.
-    """
-
-    linear: Array
-    absolute: Array
-    plain: Array
+    linear: Array  # (6, 6): force i per velocity j
+    absolute: Array  # (6, 6, 6): force i per velocity j times the magnitude of velocity k
+    plain: Array  # (6, 6, 6): force i per velocity j times velocity k, j not after k
 
     def elements(self) -> dict[str, float]:
         """Name and value of every coefficient that is not zero, forward-left-up."""
@@ -146,8 +125,8 @@ class Sdf(Body):
         physics = ET.SubElement(world, "physics", {"name": "steps", "type": "ode"})
         leaves(physics, {"max_step_size": self.settings.step, "real_time_factor": 1})
         leaves(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
-        for system in ("Physics", "UserCommands", "SceneBroadcaster"):
-            _plugin(world, system.lower() if system == "Physics" else _snake(system), system, {})
+        for file, system in _SYSTEMS.items():
+            _plugin(world, file, system, {})
         density = {"uniform_fluid_density": self.vehicle.environment["rho"]}
         _plugin(world, "buoyancy", "Buoyancy", density)
         model = ET.SubElement(world, "model", {"name": self.name})
@@ -237,11 +216,11 @@ class Sdf(Body):
     def _what_is_left(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
         yield from self.free_motions()
-        said = {*_BODY, *STATICS, "thrusters", *(e.id for e in self.effects("damping"))}
+        exported = {*_BODY, *STATICS, "thrusters", *(e.id for e in self.effects("damping"))}
         present = {e.id for e in self.vehicle.all_effects}
         if "added_mass" in present and "added_mass_coriolis" not in present:
             yield "added mass brings its Coriolis and Munk forces along in Gazebo; the model has none"
-        for effect in self.unsaid(said):
+        for effect in self.not_exported(exported):
             hint = ": publish it on /ocean_current" if isinstance(effect, Flow) else ""
             yield f"{effect.id} is left out{hint}"
 
@@ -267,7 +246,3 @@ def _pose(position: Array, angles: tuple[float, ...] = (0.0, 0.0, 0.0)) -> str:
 def _plugin(parent: ET.Element, file: str, system: str, values: Mapping[str, object]) -> None:
     names = {"filename": f"gz-sim-{file}-system", "name": f"gz::sim::systems::{system}"}
     leaves(ET.SubElement(parent, "plugin", names), values)
-
-
-def _snake(name: str) -> str:
-    return "".join(f"-{c.lower()}" if c.isupper() else c for c in name).lstrip("-")

@@ -58,7 +58,7 @@ _SCORES = 5
 
 @dataclass(frozen=True)
 class _Draft:
-    """A vehicle with all that is asked of it, before anything is said."""
+    """A vehicle with all that is asked of it, before the verdicts."""
 
     name: str
     changes: ChangeTests
@@ -69,8 +69,8 @@ class _Draft:
 def summary(vehicles: Vehicles) -> FleetReport:
     """Tables and statements of all vehicles; those of one count all that were looked at."""
     drafts = [_draft(name, ChangeTests(panel), days) for name, (panel, days) in vehicles.items()]
-    said = iter(statements([a for d in drafts for a in d.asked]))
-    reports = tuple(_vehicle_report(d, list(islice(said, len(d.asked)))) for d in drafts)
+    verdicts = iter(statements([a for d in drafts for a in d.asked]))
+    reports = tuple(_vehicle_report(d, list(islice(verdicts, len(d.asked)))) for d in drafts)
     unscored = dict.fromkeys(n for d in drafts for n in d.changes.panel.unscored)
     return FleetReport(reports, unscored=tuple(unscored))
 
@@ -83,15 +83,15 @@ def _draft(name: str, changes: ChangeTests, days: Sequence[Day]) -> _Draft:
     )
 
 
-def _vehicle_report(draft: _Draft, said: Sequence[Statement]) -> VehicleReport:
+def _vehicle_report(draft: _Draft, verdicts: Sequence[Statement]) -> VehicleReport:
     months = by_month(draft.days)
     rest: list[tuple[Sequence[Change], Statement | None]] = [((), None)]
-    rest += [(a.changes, s) for a, s in zip(draft.asked[1:], said[1:], strict=True)]
+    rest += [(a.changes, s) for a, s in zip(draft.asked[1:], verdicts[1:], strict=True)]
     periods = [
         _period(draft.changes, name, own, changes, statement)
         for (name, own), (changes, statement) in zip(months.items(), rest, strict=True)
     ]
-    whole = _period(draft.changes, "all", draft.days, draft.asked[0].changes, said[0])
+    whole = _period(draft.changes, "all", draft.days, draft.asked[0].changes, verdicts[0])
     scores = _scores(draft.changes, draft.days)
     return VehicleReport(draft.name, whole, tuple(periods), scores, tuple(_remarks(draft)))
 

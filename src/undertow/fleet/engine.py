@@ -78,7 +78,7 @@ class DaskEngine:
 
     def results(self, function: Callable[..., Any], items: Items) -> Results:
         waiting, running = list(enumerate(items))[::-1], dict[Any, int]()
-        token, heard, finished = uuid4().hex[:12], time.monotonic(), SimpleQueue[Any]()
+        token, last_reply, finished = uuid4().hex[:12], time.monotonic(), SimpleQueue[Any]()
         try:
             while waiting or running:
                 room = WAITING.tasks * max(self._workers(), 1) - len(running)
@@ -90,9 +90,9 @@ class DaskEngine:
                     future.add_done_callback(finished.put)
                 done = _next(finished)
                 if done is not None:
-                    heard = time.monotonic()
+                    last_reply = time.monotonic()
                     yield running.pop(done), self._answer(done)
-                elif lost := self._lost(time.monotonic() - heard):
+                elif lost := self._lost(time.monotonic() - last_reply):
                     left = sorted([*running.values(), *(place for place, _ in waiting)])
                     yield from ((place, Failure(lost)) for place in left)
                     return

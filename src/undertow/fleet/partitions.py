@@ -62,12 +62,12 @@ def find(patterns: Sequence[str]) -> list[Path]:
     return sorted({p.absolute() for p in found})
 
 
-def _pattern(said: str) -> str:
+def _pattern(given: str) -> str:
     """The pattern that is meant: a file or a folder that is there may have brackets in its name."""
-    path = Path(said)
+    path = Path(given)
     if path.is_dir():
-        return f"{escape(said)}/**/*.parquet"
-    return escape(said) if path.is_file() else said
+        return f"{escape(given)}/**/*.parquet"
+    return escape(given) if path.is_file() else given
 
 
 def partition_of(path: Path, mapping: LogMapping) -> Partition:
@@ -109,11 +109,11 @@ def _said_inside(path: Path, mapping: LogMapping) -> dict[str, Any]:
     table = flat_table(path, str(path))
     try:
         columns = table.collect_schema().names()
-        said: dict[str, Any] = {n: _only(table, n, path) for n in ("vehicle", "day") if n in columns}
+        stated: dict[str, Any] = {n: _only(table, n, path) for n in ("vehicle", "day") if n in columns}
         clock = mapping.time.column
         if clock in columns:
-            said["time"] = _clock(table.select(clock).head(1).collect().item(), mapping)
-        return said
+            stated["time"] = _clock(table.select(clock).head(1).collect().item(), mapping)
+        return stated
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         raise UndertowError(f"{path} cannot be read: {str(error).splitlines()[0]}") from error
 
@@ -128,17 +128,17 @@ def _only(table: pl.LazyFrame, name: str, path: Path) -> Any:
 
 
 def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
-    said = key if key is not None else head.get("day")
-    if isinstance(said, date):
-        return said.date() if isinstance(said, datetime) else said
+    stated = key if key is not None else head.get("day")
+    if isinstance(stated, date):
+        return stated.date() if isinstance(stated, datetime) else stated
     time = head.get("time")
-    texts = [str(said)] if said is not None else [path.stem, *([time] if isinstance(time, str) else [])]
+    texts = [str(stated)] if stated is not None else [path.stem, *([time] if isinstance(time, str) else [])]
     match = next((found for text in texts if (found := _DATE.search(text))), None)
     if match:
         return _date(path, match)
-    if said is None and isinstance(time, datetime):
+    if stated is None and isinstance(time, datetime):
         return time.date()
-    if said is None and isinstance(time, int | float) and time > _EPOCH:
+    if stated is None and isinstance(time, int | float) and time > _EPOCH:
         return _date_of(path, time)
     raise UndertowError(
         f"{path} does not say its day: name its folder day=2026-05-01, its file 2026-05-01.parquet, or give "

@@ -1,4 +1,4 @@
-"""What may be said of changes when many were looked for at once, as plain data."""
+"""Verdicts on changes when many are tested at once, as plain data."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def _named(cause: tuple[str, ...], asked: SpanTest, limit: float) -> Statement:
 def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
     text = ", ".join(map(_with_error, sure))
     if any(c.value < 0 for c in sure):
-        return "drag", f"drag changed: {text}; less of it is no fouling (cleaned? another trim?)"
+        return "drag", f"drag changed: {text}; less drag is not fouling (cleaned? another trim?)"
     least = CRITERIA.contradicts * min(c.value for c in sure)
     against = [c.direction.of for c in every if c.value + _half_width(c, limit) < least]
     if against:
@@ -200,7 +200,10 @@ def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tupl
 def _thrust(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
     text = ", ".join(map(_with_error, sure))
     if any(c.value > 0 for c in sure):
-        return "thrust", f"thrust changed: {text}; more of it is no wear (another propeller, another supply?)"
+        return (
+            "thrust",
+            f"thrust changed: {text}; more thrust is not wear (another propeller, another supply?)",
+        )
     return "thruster wear", f"thruster wear: {text}"
 
 
@@ -225,17 +228,12 @@ def _half_width(change: Change, limit: float) -> float:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter over some days.
-
-    Attributes
-    ----------
-    value, error : float or None
-        Estimate and standard error, SI, in the sign convention of the vehicle's file; None where the days do
-        not determine it.
-    """
+    """A parameter over some days."""
 
     name: str
     unit: str
+    # value, error: estimate and standard error, SI, in the sign convention of the vehicle's file; None where
+    # the days do not determine it
     value: float | None
     error: float | None
 
@@ -264,7 +262,7 @@ class Period:
     misfit: float
     parameters: tuple[Parameter, ...]
     changes: tuple[Shift, ...]  # against the first month; over all days for "all"
-    statement: Statement | None  # what is said of the changes; None for the first month
+    statement: Statement | None  # the verdict on the changes; None for the first month
 
 
 @dataclass(frozen=True)
@@ -280,7 +278,7 @@ class Score:
 
 @dataclass(frozen=True)
 class VehicleReport:
-    """All that is said of one vehicle."""
+    """All results for one vehicle."""
 
     vehicle: str
     whole: Period  # all its days

@@ -19,34 +19,17 @@ Number = Any  # a float, or a symbol on a specimen
 
 @dataclass(frozen=True)
 class Surface:
-    """A rudder, a fin or a plane that is turned about an axis.
+    """A rudder, a fin or a plane that is turned about an axis."""
 
-    Attributes
-    ----------
-    name : str
-        Name, and log column of its angle in rad.
-    position : tuple of three numbers
-        Centre of pressure in body axes, m.
-    axis : tuple of three numbers
-        Unit vector about which a positive angle turns it by the right hand, across the x axis: at zero the
-        chord points ahead.
-    area : number
-        m^2.
-    limit : number, optional
-        Largest magnitude of the angle, rad.
-    propeller : str
-        Name of the thruster in whose slipstream it stands; empty without one.
-    diameter : number
-        Diameter of that propeller, m.
-    """
-
-    name: str
-    position: tuple[Number, Number, Number]
+    name: str  # name, and log column of its angle in rad
+    position: tuple[Number, Number, Number]  # centre of pressure in body axes, m
+    # unit vector about which a positive angle turns it by the right hand, across the x axis: at zero the
+    # chord points ahead
     axis: tuple[Number, Number, Number]
-    area: Number
-    limit: Number | None = None
-    propeller: str = ""
-    diameter: Number = 0.0
+    area: Number  # m^2
+    limit: Number | None = None  # largest magnitude of the angle, rad
+    propeller: str = ""  # name of the thruster in whose slipstream it stands; empty without one
+    diameter: Number = 0.0  # diameter of that propeller, m
 
     @classmethod
     def specimen(cls, name: str, propeller: str) -> Surface:
@@ -74,18 +57,10 @@ class Surface:
 
 @dataclass(frozen=True)
 class Propeller:
-    """A propeller whose command is its speed of revolution.
+    """A propeller whose command is its speed of revolution."""
 
-    Attributes
-    ----------
-    diameter : number
-        m.
-    per_command : number
-        Revolutions per second and unit of command.
-    """
-
-    diameter: Number
-    per_command: Number
+    diameter: Number  # m
+    per_command: Number  # revolutions per second and unit of command
 
     @classmethod
     def specimen(cls, name: str) -> Propeller:
@@ -101,18 +76,11 @@ class Propeller:
 
 @dataclass(frozen=True)
 class Curve:
-    """Thrust at rest over the command: cubic pieces that join with one slope, level beyond the ends.
+    """Thrust at rest over the command: cubic pieces that join with one slope, level beyond the ends."""
 
-    Attributes
-    ----------
-    start : float
-        Thrust at the first command and below, N.
-    pieces : tuple of (begin, end, coefficients)
-        Commands between which a piece holds, and what it adds to the thrust at its begin: coefficients of the
-        first, second ... power of the command beyond the begin, N.
-    """
-
-    start: float
+    start: float  # thrust at the first command and below, N
+    # commands between which a piece holds, and what it adds to the thrust at its begin: coefficients of the
+    # first, second ... power of the command beyond the begin, N
     pieces: tuple[tuple[float, float, tuple[float, ...]], ...]
 
     @classmethod

@@ -16,50 +16,29 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Limits:
-    """What the numbers of a vehicle in water can be: beyond it a unit or a digit is wrong.
+    """What the numbers of a vehicle in water can be: beyond it a unit or a digit is wrong."""
 
-    Attributes
-    ----------
-    gravity : (float, float)
-        m/s^2; on the surface of the Earth it lies between 9.76 and 9.84.
-    water_density : (float, float)
-        kg/m^3: hot fresh water has 958, the Dead Sea 1240.
-    mass : (float, float)
-        kg: from a milligram to ten times the largest ship.
-    command : (float, float)
-        Limit of a command, in whatever unit it has: counts, rpm, N or shares.
-    thrust : (float, float)
-        Thrust per command, N; the largest propellers give some 10^7 N, per count it may be little.
-    sigma : (float, float)
-        Standard deviations, whose squares are still numbers.
-    largest : float
-        Magnitude of any number in SI: the quadratic yaw damping of the largest ship is some 10^13 N m s^2.
-    acceleration : float
-        m/s^2, by the thrust of one thruster at its limit, or at a command of one; a torpedo has 100.
-    gyration : (float, float)
-        Radius of gyration by the length of the displacement: a rod with L/D = 100 has 0.08 and 6.7.
-    rounding : float
-        Share by which moments of inertia may miss what a body can have: tables have two or three digits.
-    buoyancy : float
-        Largest ratio of buoyancy to weight, either way. An empty hull may have a displacement of several
-        times its weight; newtons taken for kilograms are off by 9.81.
-    farthest : float
-        Places aboard, by the length of the vehicle's displacement (a cube of water as heavy as it) or its
-        radius of gyration, whichever is larger. The ends of a glider with L/D = 20 are at 4 of them; a
-        length in cm or mm taken for m is off by 100.
-    """
-
-    gravity: Range = (9.7, 9.9)
-    water_density: Range = (900.0, 1300.0)
-    mass: Range = (1e-6, 1e10)
-    command: Range = (1e-9, 1e12)
+    gravity: Range = (9.7, 9.9)  # m/s^2; on the surface of the Earth it lies between 9.76 and 9.84
+    water_density: Range = (900.0, 1300.0)  # kg/m^3: hot fresh water has 958, the Dead Sea 1240
+    mass: Range = (1e-6, 1e10)  # kg: from a milligram to ten times the largest ship
+    command: Range = (1e-9, 1e12)  # limit of a command, in whatever unit it has: counts, rpm, N or shares
+    # thrust per command, N; the largest propellers give some 10^7 N, per count it may be little
     thrust: Range = (1e-12, 1e12)
-    sigma: Range = (1e-30, 1e30)
+    sigma: Range = (1e-30, 1e30)  # standard deviations, whose squares are still numbers
+    # magnitude of any number in SI: the quadratic yaw damping of the largest ship is some 10^13 N m s^2
     largest: float = 1e18
+    # m/s^2, by the thrust of one thruster at its limit, or at a command of one; a torpedo has 100
     acceleration: float = 1e4
+    # radius of gyration by the length of the displacement: a rod with L/D = 100 has 0.08 and 6.7
     gyration: Range = (0.02, 30.0)
+    # share by which moments of inertia may miss what a body can have: tables have two or three digits
     rounding: float = 0.02
+    # Largest ratio of buoyancy to weight, either way. An empty hull may have a displacement of several times
+    # its weight; newtons taken for kilograms are off by 9.81.
     buoyancy: float = 8.0
+    # Places aboard, by the length of the vehicle's displacement (a cube of water as heavy as it) or its
+    # radius of gyration, whichever is larger. The ends of a glider with L/D = 20 are at 4 of them; a length
+    # in cm or mm taken for m is off by 100.
     farthest: float = 20.0
 
 

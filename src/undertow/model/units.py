@@ -51,10 +51,7 @@ def to_si(value: str | float, unit: str) -> float:
 
 def magnitude(value: str | float, unit: str, of: str) -> float:
     """A size from a file, which is more than zero, in the SI unit `unit`."""
-    try:
-        found = to_si(value, unit)
-    except UndertowError as error:
-        raise UndertowError(f"{of}: {error}") from error
+    found = si_of(of, value, unit)
     if found <= 0:
         raise UndertowError(f"{of} is {value!r}: give a value above zero, such as '0.1 {unit}'")
     return found

@@ -383,7 +383,7 @@ class Vehicle:
     def without_priors_from(self, logs: Iterable[str]) -> Vehicle:
         """The vehicle without standard deviations of values that were fitted to one of these logs (sha256).
 
-        What a log said once is no prior for another fit to the same log, only a place to begin.
+        A value fitted to a log is not a prior for another fit to the same log, only a starting value.
         """
         read = {sha256 for sha256 in logs if sha256}
         known = [name for name, own in self.fitted_to.items() if own & read]

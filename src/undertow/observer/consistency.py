@@ -28,26 +28,16 @@ SETTINGS = ConsistencySettings()
 
 @dataclass(frozen=True)
 class Normalised:
-    """A mean of normalised squared errors, which is one for an honest filter.
+    """A mean of normalised squared errors, which is one for an honest filter."""
 
-    Attributes
-    ----------
-    name : str
-        The channel, or "all".
-    mean : float
-        Mean of the squares for each degree of freedom: above the bounds the filter thinks itself better than
-        it is, below them worse.
-    low, high : float
-        Bounds of the chi-squared distribution for an honest filter.
-    count : int
-        Squares that it is taken of.
-    """
-
-    name: str
+    name: str  # the channel, or "all"
+    # mean of the squares for each degree of freedom: above the bounds the filter thinks itself better than it
+    # is, below them worse
     mean: float
+    # low, high: bounds of the chi-squared distribution for an honest filter
     low: float
     high: float
-    count: int
+    count: int  # squares that it is taken of
 
     @property
     def honest(self) -> bool:
@@ -57,21 +47,12 @@ class Normalised:
 
 @dataclass(frozen=True)
 class Whiteness:
-    """The Ljung-Box test of the innovations of a channel.
+    """The Ljung-Box test of the innovations of a channel."""
 
-    Attributes
-    ----------
-    name : str
-        The channel.
-    lags : int
-        Lags that are looked at.
-    statistic, p_value : float
-        The sum, chi-squared with as many degrees of freedom as lags for white innovations, and the
-        probability that chance gives as much.
-    """
-
-    name: str
-    lags: int
+    name: str  # the channel
+    lags: int  # lags that are looked at
+    # statistic, p_value: the sum, chi-squared with as many degrees of freedom as lags for white innovations,
+    # and the probability that chance gives as much
     statistic: float
     p_value: float
 
@@ -101,28 +82,6 @@ def nis(found: Estimate, channels: tuple[str, ...]) -> tuple[Normalised, ...]:
     each = {n: squares for n, squares in each.items() if len(squares)}
     whole = np.concatenate(list(each.values())) if each else np.empty(0)
     return (*(_normalised(n, squares) for n, squares in each.items()), _normalised("all", whole))
-
-
-def nees(found: Estimate, truth: Array, rows: slice = slice(None)) -> Array:
-    """Normalised estimation error squared of every row, for each state, shape (n,).
-
-    Parameters
-    ----------
-    truth : ndarray, shape (n, nx)
-        True states.
-    rows : slice
-        Rows that are looked at. Errors of neighbours are correlated: bounds hold for rows far apart, or
-        of different runs.
-    """
-    error = (found.mean - truth)[rows]
-    solved = np.linalg.solve(found.covariance[rows], error[..., None])[..., 0]
-    return np.asarray((error * solved).sum(axis=1)) / error.shape[1]
-
-
-def nees_bounds(states: int, count: int) -> tuple[float, float]:
-    """Bounds of the mean of so many independent NEES values, for each state."""
-    k, tail = states * count, (1 - SETTINGS.level) / 2
-    return float(chi2.ppf(tail, k)) / k, float(chi2.ppf(1 - tail, k)) / k
 
 
 def whiteness(found: Estimate, channels: tuple[str, ...]) -> tuple[Whiteness, ...]:

@@ -86,26 +86,15 @@ def _function(name: str, given: Mapping[str, ca.SX], outputs: list[ca.SX], names
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """An observer for one vehicle.
-
-    Attributes
-    ----------
-    name : str
-    process : Process
-    channels : tuple of int
-        Channels of the process that are reported.
-    variance, period : ndarray, shape (k,)
-        Variance of a report and time between reports, s, of each of them.
-    densities : ndarray
-        Spectral densities of the noise that drives the process.
-    """
+    """An observer for one vehicle."""
 
     name: str
     process: Process
-    channels: tuple[int, ...]
+    channels: tuple[int, ...]  # channels of the process that are reported
+    # variance, period: (k,): variance of a report and time between reports, s, of each of them
     variance: Array
     period: Array
-    densities: Array
+    densities: Array  # spectral densities of the noise that drives the process
 
     @property
     def sensors(self) -> tuple[str, ...]:

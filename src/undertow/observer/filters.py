@@ -35,7 +35,7 @@ class FilterSettings:
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
-    # Rows in one call: some tenths of a second, in which Ctrl-C is not heard.
+    # Rows in one call: some tenths of a second, during which Ctrl-C has no effect.
     rows_per_call: int = 500
     # Rows that are held in memory with their covariances.
     most_rows: int = 200_000
@@ -48,24 +48,12 @@ SETTINGS = FilterSettings()
 
 @dataclass(frozen=True)
 class Reports:
-    """What a filter is given; row k has what was true at t[k].
+    """What a filter is given; row k has what was true at t[k]."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times, s, rising.
-    u : ndarray, shape (n, nu)
-        Commands, held from their row to the next.
-    y : ndarray, shape (n, m)
-        Reports by channel, NaN where there is none.
-    variance : ndarray, shape (m,)
-        Of the noise of a report.
-    """
-
-    t: Array
-    u: Array
-    y: Array
-    variance: Array
+    t: Array  # (n,): times, s, rising
+    u: Array  # (n, nu): commands, held from their row to the next
+    y: Array  # (n, m): reports by channel, NaN where there is none
+    variance: Array  # (m,): of the noise of a report
 
     def __post_init__(self) -> None:
         if len(self.t) > SETTINGS.most_rows:
@@ -86,36 +74,22 @@ class Reports:
 
 @dataclass(frozen=True)
 class Estimate:
-    """States over time.
+    """States over time."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-    names : tuple of str
-        Of the states.
-    mean, covariance : ndarray, shape (n, nx) and (n, nx, nx)
-        Given the reports up to each row; of all rows after `smoothed`.
-    predicted, predicted_covariance : ndarray
-        Given the reports before each row.
-    cross : ndarray, shape (n, nx, nx)
-        Covariance of the state of the row before with the predicted one.
-    innovation, variance : ndarray, shape (n, m)
-        Report less prediction, given all reports before in the order of the channels, and its variance, so
-        that normalised innovations are independent; NaN where there is no report.
-    used : ndarray of bool, shape (n, m)
-        Reports that were believed.
-    """
-
-    t: Array
-    names: tuple[str, ...]
+    t: Array  # (n,):
+    names: tuple[str, ...]  # of the states
+    # mean, covariance: (n, nx): given the reports up to each row; of all rows after `smoothed`
     mean: Array
     covariance: Array
+    # predicted, predicted_covariance: given the reports before each row
     predicted: Array
     predicted_covariance: Array
-    cross: Array
+    cross: Array  # (n, nx, nx): covariance of the state of the row before with the predicted one
+    # innovation, variance: (n, m): report less prediction, given all reports before in the order of the
+    # channels, and its variance, so that normalised innovations are independent; NaN where there is no report
     innovation: Array
     variance: Array
-    used: Flags
+    used: Flags  # (n, m): reports that were believed
 
     @property
     def deviation(self) -> Array:

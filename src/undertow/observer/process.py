@@ -28,45 +28,28 @@ class Process:
     """Rates and reports of an augmented state, symbolically.
 
     The state is x = (what moves, parameters that are estimated as random walks).
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model, with the effects that the estimated parameters belong to.
-    kind : str
-        "model": pose, velocity and the states of effects move as the vehicle's equations say, and white noise
-        drives the accelerations. "kinematics": pose, velocity and acceleration, and white noise drives the
-        rate of the acceleration; no force is in it, so that commands do not matter.
-    state_names, channels : tuple of str
-        Entries of x; what sensors can report (pose and velocity).
-    driven : tuple of int
-        Entries of x whose rate white noise is added to.
-    x, u, p, t : casadi.SX
-        State, commands, parameters (entries that are estimated have no effect), time.
-    rates, reports : casadi.SX
-        dx/dt, shape (n,), and what sensors report, shape (m,).
-    values : ndarray
-        Values of p in the vehicle.
-    late : ndarray, shape (m,)
-        Age of each report, s.
-    dead_time : float
-        Delay between command and thrust, s.
     """
 
-    vehicle: Vehicle
+    vehicle: Vehicle  # the model, with the effects that the estimated parameters belong to
+    # "model": pose, velocity and the states of effects move as the vehicle's equations say, and white noise
+    # drives the accelerations. "kinematics": pose, velocity and acceleration, and white noise drives the rate
+    # of the acceleration; no force is in it, so that commands do not matter.
     kind: Kind
+    # state_names, channels: entries of x; what sensors can report (pose and velocity)
     state_names: tuple[str, ...]
     channels: tuple[str, ...]
-    driven: tuple[int, ...]
+    driven: tuple[int, ...]  # entries of x whose rate white noise is added to
+    # x, u, p, t: state, commands, parameters (entries that are estimated have no effect), time
     x: ca.SX
     u: ca.SX
     p: ca.SX
     t: ca.SX
+    # rates, reports: dx/dt, shape (n,), and what sensors report, shape (m,)
     rates: ca.SX
     reports: ca.SX
-    values: Array
-    late: Array
-    dead_time: float
+    values: Array  # values of p in the vehicle
+    late: Array  # (m,): age of each report, s
+    dead_time: float  # delay between command and thrust, s
 
     @property
     def driven_names(self) -> tuple[str, ...]:
@@ -188,14 +171,10 @@ def _moving(f: Functions, kind: Kind) -> tuple[ca.SX, ca.SX, tuple[str, ...], tu
 
 @dataclass(frozen=True)
 class Prior:
-    """Standard deviations before the first report, around what it says or zero.
+    """Standard deviations before the first report, around what it says or zero."""
 
-    Attributes
-    ----------
-    position, angle, velocity, rate, acceleration, current, bias, effect_state : float
-        m, rad, m/s, rad/s, m/s^2 and rad/s^2, m/s, m/s and rad/s, and the own unit of a lag or fluid memory.
-    """
-
+    # position, angle, velocity, rate, acceleration, current, bias, effect_state: m, rad, m/s, rad/s, m/s^2
+    # and rad/s^2, m/s, m/s and rad/s, and the own unit of a lag or fluid memory
     position: float = 100.0
     angle: float = 3.0
     velocity: float = 3.0

@@ -176,12 +176,12 @@ class _Equations:
         present = self.plant.M.free_symbols | self.plant.D.free_symbols
         assumed = [n for n, v in self.vehicle.values.items() if v.assumed and symbol(n) in present]
         if assumed:
-            said = next(h for h in hints(self.full) if h.startswith("assumed"))
+            hint = next(h for h in hints(self.full) if h.startswith("assumed"))
             yield Discrepancy(
                 OPEN,
                 "(10), (12)",
                 f"{', '.join(assumed)} are in the matrices, but the paper prints no value",
-                f"the bundled vehicle file says: {said}",
+                f"the bundled vehicle file says: {hint}",
             )
 
 

@@ -321,21 +321,12 @@ def _reduce(
 # --- all motions of a vehicle ---------------------------------------------------------------------
 @dataclass(frozen=True)
 class Identified:
-    """Estimates of all motions.
+    """Estimates of all motions."""
 
-    Attributes
-    ----------
-    stated : Vehicle
-        The vehicle as given.
-    found : list of (Experiment, list of Estimation)
-        For each motion and direction its estimates, one for each case.
-    edges : str
-        What the filters did at the ends.
-    """
-
-    stated: Vehicle
+    stated: Vehicle  # the vehicle as given
+    # for each motion and direction its estimates, one for each case
     found: list[tuple[Experiment, list[Estimation]]]
-    edges: str
+    edges: str  # what the filters did at the ends
 
     @property
     def taken(self) -> list[tuple[Experiment, Estimation]]:

@@ -159,7 +159,7 @@ def _signs(table: PublishedTable, tables: Appendix) -> Iterator[Remark]:
         if float(printed) * float(taken) < 0.0:
             where = f"{table.name}, case {table.selected}, {quantity}"
             yield Remark(
-                "sign", where, f"{printed} in the table, {taken} in Table 4; nothing is said about it"
+                "sign", where, f"{printed} in the table, {taken} in Table 4; the text does not mention it"
             )
 
 

@@ -21,7 +21,7 @@ from .mesh import Mesh, bisected
 
 @dataclass(frozen=True)
 class AfloatRules:
-    """What is said of numbers that panels have computed."""
+    """Uncertainties and limits of numbers that panels have computed."""
 
     stiffness: float = 0.05  # sigma of what the waterline gives: trim, load, tanks
     radiation: float = 0.10  # sigma of a memory besides the error of its fit
@@ -160,7 +160,7 @@ def _memory(memory: Memory, hull: Afloat) -> EffectTable:
         if name[0] in FORCE and i is not None:
             unit = "N/m" if i < 3 else "N m/rad"
             sigma = abs(value) * float(np.hypot(_RULES.radiation, memory.error[i]))
-            text = f"{source}; {100 * memory.error[i]:.0f} % of the kernel are left"
+            text = f"{source}; {100 * memory.error[i]:.0f} % of the kernel is not fitted"
         lines.append(entry_line(name, value, unit, sigma=sigma, source=text))
     return EffectTable(
         memory.effect,

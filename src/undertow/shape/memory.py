@@ -41,7 +41,7 @@ class Memory:
     stiffness: dict[int, float]  # by motion (0 to 5), N/m or N m/rad, positive
     time: dict[int, float]  # s
     frequency: dict[int, float]  # rad/s; none of order 1
-    error: dict[int, float]  # root mean square of what is left of the kernel, as a share of it
+    error: dict[int, float]  # root mean square of the residual of the kernel, as a share of it
 
     @property
     def effect(self) -> str:

@@ -329,7 +329,7 @@ def _steering(fins: float, surfaces: tuple[str, ...], propeller: bool = True) ->
     for name in surfaces:
         yield _guess(f"rudder_{name}", fins, "kg/m", _RULES.fin * fins, source)
     if propeller:
-        yield entry_line("rudder_propeller", 0.0, "kg/m", source="a propeller is no rudder")
+        yield entry_line("rudder_propeller", 0.0, "kg/m", source="a propeller is not a rudder")
 
 
 def _surface(name: str, place: float, direction: tuple[float, float, float]) -> Hardware:
@@ -342,7 +342,7 @@ def _surface(name: str, place: float, direction: tuple[float, float, float]) -> 
 def _ship(size: MainDimensions) -> Made:
     if size.length < _RULES.slender * size.beam:
         raise UndertowError(
-            f"length / beam = {size.length / size.beam:.3g} is no ship's (limit: {_RULES.slender:g}): "
+            f"length / beam = {size.length / size.beam:.3g} is not of a ship (limit: {_RULES.slender:g}): "
             "correct one of them, or take --type asv"
         )
     tables = _afloat(size, _ship_hull(size))
@@ -364,7 +364,7 @@ def _ship(size: MainDimensions) -> Made:
         _RULES.rudder * force,
         f"{text}, and t_R = {_RULES.rudder_deduction:g}",
     )
-    none = entry_line("rudder_propeller", 0.0, "kg/m", source="a propeller is no rudder")
+    none = entry_line("rudder_propeller", 0.0, "kg/m", source="a propeller is not a rudder")
     tables += [EffectTable("rudder_force", [acting, none]), EffectTable("rudder_drag", [held])]
     stern = -size.length / 2
     hardware = [

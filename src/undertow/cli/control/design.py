@@ -12,13 +12,13 @@ conditions on gains ask for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .._options import EffectsOption, VehicleArgument, in_si, names_and_values
+from .._options import EffectsOption, VehicleArgument, quantities
 from .._terminal import console, progress, say, section, table, text
 from .linearize import DIRECTION, directions, show_modes
 
@@ -47,15 +47,15 @@ def design(
     from undertow.control.linear.trim import find_trim
     from undertow.files import check_writable, write_whole
     from undertow.model.loading import load_vehicle
-    from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, POSE_UNITS
+    from undertow.model.symbols import DOFS, FORCE_UNITS, MOTION_UNITS
 
     check_writable(out, inputs=[vehicle, *(effects or [])])
     with progress("designing", None), as_input_error():
         model = load_vehicle(vehicle, effect_files=effects or [])
         done = lqr(
             model,
-            _values("--error", error, POSE, POSE_UNITS),
-            _values("--force", force, DOFS, FORCE_UNITS),
+            quantities("--error", error, MOTION_UNITS),
+            quantities("--force", force, dict(zip(DOFS, FORCE_UNITS, strict=True))),
             law=law,
             trim=find_trim(model, direction=directions(direction or [])),
             conditions=derived_conditions_hold,
@@ -68,15 +68,6 @@ def design(
         source = f"undertow design: --error {','.join(error)} --force {','.join(force)}"
         write_whole(out, done.to_toml(source))
         typer.echo(f"wrote {out}")
-
-
-def _values(
-    option: str, texts: Sequence[str], names: Sequence[str], units: Sequence[str]
-) -> dict[str, float]:
-    """Values in SI by name."""
-    unit_of = dict(zip(names, units, strict=True))
-    pairs = names_and_values(option, texts, "u=0.5")
-    return {n: in_si(f"{option} {n}", value, unit_of.get(n, "1")) for n, value in pairs}
 
 
 def show(done: Design) -> None:

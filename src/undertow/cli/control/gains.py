@@ -48,8 +48,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from undertow.errors import UndertowError
+from undertow.files import json_ready
 
-from .._options import EffectsOption, JsonOption, VehicleArgument, in_si
+from .._options import EffectsOption, JsonOption, VehicleArgument, quantities
 from .._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
@@ -107,6 +108,7 @@ def gains(
     from undertow.control.gains import load_gains
     from undertow.model.loading import load_vehicle, read_vehicle_table, resolve_vehicle
     from undertow.model.saving import last_covariance
+    from undertow.model.symbols import MOTION_UNITS
 
     if path is not None:
         if observer is not None:
@@ -127,7 +129,7 @@ def gains(
             forms=[form] if form else [],
             iota=iota,
             tilt=tilt,
-            start=_sizes(start) if start is not None else None,
+            start=quantities("--start", [start], MOTION_UNITS) if start is not None else None,
             observer=observer,
             progress=report,
         )
@@ -150,7 +152,7 @@ def _on_mission(
         model = load_vehicle(vehicle, effect_files=effects or [])
         found = check_mission(load_gains(gains, model), load_mission(path), math.radians(tilt))
     if json:
-        print_json(_plain({"schema": MISSION_SCHEMA, "ok": found.ok, **asdict(found)}))
+        print_json(json_ready({"schema": MISSION_SCHEMA, "ok": found.ok, **asdict(found)}))
     else:
         show_mission(found)
     return 0 if found.ok else 1
@@ -175,21 +177,6 @@ MISSION_SCHEMA = "undertow/mission-report/1"
 """Of what --json prints with --path; docs/missions.md documents it."""
 
 
-def _sizes(text: str) -> dict[str, float]:
-    """The errors of --start in SI, by coordinate."""
-    from undertow.model.symbols import MOTION_UNITS, POSE
-
-    found: dict[str, float] = {}
-    for part in text.split(","):
-        name, _, value = (p.strip() for p in part.partition("="))
-        if name not in map(str, POSE) or not value:
-            raise UndertowError(
-                f'--start {text} is not NAME=SIZE,...: write it like --start "x=0.5 m, psi=20 deg"'
-            )
-        found[name] = in_si(f"--start {name}", value, MOTION_UNITS[name])
-    return found
-
-
 SCHEMA = "undertow/gain-report/1"
 """Of what --json prints; docs/gains.md documents it."""
 _GREEN, _RED = "green", "red"
@@ -204,19 +191,7 @@ def _show_json(report: Report, singles: Sequence[SingleRepair], repair: Repair |
         "single_repairs": [asdict(s) for s in singles],
         "repair": asdict(repair) if repair else None,
     }
-    print_json(_plain(content))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, complex):
-        return [value.real, value.imag]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    print_json(json_ready(content))
 
 
 def show(report: Report, singles: Sequence[SingleRepair] = (), repair: Repair | None = None) -> None:

@@ -37,7 +37,17 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import EffectsOption, JsonOption, VehicleArgument, in_si, names_and_values, words
+from .._options import (
+    CurrentOption,
+    EffectsOption,
+    JsonOption,
+    VehicleArgument,
+    current_of,
+    in_si,
+    names_and_values,
+    quantities,
+    words,
+)
 from .._terminal import print_json, progress, say, section, table
 
 if TYPE_CHECKING:
@@ -49,7 +59,6 @@ if TYPE_CHECKING:
 Plot = Literal["bode", "nyquist", "nichols", "singular-values", "step", "poles", "root-locus"]
 _AT = typer.Option("--at", metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
 _FREE = typer.Option("--free", metavar="NAME", help="r: may turn; w: may rise or sink; z: depth is found.")
-_CURRENT = typer.Option("--current", metavar="NORTH,EAST", help="Velocity of the water over ground, m/s.")
 DIRECTION = typer.Option(
     "--direction",
     metavar="NAME=1|-1",
@@ -77,7 +86,7 @@ def linearize(
     vehicle: VehicleArgument,
     at: Annotated[list[str] | None, _AT] = None,
     free: Annotated[list[str] | None, _FREE] = None,
-    current: Annotated[str | None, _CURRENT] = None,
+    current: CurrentOption = None,
     direction: Annotated[list[str] | None, DIRECTION] = None,
     gains: Annotated[str | None, _GAINS] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
@@ -141,7 +150,7 @@ def _period(text: str | None) -> float:
         return 0.0
     dt = in_si("--dt", text, "s")
     if dt <= 0:
-        raise UndertowError(f"--dt {text} is no sampling time: give one above zero, such as 0.1")
+        raise UndertowError(f"--dt {text} cannot be a sampling time: give one above zero, such as 0.1")
     return dt
 
 
@@ -153,18 +162,14 @@ def _in_current(vehicle: str, current: str | None, effects: Sequence[Path]) -> V
     model = load_vehicle(vehicle, effect_files=effects)
     if current is None:
         return model
-    parts = [in_si("--current", part, "m/s") for part in current.split(",")]
-    if len(parts) != 2:
-        raise UndertowError(f"--current {current}: give two velocities, such as 0.3,0.1 (north, east)")
-    return in_current(model, *parts)
+    return in_current(model, *current_of(current))
 
 
 def held(at: Sequence[str]) -> dict[str, float] | None:
     """Values of --at that are held, SI; None for hovering."""
     from undertow.model.symbols import MOTION_UNITS
 
-    pairs = names_and_values("--at", at, "u=0.5")
-    return {n: in_si(f"--at {n}", v, MOTION_UNITS.get(n, "command")) for n, v in pairs} or None
+    return quantities("--at", at, MOTION_UNITS, "command") or None
 
 
 def directions(texts: Sequence[str]) -> dict[str, int]:

@@ -34,7 +34,7 @@ and the pictures are of the run up to there. A run that has not settled yet has 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -43,7 +43,17 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import EffectsOption, JsonFileOption, VehicleArgument, bundled, in_si, number_or_text
+from .._options import (
+    CurrentOption,
+    EffectsOption,
+    JsonFileOption,
+    VehicleArgument,
+    bundled,
+    current_of,
+    in_si,
+    number_or_text,
+    quantities,
+)
 from .._terminal import progress, section, table
 
 if TYPE_CHECKING:
@@ -75,7 +85,6 @@ _GATE = typer.Option(
 )
 _INTEGRATORS = typer.Option("--integrators", help="When the integrals of x and y begin.", show_default=_FILE)
 _SWAY = typer.Option("--sway", help="Add an ideal sway force, or leave that force out.", show_default=_FILE)
-_CURRENT = typer.Option("--current", metavar="NORTH,EAST", help="Velocity of the water, m/s.")
 _PUSH = typer.Option(
     "--push",
     metavar="AXIS=VALUE[:FROM:TO]",
@@ -103,21 +112,15 @@ class ScheduleOptions:
     gate: Annotated[str | None, _GATE] = None
     integrators: Annotated[Literal["gate", "start"] | None, _INTEGRATORS] = None
     sway: Annotated[Literal["actuated", "unactuated"] | None, _SWAY] = None
-    current: Annotated[str | None, _CURRENT] = None
+    current: CurrentOption = None
 
     def choices(self) -> Choices:
         """The same for a closed loop; a gate without a unit is in rad."""
         from undertow.control.closed_loop import Choices
         from undertow.model.effects.ocean_current import check_current
 
-        water: Any = None
-        if self.current is not None:
-            water = tuple(in_si("--current", v, "m/s") for v in _values(self.current, "--current"))
-            if len(water) != 2:
-                raise UndertowError(
-                    f"--current {self.current} has {len(water)} values: give two, to the north and to "
-                    "the east"
-                )
+        water = None if self.current is None else current_of(self.current)
+        if water is not None:
             check_current(*water)
         gate = None if self.gate is None else f"{in_si('--gate', self.gate, 'rad')!r} rad"
         return Choices(self.order, self.heading, self.integrators, gate, self.sway, water)
@@ -159,9 +162,9 @@ class ScenarioOptions:
             lasts if self.duration is None else self.duration,
             self.dt,
             _values(self.start, "--from") if self.start else (),
-            _named(self.moving, "--moving", MOTION_UNITS.get),
+            quantities("--moving", self.moving or (), MOTION_UNITS),
             self.continuous,
-            _named(self.noise, "--noise", MOTION_UNITS.get),
+            quantities("--noise", self.noise or (), MOTION_UNITS, example="x=0.01"),
             self.seed,
             tuple(_push(text) for text in self.push or ()),
             self.log,
@@ -232,17 +235,6 @@ def _values(text: str, option: str) -> tuple[str | float, ...]:
     return tuple(number_or_text(part) for part in parts)
 
 
-def _named(texts: list[str] | None, option: str, unit_of: Callable[[str], str | None]) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for text in texts or ():
-        name, _, value = text.partition("=")
-        unit = unit_of(name)
-        if unit is None or not value:
-            raise UndertowError(f"{option} {text} is not NAME=VALUE: write it like {option} x=0.01")
-        found[name] = in_si(f"{option} {name}", value, unit)
-    return found
-
-
 def _push(text: str) -> Push:
     from undertow.control.closed_loop import Push
     from undertow.control.closed_loop.scenario import force_unit
@@ -267,9 +259,9 @@ def _remark_turns(option: str, pose: dict[str, float], stated: Sequence[str | fl
 
 def _write(records: Sequence[Record], out: Path | None, figures: Path | None, json: Path | None) -> None:
     """Write the log, the result and the pictures that are asked for."""
-    from undertow.files import make_folder, together, write_whole
+    from undertow.files import together, write_whole
 
-    drawn: dict[str, Any] = {}
+    drawn: Sequence[Path] = ()
     with together():
         if out is not None:
             write_whole(out, records[0].to_csv())
@@ -277,12 +269,9 @@ def _write(records: Sequence[Record], out: Path | None, figures: Path | None, js
             write_whole(json, "[\n" + ",\n".join(record.to_json().rstrip() for record in records) + "\n]\n")
         if figures is not None:
             from undertow.control.closed_loop.pictures import pictures
-            from undertow.figures import save_png
+            from undertow.figures import save_pictures
 
-            make_folder(figures)
-            drawn = pictures(records)
-            for name, picture in drawn.items():
-                save_png(picture, figures / f"{name}.png")
+            drawn = save_pictures(pictures(records), figures)
     if figures is not None:
         typer.echo(f"{len(drawn)} pictures in {figures}")
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument, bundled, say_long
-from .._terminal import progress
+from .._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
     from undertow.identification.compare.comparison import ComparisonResult
@@ -50,105 +50,68 @@ def compare(
     comparison = replace(comparison, result=comparison.result.model_copy(update={"long_logs": long}))
     _show(comparison.result)
     say_long(long)
-    drawn = 0
+    drawn: list[Path] = []
     with progress("writing", None), together():
         if json is not None:
             write_whole(json, comparison.to_json())
         if plots is not None:
-            drawn = _draw(comparison, plots)
+            from undertow.figures import save_pictures
+            from undertow.identification.report.tables import comparison_pictures
+
+            drawn = save_pictures(comparison_pictures(comparison), plots)
     if plots is not None:
-        typer.echo(f"{drawn} pictures in {plots}")
+        typer.echo(f"{len(drawn)} pictures in {plots}")
 
 
 def _show(result: ComparisonResult) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(highlight=False)
-    for table in (_channels(result), _forces(result), _error_map(result), _budget(result)):
-        console.print(table)
+    section("Simulated against measured", _channels(result))
+    section("Force that the model lacks", _forces(result))
+    section("Residual force, times noise", _error_map(result))
+    section("Force budget, % of all rms", _budget(result))
     error = "diverged" if result.prediction_error is None else f"{100 * result.prediction_error:.3g} %"
-    console.print(Text(f"velocity error {result.horizon:g} s ahead: {error} (geometric mean)"))
-    console.print(Text(f"{result.vehicle}: {result.headline}", style="bold"), soft_wrap=True)
-
-
-def _table(title: str, *columns: str) -> Any:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for i, column in enumerate(columns):
-        table.add_column(column, justify="right" if i else "left")
-    return table
+    say(f"velocity error {result.horizon:g} s ahead: {error} (geometric mean)")
+    say(f"{result.vehicle}: {result.headline}", "bold")
 
 
 def _channels(result: ComparisonResult) -> Any:
-    ahead = f"{result.horizon:g} s ahead"
-    table = _table(
-        "Simulated against measured",
-        "channel",
-        f"{ahead}: rms",
-        "times noise",
-        "% of motion",
-        "free run: fit %",
-    )
+    ahead, rows = f"{result.horizon:g} s ahead", []
     for c in result.channels:
         percent = None if c.ahead_relative is None else 100 * c.ahead_relative
         rms = "diverged" if c.ahead_rms is None else f"{c.ahead_rms:.3g} {c.unit}"
         fit = "diverged" if result.diverged else _number(c.free_run_fit, ".1f")
-        table.add_row(c.channel, rms, _number(c.ahead_normalised), _number(percent), fit)
-    return table
+        rows.append((c.channel, rms, _number(c.ahead_normalised), _number(percent), fit))
+    return table(("channel", f"{ahead}: rms", "times noise", "% of motion", "free run: fit %"), rows)
 
 
 def _forces(result: ComparisonResult) -> Any:
-    table = _table(
-        "Force that the model lacks",
-        "motion",
-        "rms",
-        "noise",
-        "noise explains",
-        "lag 1",
-        "white: p",
-        "most with",
-    )
+    rows = []
     for d in result.dofs:
         name, value = max(d.inputs.items(), key=lambda item: abs(item[1]), default=("", 0.0))
         first = f"{d.autocorrelation[0]:.2f}" if d.autocorrelation else ""
         row = (_number(d.residual_rms), _number(d.noise_rms), f"{100 * d.explained_by_noise:.0f} %", first)
-        table.add_row(f"{d.degree_of_freedom} [{d.unit}]", *row, f"{d.p_value:.1g}", f"{name} {value:+.2f}")
-    return table
+        most = f"{name} {value:+.2f}"
+        rows.append((f"{d.degree_of_freedom} [{d.unit}]", *row, f"{d.p_value:.1g}", most))
+    return table(("motion", "rms", "noise", "noise explains", "lag 1", "white: p", "most with"), rows)
 
 
 def _error_map(result: ComparisonResult) -> Any:
     cells = {(c.regime, c.degree_of_freedom): c for c in result.cells}
-    table = _table("Residual force, times noise", "regime", *result.degrees_of_freedom)
+    rows = []
     for regime in dict.fromkeys(c.regime for c in result.cells):
         row = [cells[regime, dof].normalised for dof in result.degrees_of_freedom]
         if any(value is not None for value in row):
-            table.add_row(regime, *(_number(value) for value in row))
-    return table
+            rows.append((regime, *(_number(value) for value in row)))
+    return table(("regime", *result.degrees_of_freedom), rows)
 
 
 def _budget(result: ComparisonResult) -> Any:
     shares = {(s.effect, s.degree_of_freedom): s.share for s in result.budget}
-    table = _table("Force budget, % of all rms", "effect", *result.degrees_of_freedom)
+    rows = []
     for effect in dict.fromkeys(s.effect for s in result.budget):
         row = [shares.get((effect, dof)) for dof in result.degrees_of_freedom]
-        table.add_row(effect, *(_number(None if v is None else 100 * v, ".1f") for v in row))
-    return table
+        rows.append((effect, *(_number(None if v is None else 100 * v, ".1f") for v in row)))
+    return table(("effect", *result.degrees_of_freedom), rows)
 
 
 def _number(value: float | None, style: str = ".3g") -> str:
     return "" if value is None else format(value, style)
-
-
-def _draw(comparison: Any, folder: Path) -> int:
-    """Write the pictures into a folder; their number."""
-    from undertow.figures import save_png
-    from undertow.files import make_folder
-    from undertow.identification.report.tables import comparison_pictures
-
-    make_folder(folder)
-    drawn = comparison_pictures(comparison)
-    for name, picture in drawn.items():
-        save_png(picture, folder / f"{name}.png")
-    return len(drawn)

@@ -286,10 +286,10 @@ def _content(diagnosis: Diagnosis) -> str:
     freed = f", {', '.join(diagnosis.freed)} among them, held fixed before" if diagnosis.freed else ""
     if not diagnosis.effects:
         return f"the same effects with refitted values{freed}; none was added, for none is named"
-    said = f"{' and '.join(diagnosis.effects)} added, values refitted{freed}"
+    summary = f"{' and '.join(diagnosis.effects)} added, values refitted{freed}"
     for equals in diagnosis.indistinguishable:
         chosen = next((e for e in equals.effects if e in diagnosis.effects), None)
         others = [e for e in equals.effects if e != chosen]
         if chosen and others:
-            said += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
-    return said
+            summary += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
+    return summary

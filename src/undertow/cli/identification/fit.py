@@ -169,8 +169,8 @@ def show(done: Refit, given: CommandLine) -> None:
         say(f"  {line}", "yellow")
     for values in done.by_run:
         say(f"  {values}")
-    for name, said in done.remarks.items():
-        say(f"  {name}: {'; '.join(said)}", "yellow")
+    for name, doubts in done.remarks.items():
+        say(f"  {name}: {'; '.join(doubts)}", "yellow")
     horizon = done.before.windows.horizon
     section(f"Velocity error {horizon:.3g} s ahead on validation data, % of the motion", _errors(done))
 
@@ -247,7 +247,7 @@ def _process_noise(fit: Fitted) -> list[str]:
 
 
 def _combined(fit: Fitted, given: CommandLine) -> list[str]:
-    """What is known only in sums, and which run would tell more."""
+    """What is known only in sums, and which run would determine more."""
     from undertow.identification.estimation.fitted import base_parameters, verdicts
 
     sums = base_parameters(fit.gram, fit.model.free)

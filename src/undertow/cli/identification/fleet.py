@@ -98,11 +98,6 @@ class FleetOptions:
         return "{}" if self.map is None else read_mapping(self.map).model_dump_json()
 
 
-@app.callback()
-def _fleet() -> None:
-    pass
-
-
 @app.command()
 @bundled
 def diagnose(
@@ -276,7 +271,7 @@ _MONTHS = 4
 
 
 def show(found: FleetReport) -> None:
-    """Print what is said of every vehicle, then what is missing."""
+    """Print the results for every vehicle, then what is missing."""
     out = console()
     for of in found.vehicles:
         section(of.vehicle, table(("parameter", *_heads(of)), _estimates(of)))
@@ -311,8 +306,8 @@ def _estimates(of: VehicleReport) -> Iterator[tuple[str, ...]]:
 
 def _rows(of: VehicleReport) -> Iterator[tuple[str, ...]]:
     for period in of.months:
-        said = period.statement
-        answer, words = ("", "the first") if said is None else (said.answer, said.words)
+        verdict = period.statement
+        answer, words = ("", "the first") if verdict is None else (verdict.answer, verdict.words)
         yield (
             period.name,
             f"{period.days}",

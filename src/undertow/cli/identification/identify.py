@@ -110,15 +110,11 @@ def _check_figures(folder: Path, logs: Sequence[Path], stream: bool) -> None:
 
 
 def _draw(done: Identified, folder: Path, edges: Edges) -> None:
-    from undertow.figures import save_png
-    from undertow.files import make_folder
+    from undertow.figures import save_pictures
     from undertow.paper.figures import figures
 
-    make_folder(folder)
     with progress("drawing", None):
-        drawn = figures([experiment for experiment, _ in done.found], edges)
-        for name, picture in drawn.items():
-            save_png(picture, folder / f"{name}.png")
+        drawn = save_pictures(figures([experiment for experiment, _ in done.found], edges), folder)
     say(f"{len(drawn)} pictures in {folder}")
 
 

@@ -28,11 +28,6 @@ _VEHICLE = typer.Option(
 _OUT = typer.Option("--out", metavar="NEW.toml", help="Where to write it.")
 
 
-@app.callback()
-def map() -> None:
-    pass
-
-
 @app.command()
 def new(
     log: Annotated[Path, _LOG],

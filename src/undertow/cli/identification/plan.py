@@ -201,13 +201,13 @@ def _check_goal(
     if len(given) == 2:
         raise UndertowError("both --between and --diagnosis name the effects to tell apart: give one of them")
     if goal == "parameters" and given:
-        raise UndertowError(f"{given[0]} goes with --goal separate: leave one of the two out")
+        raise UndertowError(f"{given[0]} is for --goal separate: leave one of the two out")
     if goal == "separate" and not given:
         raise UndertowError(
             "--goal separate needs to know the effects: give --between ID,ID or --diagnosis FILE"
         )
     if given and only:
-        raise UndertowError(f"--only goes with --goal parameters: leave it or {given[0]} out")
+        raise UndertowError(f"--only is for --goal parameters: leave it or {given[0]} out")
 
 
 def _listed(texts: Sequence[str]) -> list[str]:
@@ -233,7 +233,7 @@ def _number(option: str, word: str) -> float:
     except ValueError:
         value = float("nan")
     if value != value:
-        raise UndertowError(f"{option}: '{word}' is no number")
+        raise UndertowError(f"{option}: '{word}' is not a number")
     return value
 
 

@@ -41,11 +41,6 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False)
 
 
-@app.callback()
-def added_mass() -> None:
-    pass
-
-
 def _metres(name: str, help: str) -> typer.models.OptionInfo:
     return typer.Option(name, metavar="M", help=help)  # type: ignore[no-any-return]
 
@@ -125,7 +120,7 @@ class BodyOptions:
         if self.into is None and (self.out is not None or self.in_place):
             raise UndertowError("--out and --in-place are for --into VEHICLE: name the vehicle file")
         if not 0 < self.sigma < float("inf"):
-            raise UndertowError(f"--sigma {self.sigma:g} is no share: give a number above 0, such as 0.1")
+            raise UndertowError(f"--sigma {self.sigma:g} is not a share: give a number above 0, such as 0.1")
         target = None if self.into is None else target_of(self.into, self.out, self.in_place)
         check_writable(target, inputs=inputs)
         return target

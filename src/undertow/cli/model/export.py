@@ -31,11 +31,6 @@ app = typer.Typer(add_completion=False)
 _FMI = typer.Option("--fmi", help="Version of FMI.")
 
 
-@app.callback()
-def export() -> None:
-    pass
-
-
 def _out(ending: str) -> object:
     return typer.Option(
         "--out", metavar=f"NEW.{ending}", help=f"Where to write it; NAME.{ending} by default."

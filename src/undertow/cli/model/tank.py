@@ -72,11 +72,6 @@ _CASE = typer.Option("--case", metavar="NAME", help="One case.", show_default="a
 _PICTURES = typer.Option("--out", metavar="FOLDER", help="Where to.", show_default="TANK/pictures")
 
 
-@app.callback()
-def tank() -> None:
-    pass
-
-
 @app.command()
 def new(
     hull: Annotated[Path, _HULL],

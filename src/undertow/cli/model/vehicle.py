@@ -74,7 +74,7 @@ _TYPE = typer.Option(
 _LOG = typer.Option(
     "--log",
     metavar="LOG",
-    help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters tell frame and motors.",
+    help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters give frame and motors.",
 )
 _TANK = typer.Option(
     "--tank",
@@ -137,11 +137,6 @@ def read(path: Path, unit: str | None, frame: str) -> Hull:
     for remark in hull.remarks:
         logging.getLogger("undertow").warning("%s: %s", path, remark)
     return hull
-
-
-@app.callback()
-def vehicle() -> None:
-    pass
 
 
 @app.command()
@@ -271,7 +266,7 @@ def show_afloat(made: FloatingVehicle) -> None:
     heads = ("rad/s", *(f"A{i + 1}{i + 1}" for i in own), *(f"B{i + 1}{i + 1}" for i in own))
     console().print(table(heads, rows, indent=0))
     left = ", ".join(f"{VELOCITY[i]} {100 * e:.0f} %" for i, e in memory.error.items())
-    say(f"memory: {memory.effect}, order {memory.order}; left of its kernel: {left}")
+    say(f"memory: {memory.effect}, order {memory.order}; residual of its kernel: {left}")
 
 
 def _of_log(log: Path, out: Path | None, force: bool) -> None:

@@ -11,7 +11,7 @@
    and RUN, the name under which the entry point is exported.
 
    Arrays hold the lanes of a number side by side, so that a group of LANES runs is read like one run. Everything
-   a call changes is in the groups that it is told: calls for different groups may run in parallel. */
+   a call changes is in the groups that it is given: calls for different groups may run in parallel. */
 
 typedef struct {
   double dt;                   /* sampling interval, s */
@@ -91,7 +91,7 @@ static void joint_step(Group *group, const double *extra, double t, double h) {
   runge_kutta(joint_rates, &moving, 1, NX + NS, 0, &t, &h, group->z, room);
 }
 
-/* What the controller is told at a sample: the reports y, each as old as its sensor is late, and noise. */
+/* What the controller gets at a sample: the reports y, each as old as its sensor is late, and noise. */
 INLINE void report(const Group *group, int64_t sample, const double *noise, Real *y) {
   const int64_t ring = group->loop->report_ring;
   if (ring > 1) {

@@ -27,27 +27,14 @@ _STEADY, _REGULAR = 0.01, 0.1
 
 @dataclass(frozen=True)
 class Cycle:
-    """An oscillation.
+    """An oscillation."""
 
-    Attributes
-    ----------
-    kind : str
-        "limit cycle" where the amplitude stays, else "growing" or "decaying".
-    amplitude : float
-        Half the distance between the extremes, of the last cycles, m or rad.
-    period : float
-        Mean period, s.
-    spread : float
-        Standard deviation of the period from cycle to cycle, s.
-    cycles : int
-        How many cycles were seen.
-    """
-
+    # "limit cycle" where the amplitude stays, else "growing" or "decaying"
     kind: Literal["limit cycle", "growing", "decaying"]
-    amplitude: float
-    period: float
-    spread: float
-    cycles: int
+    amplitude: float  # half the distance between the extremes, of the last cycles, m or rad
+    period: float  # mean period, s
+    spread: float  # standard deviation of the period from cycle to cycle, s
+    cycles: int  # how many cycles were seen
 
 
 def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
@@ -95,18 +82,12 @@ ALONG, CROSS = "along track", "cross track"
 
 @dataclass(frozen=True)
 class Credible:
-    """What a state of a vehicle in water can be; a run that leaves it has diverged.
+    """What a state of a vehicle in water can be; a run that leaves it has diverged."""
 
-    Attributes
-    ----------
-    speed : float
-        Largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches.
-    ahead : float
-        A pose may be as far from the start as twice that speed (the vehicle's and the water's) leads in the
-        time so far and this many seconds more, m and rad; farther, the integration has jumped.
-    """
-
+    # largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches
     speed: float = FASTEST
+    # A pose may be as far from the start as twice that speed (the vehicle's and the water's) leads in the
+    # time so far and this many seconds more, m and rad; farther, the integration has jumped
     ahead: float = 1.0
 
     def limits(self, t: np.ndarray, pose: int, states: int) -> np.ndarray:
@@ -129,28 +110,15 @@ CREDIBLE = Credible()
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first state of a run that no vehicle in water can have.
+    """The first state of a run that no vehicle in water can have."""
 
-    Attributes
-    ----------
-    time : float
-        When, s.
-    name, unit : str
-        Which state; velocities in m/s and rad/s.
-    value : float
-        Its value; the change since the start for a pose.
-    limit : float
-        What it may be.
-    text : str
-        All of that in a line.
-    """
-
-    time: float
+    time: float  # when, s
+    # name, unit: which state; velocities in m/s and rad/s
     name: str
     unit: str
-    value: float
-    limit: float
-    text: str
+    value: float  # its value; the change since the start for a pose
+    limit: float  # what it may be
+    text: str  # all of that in a line
 
 
 def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float) -> Divergence:
@@ -162,7 +130,7 @@ def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float)
     name, value = names[place], float(x[place] - (start[place] if place < pose else 0.0))
     unit = MOTION_UNITS.get(name, "")
     if not math.isfinite(value):
-        why = f"{name} is no finite number any more"
+        why = f"{name} is no longer a finite number"
     elif place < pose:
         why = (
             f"{name} is {value:.4g} {unit} from where it began, and nothing in water gets beyond {limit:.4g}"
@@ -178,70 +146,39 @@ class CoordinateResult:
 
     The same heading comes back with every turn. So an angle has settled where it is near any of them, and the
     other measures are of the one that the vehicle comes to.
-
-    Attributes
-    ----------
-    name, unit : str
-        The coordinate; "along track" and "cross track" are measured on the line from the start to the goal.
-    move : float
-        What was to be gone, the short way round for an angle.
-    turns : int
-        Whole turns from where the move leads to where the vehicle comes to; zero but for angles.
-    settling : float, optional
-        Time after which the error stays within 2 % of the move, s; None if it is not there for the whole last
-        tenth of the run (it may just pass), or nothing was to go.
-    overshoot : float, optional
-        Largest distance beyond the set-point, % of the move.
-    final_error : float
-        Error at the end.
-    steady_error, steady_spread : float
-        Mean of the error over the last tenth of the run, and half the distance between its extremes there.
-    largest : float
-        Largest magnitude of the error.
-    sampling_offset : float
-        What the sampled jump of the law may leave, zero for laws without one.
-    cycle : Cycle, optional
-        The oscillation of the last part of the run.
     """
 
+    # name, unit: the coordinate; "along track" and "cross track" are measured on the line from the start to
+    # the goal
     name: str
     unit: str
-    move: float
-    turns: int
+    move: float  # what was to be gone, the short way round for an angle
+    turns: int  # whole turns from where the move leads to where the vehicle comes to; zero but for angles
+    # time after which the error stays within 2 % of the move, s; None if it is not there for the whole last
+    # tenth of the run (it may just pass), or nothing was to go
     settling: float | None
-    overshoot: float | None
-    final_error: float
+    overshoot: float | None  # largest distance beyond the set-point, % of the move
+    final_error: float  # error at the end
+    # steady_error, steady_spread: mean of the error over the last tenth of the run, and half the distance
+    # between its extremes there
     steady_error: float
     steady_spread: float
-    largest: float
-    sampling_offset: float
-    cycle: Cycle | None
+    largest: float  # largest magnitude of the error
+    sampling_offset: float  # what the sampled jump of the law may leave, zero for laws without one
+    cycle: Cycle | None  # the oscillation of the last part of the run
 
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command did, in units of the command.
+    """What a command did, in units of the command."""
 
-    Attributes
-    ----------
-    name : str
-        The thruster.
-    effort : float
-        Integral of the magnitude over time.
-    rms, peak : float
-        Root of the mean square, and largest magnitude.
-    variation : float
-        Sum of all changes from sample to sample, per second: how much the law chatters.
-    at_limit : float
-        Share of the time at the limit.
-    """
-
-    name: str
-    effort: float
+    name: str  # the thruster
+    effort: float  # integral of the magnitude over time
+    # rms, peak: root of the mean square, and largest magnitude
     rms: float
     peak: float
-    variation: float
-    at_limit: float
+    variation: float  # sum of all changes from sample to sample, per second: how much the law chatters
+    at_limit: float  # share of the time at the limit
 
 
 class _Error:

@@ -33,24 +33,12 @@ _PAPERS_VEHICLE = "mini-auv"
 
 @dataclass(frozen=True)
 class BandSettings:
-    """When a command is drawn as the band that it fills: lines closer than the paper resolves are a blot.
+    """When a command is drawn as the band that it fills: lines closer than the paper resolves are a blot."""
 
-    Attributes
-    ----------
-    stretches : int
-        Parts of the picture's width, each a few pixels wide.
-    turns : int
-        Turning points in a stretch from which it is a band; a smooth motion has one at most.
-    height : float
-        Least height of a band, as a part of the range of the command.
-    gap : int
-        Stretches over which a band is closed and its edges are taken: six are 2 % of the width.
-    """
-
-    stretches: int = 300
-    turns: int = 3
-    height: float = 0.02
-    gap: int = 7
+    stretches: int = 300  # parts of the picture's width, each a few pixels wide
+    turns: int = 3  # turning points in a stretch from which it is a band; a smooth motion has one at most
+    height: float = 0.02  # least height of a band, as a part of the range of the command
+    gap: int = 7  # stretches over which a band is closed and its edges are taken: six are 2 % of the width
 
 
 def pictures(records: Sequence[Record]) -> dict[str, Figure]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.signals import Followed
+from undertow.files import json_ready
 from undertow.model.symbols import MOTION_UNITS
 
 from .measures import CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
@@ -28,22 +28,13 @@ _LEAST, _TINY = 2e-3, 1e-5
 
 @dataclass(frozen=True)
 class FollowedResult:
-    """How well a mission was followed, up to its end; errors are desired less true.
+    """How well a mission was followed, up to its end; errors are desired less true."""
 
-    Attributes
-    ----------
-    mission, kind : str
-        Its name and kind.
-    arrived : float, optional
-        When its end was reached, s; None if the run ended before.
-    errors : tuple of FollowedError
-        By coordinate, or cross track and depth for legs.
-    """
-
+    # mission, kind: its name and kind
     mission: str
     kind: str
-    arrived: float | None
-    errors: tuple[FollowedError, ...]
+    arrived: float | None  # when its end was reached, s; None if the run ended before
+    errors: tuple[FollowedError, ...]  # by coordinate, or cross track and depth for legs
 
 
 @dataclass(frozen=True)
@@ -59,49 +50,30 @@ class FollowedError:
 
 @dataclass(frozen=True)
 class LoopResult:
-    """What came of a run.
+    """What came of a run."""
 
-    Attributes
-    ----------
-    controller, law, vehicle : str
-        Name and law of the gain set, and name of the vehicle that moved.
-    duration, dt : float
-        Length of the run and sampling interval, s.
-    law_is : str
-        "sampled" or "continuous".
-    start, to : mapping
-        First and desired pose, m and rad.
-    gate_passed : float, optional
-        When the heading came within the gate, s; None if it did not, or there is no gate.
-    diverged : float, optional
-        When the state was none of a vehicle in water any more, s: not finite, or beyond `Credible`. The
-        measures are of the run up to there.
-    divergence : Divergence, optional
-        What diverged, with the numbers.
-    coordinates : tuple of CoordinateResult
-        One for each pose coordinate, and along and across the track.
-    commands : tuple of CommandResult
-        One for each command.
-    turned_thrusters : tuple of str
-        Those that push elsewhere, by more than 45 degrees, than the controller takes them to.
-    followed : FollowedResult, optional
-        How well a mission was followed; the coordinates are then measured from its end.
-    """
-
+    # controller, law, vehicle: name and law of the gain set, and name of the vehicle that moved
     controller: str
     law: str
     vehicle: str
+    # duration, dt: length of the run and sampling interval, s
     duration: float
     dt: float
-    law_is: str
+    law_is: str  # "sampled" or "continuous"
+    # start, to: first and desired pose, m and rad
     start: Mapping[str, float]
     to: Mapping[str, float]
+    # when the heading came within the gate, s; None if it did not, or there is no gate
     gate_passed: float | None
+    # When the state left what a vehicle in water can have, s: not finite, or beyond `Credible`. The
+    # measures are of the run up to there.
     diverged: float | None
-    divergence: Divergence | None
-    coordinates: tuple[CoordinateResult, ...]
-    commands: tuple[CommandResult, ...]
+    divergence: Divergence | None  # what diverged, with the numbers
+    coordinates: tuple[CoordinateResult, ...]  # one for each pose coordinate, and along and across the track
+    commands: tuple[CommandResult, ...]  # one for each command
+    # those that push elsewhere, by more than 45 degrees, than the controller takes them to
     turned_thrusters: tuple[str, ...]
+    # how well a mission was followed; the coordinates are then measured from its end
     followed: FollowedResult | None = None
 
     def of(self, name: str) -> CoordinateResult:
@@ -161,7 +133,7 @@ class Record:
 
     def to_json(self) -> str:
         """The result as JSON; what has grown beyond all numbers is null."""
-        return json.dumps(_in_json(asdict(self.result)), indent=2, allow_nan=False) + "\n"
+        return json.dumps(json_ready(asdict(self.result)), indent=2, allow_nan=False) + "\n"
 
 
 class Recorder:
@@ -257,14 +229,6 @@ def _judged(mission: Mission | None, t: np.ndarray, followed: Followed) -> Follo
         errors.append(FollowedError(name, MOTION_UNITS.get(name, "m"), *numbers))
     arrived = float(t[done[0]]) if done.size else None
     return FollowedResult(mission.name, mission.kind, arrived, tuple(errors))
-
-
-def _in_json(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {k: _in_json(v) for k, v in content.items()}
-    if isinstance(content, list | tuple):
-        return [_in_json(v) for v in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
 def _cycle(t: np.ndarray, error: np.ndarray) -> Cycle | None:

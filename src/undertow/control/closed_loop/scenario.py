@@ -11,27 +11,18 @@ import numpy as np
 from undertow.errors import UndertowError, nearest
 from undertow.model.symbols import FASTEST, FORCE_UNITS, MOTION_UNITS
 from undertow.model.tables import Quantity
-from undertow.model.units import to_si
+from undertow.model.units import si_of
 
 MOST_SAMPLES = 50_000_000
 
 
 @dataclass(frozen=True)
 class Push:
-    """A force on the vehicle that the controller does not know of.
+    """A force on the vehicle that the controller does not know of."""
 
-    Attributes
-    ----------
-    axis : str
-        X, Y, Z, K, M or N, body frame.
-    value : float
-        N or N m.
-    begin, end : float
-        When it acts, s.
-    """
-
-    axis: str
-    value: float
+    axis: str  # X, Y, Z, K, M or N, body frame
+    value: float  # N or N m
+    # begin, end: when it acts, s
     begin: float = 0.0
     end: float = math.inf
 
@@ -45,49 +36,29 @@ class Push:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One run of a closed loop.
+    """One run of a closed loop."""
 
-    Attributes
-    ----------
-    to : tuple
-        Desired position and, if wanted, heading, or the whole desired pose; in the order of the vehicle's
-        pose coordinates, numbers in SI or quantities such as "135 deg". Missions have their own.
-    duration : float
-        Length of the run, s.
-    dt : float
-        Sampling interval of the controller, s.
-    start : tuple
-        Where the vehicle begins, as `to`; missing coordinates are zero.
-    moving : mapping
-        Body velocities that it begins with, SI, by name; at rest by default. Of parameters that differ by
-        direction the mean holds at exactly zero velocity.
-    continuous : bool
-        Whether the law acts without sampling, at every stage of the integration with steps of at most dt.
-    noise : mapping
-        Standard deviation of what a sensor adds to each sample, SI, by channel (x ... psi, u ... r).
-    seed : int
-        Of the noise.
-    pushes : tuple of Push
-        Forces that disturb.
-    log_interval : float, optional
-        Interval of the recorded rows, s; by default about 5000 rows.
-    """
-
+    # Desired position and, if wanted, heading, or the whole desired pose; in the order of the vehicle's pose
+    # coordinates, numbers in SI or quantities such as "135 deg". Missions have their own.
     to: Sequence[Quantity] = ()
-    duration: float = 240.0
-    dt: float = 0.001
-    start: Sequence[Quantity] = ()
+    duration: float = 240.0  # length of the run, s
+    dt: float = 0.001  # sampling interval of the controller, s
+    start: Sequence[Quantity] = ()  # where the vehicle begins, as `to`; missing coordinates are zero
+    # Body velocities that it begins with, SI, by name; at rest by default. Of parameters that differ by
+    # direction the mean holds at exactly zero velocity.
     moving: Mapping[str, float] = field(default_factory=dict)
+    # whether the law acts without sampling, at every stage of the integration with steps of at most dt
     continuous: bool = False
+    # standard deviation of what a sensor adds to each sample, SI, by channel (x ... psi, u ... r)
     noise: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0
-    pushes: tuple[Push, ...] = ()
-    log_interval: float | None = None
+    seed: int = 0  # of the noise
+    pushes: tuple[Push, ...] = ()  # forces that disturb
+    log_interval: float | None = None  # interval of the recorded rows, s; by default about 5000 rows
 
     def __post_init__(self) -> None:
         for name, value in (("length of the run", self.duration), ("dt", self.dt)):
             if not 0 < value < math.inf:
-                raise UndertowError(f"{name} = {value:g} s is no time: give one above zero")
+                raise UndertowError(f"{name} = {value:g} s is too short: give a time above zero")
         if self.duration < self.dt:
             raise UndertowError(
                 f"dt = {self.dt:g} s is longer than the run of {self.duration:g} s: shorten it"
@@ -132,7 +103,7 @@ class Scenario:
         for known in (flat, upright, list(names)):
             if len(values) == len(known):
                 units = (MOTION_UNITS[n] for n in known)
-                return {n: _number(v, u, f"{what} {n}") for n, v, u in zip(known, values, units, strict=True)}
+                return {n: si_of(f"{what} {n}", v, u) for n, v, u in zip(known, values, units, strict=True)}
         raise UndertowError(
             f"{what} has {len(values)} values: give {len(flat)} ({','.join(flat)}), or {len(upright)} with "
             f"the heading ({','.join(upright)})"
@@ -146,10 +117,10 @@ class Scenario:
         UndertowError
             If the vehicle does not have one that is given, or nothing in water is as fast.
         """
-        alien = [n for n in self.moving if n not in names]
-        if alien:
+        unknown = [n for n in self.moving if n not in names]
+        if unknown:
             raise UndertowError(
-                f"velocity '{alien[0]}' is none of the vehicle's{nearest(alien[0], names)}: it has "
+                f"the vehicle has no velocity '{unknown[0]}'{nearest(unknown[0], names)}: it has "
                 f"{', '.join(names)}"
             )
         for name, value in self.moving.items():
@@ -171,13 +142,6 @@ class Scenario:
             if not 0 <= value < math.inf:
                 raise UndertowError(f"noise of {name} = {value:g}: give a standard deviation, zero or above")
         return np.array([self.noise.get(name, 0.0) for name in names])
-
-
-def _number(value: Quantity, unit: str, what: str) -> float:
-    try:
-        return to_si(value, unit)
-    except UndertowError as error:
-        raise UndertowError(f"{what}: {error}") from error
 
 
 def force_unit(axis: str) -> str:

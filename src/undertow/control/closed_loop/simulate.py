@@ -1,4 +1,4 @@
-"""Runs of a closed loop, one or many that differ, in parts so that Ctrl-C is heard."""
+"""Runs of a closed loop, one or many that differ, in parts so that Ctrl-C takes effect."""
 
 from __future__ import annotations
 
@@ -78,24 +78,14 @@ class Differences:
 
 @dataclass(frozen=True)
 class Runs:
-    """Many runs.
+    """Many runs."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times of the rows, s.
-    states : ndarray, shape (b, n, nx)
-        True states; NaN from the first row on at which a run has diverged: it is no number any more, or none
-        that a vehicle in water can have (`Credible`).
-    commands : ndarray, shape (b, n, nu)
-        Commands that the controller gives at the rows.
-    state_names, command_names : tuple of str
-        Names of the last axes.
-    """
-
-    t: np.ndarray
+    t: np.ndarray  # (n,): times of the rows, s
+    # (b, n, nx): true states; NaN from the first row on at which a run has diverged: it is no number any
+    # more, or none that a vehicle in water can have (`Credible`)
     states: np.ndarray
-    commands: np.ndarray
+    commands: np.ndarray  # (b, n, nu): commands that the controller gives at the rows
+    # state_names, command_names: names of the last axes
     state_names: tuple[str, ...]
     command_names: tuple[str, ...]
 
@@ -143,7 +133,7 @@ def run_many(
 
     done = 0
 
-    def tell(share: slice) -> None:
+    def report(share: slice) -> None:
         nonlocal done
         done += share.stop - share.start
         if progress is not None:
@@ -151,7 +141,7 @@ def run_many(
 
     steps = scenario.samples * problem.substeps
     threads = threads if loop.stepper.parallel else 1
-    in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, tell)
+    in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, report)
     return runs
 
 
@@ -181,7 +171,7 @@ _SAMPLES_PER_CALL = 20_000
 def blocks(
     parts: Parts, scenario: Scenario, runs: range, stride: int = 1, wanted: tuple[str, ...] = ALL
 ) -> Iterator[Block]:
-    """Blocks of samples one after the other, so that Ctrl-C is heard in between.
+    """Blocks of samples one after the other, so that Ctrl-C takes effect in between.
 
     The noise of run i is that of seed + i.
     """
@@ -426,25 +416,16 @@ _SWAY_FORCE = "tau_Y"
 
 @dataclass(frozen=True)
 class Choices:
-    """Changes to what the vehicle file and the gain file say; None leaves what they say.
+    """Changes to what the vehicle file and the gain file say; None leaves what they say."""
 
-    Attributes
-    ----------
-    order, heading, integrators : str, optional
-        As in [schedule] of a gain file.
-    gate : str, optional
-        Error of the heading that opens the gate, with its unit.
-    sway : str, optional
-        "actuated" gives the vehicle an ideal sway force, "unactuated" leaves that force out.
-    current : tuple of float, optional
-        Velocity of the water to the north and to the east, m/s; the controller does not know of it.
-    """
-
+    # order, heading, integrators: as in [schedule] of a gain file
     order: Literal["together", "yaw-first"] | None = None
     heading: Literal["atan", "atan2"] | None = None
     integrators: Literal["gate", "start"] | None = None
-    gate: str | None = None
+    gate: str | None = None  # error of the heading that opens the gate, with its unit
+    # "actuated" gives the vehicle an ideal sway force, "unactuated" leaves that force out
     sway: Literal["actuated", "unactuated"] | None = None
+    # velocity of the water to the north and to the east, m/s; the controller does not know of it
     current: tuple[float, float] | None = None
 
     def loop(

@@ -24,41 +24,22 @@ _OF_RUNS = ("p", "r", "k", "x", "s", "command", "commands", "reports")
 
 @dataclass
 class LoopProblem:
-    """Runs at the sample that they have come to.
+    """Runs at the sample that they have come to."""
 
-    Attributes
-    ----------
-    dt : float
-        Sampling interval, s.
-    substeps : int
-        Runge-Kutta steps in it.
-    continuous : bool
-        Whether the law acts at every stage of a step instead of being sampled.
-    input_delay : int
-        Samples from a command to its thrust.
-    output_delay : ndarray of int64, shape (ny,)
-        Samples from a motion to its report.
-    p, r, k : ndarray, shape (b, n)
-        Parameters, desired pose of the controller, gains.
-    x, s : ndarray, shape (b, n)
-        States of vehicle and controller; the first ones are given.
-    command : ndarray, shape (b, nu)
-        The last command.
-    commands, reports : ndarray, shape (b, ring, n)
-        Those of the last samples, one row for each, in a ring.
-    """
-
-    dt: float
-    substeps: int
-    continuous: bool
-    input_delay: int
-    output_delay: np.ndarray
+    dt: float  # sampling interval, s
+    substeps: int  # Runge-Kutta steps in it
+    continuous: bool  # whether the law acts at every stage of a step instead of being sampled
+    input_delay: int  # samples from a command to its thrust
+    output_delay: np.ndarray  # (ny,): samples from a motion to its report
+    # p, r, k: (b, n): parameters, desired pose of the controller, gains
     p: np.ndarray
     r: np.ndarray
     k: np.ndarray
+    # x, s: (b, n): states of vehicle and controller; the first ones are given
     x: np.ndarray
     s: np.ndarray
-    command: np.ndarray
+    command: np.ndarray  # (b, nu): the last command
+    # commands, reports: (b, ring, n): those of the last samples, one row for each, in a ring
     commands: np.ndarray
     reports: np.ndarray
 
@@ -74,15 +55,10 @@ class LoopProblem:
 
 @dataclass
 class Rows:
-    """What is recorded of samples, a row for each; what is not wanted has none.
+    """What is recorded of samples, a row for each; what is not wanted has none."""
 
-    Attributes
-    ----------
-    x, y, u, s, tau : ndarray, shape (b, rows, n)
-        True state, what the controller was reported, its commands, its states after the sample, and the force
-        that the law asked for.
-    """
-
+    # x, y, u, s, tau: (b, rows, n): True state, what the controller was reported, its commands, its states
+    # after the sample, and the force that the law asked for
     x: np.ndarray
     y: np.ndarray
     u: np.ndarray
@@ -103,28 +79,15 @@ ALL = ("x", "y", "u", "s", "tau")
 
 @dataclass(frozen=True)
 class Block:
-    """Samples of one call, and what is recorded of them.
+    """Samples of one call, and what is recorded of them."""
 
-    Attributes
-    ----------
-    first, samples : int
-        The first sample and how many.
-    stride : int
-        Recorded is every sample that this divides.
-    noise : ndarray, shape (b, samples, ny), optional
-        What the sensors add.
-    extra : ndarray, shape (samples, nu), optional
-        Forces from outside.
-    wanted : tuple of str
-        What is recorded.
-    """
-
+    # first, samples: the first sample and how many
     first: int
     samples: int
-    stride: int = 1
-    noise: np.ndarray | None = None
-    extra: np.ndarray | None = None
-    wanted: tuple[str, ...] = ALL
+    stride: int = 1  # recorded is every sample that this divides
+    noise: np.ndarray | None = None  # (b, samples, ny): what the sensors add
+    extra: np.ndarray | None = None  # (samples, nu): forces from outside
+    wanted: tuple[str, ...] = ALL  # what is recorded
 
     @property
     def recorded(self) -> range:

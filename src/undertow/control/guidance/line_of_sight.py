@@ -17,25 +17,14 @@ from .signals import Course, Followed, Kinematics, Number, Reference
 
 @dataclass(frozen=True)
 class Guidance:
-    """The numbers of line-of-sight guidance.
+    """The numbers of line-of-sight guidance."""
 
-    Attributes
-    ----------
-    lookahead : float
-        Distance ahead on the leg that the vehicle is steered for, m.
-    acceptance : float
-        Distance from the end of a leg at which the next one begins, m.
-    integral : float
-        Integral action sigma, m/s: 0 is LOS without it. The side-slip that a current asks for is learned in
-        some lookahead / integral seconds.
-    steepest : float
-        Largest angle of pitch that is asked for, rad.
-    """
-
-    lookahead: float
-    acceptance: float
+    lookahead: float  # distance ahead on the leg that the vehicle is steered for, m
+    acceptance: float  # distance from the end of a leg at which the next one begins, m
+    # Integral action sigma, m/s: 0 is LOS without it. The side-slip that a current asks for is learned in
+    # some lookahead / integral seconds.
     integral: float = 0.0
-    steepest: float = math.radians(30)
+    steepest: float = math.radians(30)  # largest angle of pitch that is asked for, rad
 
 
 class Leg(NamedTuple):

@@ -15,7 +15,7 @@ from undertow.errors import UndertowError
 from undertow.model.loading import is_file, read_table
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.tables import FileTable, Quantity
-from undertow.model.units import to_si
+from undertow.model.units import si_of
 
 from .line_of_sight import Guidance, LineOfSight
 from .reference import Limits, Profile, TimedReference, spline, stretches, times_of, within
@@ -88,36 +88,18 @@ LIMITS = MissionLimits()
 
 @dataclass(frozen=True)
 class Mission:
-    """A mission file in SI.
+    """A mission file in SI."""
 
-    Attributes
-    ----------
-    name, kind : str
-        Name, and "setpoints", "spline", "trajectory" or "legs".
-    points : ndarray, shape (k, 3)
-        Way-points x, y, z, m, NED.
-    headings : tuple of float or None
-        Heading at each, rad; None goes along the way.
-    times : tuple of float or None
-        When to be there, s.
-    limits : Limits
-        Speeds and accelerations of the reference.
-    hold : float
-        Rest at every set-point, s.
-    guidance : Guidance
-        Line of sight; legs use it.
-    current : tuple of float or None
-        Velocity of the water to the north and to the east in simulations, m/s.
-    """
-
+    # name, kind: name, and "setpoints", "spline", "trajectory" or "legs"
     name: str
     kind: str
-    points: np.ndarray
-    headings: tuple[float | None, ...]
-    times: tuple[float | None, ...]
-    limits: Limits
-    hold: float
-    guidance: Guidance
+    points: np.ndarray  # (k, 3): way-points x, y, z, m, NED
+    headings: tuple[float | None, ...]  # heading at each, rad; None goes along the way
+    times: tuple[float | None, ...]  # when to be there, s
+    limits: Limits  # speeds and accelerations of the reference
+    hold: float  # rest at every set-point, s
+    guidance: Guidance  # line of sight; legs use it
+    # velocity of the water to the north and to the east in simulations, m/s
     current: tuple[float, float] | None
 
     @property
@@ -268,7 +250,7 @@ def load_mission(source: str | Path) -> Mission:
     """
     path = Path(source)
     if not is_file(path):
-        raise UndertowError(f"mission '{source}' is no file: give the path of a mission file (TOML)")
+        raise UndertowError(f"mission '{source}' is not a file: give the path of a mission file (TOML)")
     table = read_table(path, MissionTable, "mission file")
     try:
         return mission_from_table(table)
@@ -284,21 +266,20 @@ def mission_from_table(table: MissionTable) -> Mission:
     limits |= {n: _size(f"[limits] {n}", getattr(table.limits, n), u) for n, u in units.items()}
     points = np.array([_place(i, w) for i, w in enumerate(table.waypoints, 1)])
     _check_apart(table.kind, points)
-    common = None if table.heading == "along" else _number("heading", table.heading, "rad")
+    common = None if table.heading == "along" else si_of("heading", table.heading, "rad")
     headings = [
-        common if w.psi is None else _number(f"way-point {i} psi", w.psi, "rad")
+        common if w.psi is None else si_of(f"way-point {i} psi", w.psi, "rad")
         for i, w in enumerate(table.waypoints, 1)
     ]
     times = [
-        None if w.t is None else _number(f"way-point {i} t", w.t, "s")
-        for i, w in enumerate(table.waypoints, 1)
+        None if w.t is None else si_of(f"way-point {i} t", w.t, "s") for i, w in enumerate(table.waypoints, 1)
     ]
-    hold = _number("hold", table.hold, "s")
+    hold = si_of("hold", table.hold, "s")
     if not 0 <= hold <= LIMITS.longest:
         raise UndertowError(f"hold = {table.hold}: give a time from 0 to {LIMITS.longest:g} s")
     water = table.current
     current = (
-        (_number("[current] north", water.north, "m/s"), _number("[current] east", water.east, "m/s"))
+        (si_of("[current] north", water.north, "m/s"), si_of("[current] east", water.east, "m/s"))
         if water
         else None
     )
@@ -328,8 +309,8 @@ def _check_keys(table: MissionTable) -> None:
 
 def _guidance(table: GuidanceTable) -> Guidance:
     sizes = {n: _size(f"[guidance] {n}", getattr(table, n), "m") for n in ("lookahead", "acceptance")}
-    integral = _number("[guidance] integral", table.integral, "m/s")
-    steepest = _number("[guidance] steepest", table.steepest, "rad")
+    integral = si_of("[guidance] integral", table.integral, "m/s")
+    steepest = si_of("[guidance] steepest", table.steepest, "rad")
     if not 0 <= integral <= LIMITS.high:
         raise UndertowError(
             f"[guidance] integral = {table.integral}: give 0 m/s (LOS) or a value above it (ILOS)"
@@ -350,21 +331,14 @@ def _check_apart(kind: str, points: np.ndarray) -> None:
 
 
 def _place(i: int, point: WaypointTable) -> list[float]:
-    found = [_number(f"way-point {i} {n}", getattr(point, n), MOTION_UNITS[n]) for n in "xyz"]
+    found = [si_of(f"way-point {i} {n}", getattr(point, n), MOTION_UNITS[n]) for n in "xyz"]
     if max(map(abs, found)) > LIMITS.size:
         raise UndertowError(f"way-point {i} is beyond {LIMITS.size:g} m: check the unit")
     return found
 
 
-def _number(what: str, stated: Quantity, unit: str) -> float:
-    try:
-        return to_si(stated, unit)
-    except UndertowError as error:
-        raise UndertowError(f"{what}: {error}") from error
-
-
 def _size(what: str, stated: Quantity, unit: str) -> float:
-    value = _number(what, stated, unit)
+    value = si_of(what, stated, unit)
     if not LIMITS.low <= value <= LIMITS.high:
         raise UndertowError(f"{what} = {stated}: give one from {LIMITS.low:g} to {LIMITS.high:g} {unit}")
     return value

@@ -36,18 +36,12 @@ SETTINGS = ReferenceSettings()
 
 @dataclass(frozen=True)
 class Limits:
-    """What a reference keeps to.
+    """What a reference keeps to."""
 
-    Attributes
-    ----------
-    speed, acceleration : float
-        Of the position, magnitude, m/s and m/s^2.
-    turn_rate, turn_acceleration : float
-        Of each angle, rad/s and rad/s^2.
-    """
-
+    # speed, acceleration: of the position, magnitude, m/s and m/s^2
     speed: float
     acceleration: float
+    # turn_rate, turn_acceleration: of each angle, rad/s and rad/s^2
     turn_rate: float
     turn_acceleration: float
 
@@ -58,24 +52,13 @@ class Limits:
 
 @dataclass(frozen=True)
 class Profile:
-    """A pose over time, quintic between knots; before the first and after the last knot it stands still.
+    """A pose over time, quintic between knots; before the first and after the last knot it stands still."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Pose coordinates.
-    knots : ndarray, shape (k + 1,)
-        Times, s; the first is zero.
-    coefficients : ndarray, shape (k, n, 6)
-        By piece and coordinate, in the time since the knot, lowest power first, SI.
-    end : ndarray, shape (n,)
-        Where it arrives.
-    """
-
-    names: tuple[str, ...]
-    knots: np.ndarray
+    names: tuple[str, ...]  # pose coordinates
+    knots: np.ndarray  # (k + 1,): times, s; the first is zero
+    # (k, n, 6): by piece and coordinate, in the time since the knot, lowest power first, SI
     coefficients: np.ndarray
-    end: np.ndarray
+    end: np.ndarray  # (n,): where it arrives
 
     @property
     def duration(self) -> float:

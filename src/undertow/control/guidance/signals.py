@@ -1,4 +1,4 @@
-"""What a controller and its reference tell each other: the interface that every reference has."""
+"""What a controller and its reference exchange: the interface that every reference has."""
 
 from __future__ import annotations
 
@@ -21,21 +21,13 @@ class Number:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """The reported motion, in the coordinates of the vehicle.
+    """The reported motion, in the coordinates of the vehicle."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Pose coordinates.
-    eta, nu : casadi.SX, shape (n, 1)
-        Reported pose (NED) and body velocity, SI.
-    J_inverse, J_dot : casadi.SX, shape (n, n)
-        Kinematics there.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # pose coordinates
+    # eta, nu: (n, 1): reported pose (NED) and body velocity, SI
     eta: ca.SX
     nu: ca.SX
+    # J_inverse, J_dot: (n, n): kinematics there
     J_inverse: ca.SX
     J_dot: ca.SX
 
@@ -46,61 +38,35 @@ class Kinematics:
 
 @dataclass(frozen=True)
 class Course:
-    """What a reference asks for at a sample.
+    """What a reference asks for at a sample."""
 
-    Attributes
-    ----------
-    eta_d : casadi.SX, shape (n, 1)
-        Desired pose, m and rad.
-    nu_r, nu_r_dot : casadi.SX, shape (n, 1)
-        Reference velocity and its rate, body frame, SI.
-    """
-
-    eta_d: ca.SX
+    eta_d: ca.SX  # (n, 1): desired pose, m and rad
+    # nu_r, nu_r_dot: (n, 1): reference velocity and its rate, body frame, SI
     nu_r: ca.SX
     nu_r_dot: ca.SX
 
 
 @dataclass(frozen=True)
 class Followed:
-    """A reference beside a run, rows over time.
+    """A reference beside a run, rows over time."""
 
-    Attributes
-    ----------
-    desired : dict of ndarray, shape (n,)
-        What was desired, by pose coordinate.
-    errors : dict of ndarray, shape (n,)
-        Desired less true, by coordinate; "cross track" and "depth" (m) for legs.
-    arrived : ndarray of bool, shape (n,)
-        Where the end of the mission has been reached.
-    way : ndarray, shape (k, 2)
-        Where it leads in the plane, north and east, m: way-points, or the curve over the rows.
-    """
-
-    desired: dict[str, np.ndarray]
+    desired: dict[str, np.ndarray]  # (n,): what was desired, by pose coordinate
+    # (n,): desired less true, by coordinate; "cross track" and "depth" (m) for legs
     errors: dict[str, np.ndarray]
-    arrived: np.ndarray
+    arrived: np.ndarray  # (n,): where the end of the mission has been reached
+    # (k, 2): where it leads in the plane, north and east, m: way-points, or the curve over the rows
     way: np.ndarray
 
 
 class Reference(abc.ABC):
-    """A reference with states of its own, stated once in CasADi for simulation and for C.
+    """A reference with states of its own, stated once in CasADi for simulation and for C."""
 
-    Attributes
-    ----------
-    state_names : tuple of str
-        Its states, a part of those of the controller.
-    continuous : bool
-        Whether its states have rates, so that a law may act without sampling.
-    start, end : ndarray, shape (n,)
-        Pose where it begins and where it ends, m and rad.
-    unheld : tuple of str
-        Velocities that the law takes as zero: nothing pushes there, and in a current they are the water's.
-    """
-
-    state_names: ClassVar[tuple[str, ...]]
+    state_names: ClassVar[tuple[str, ...]]  # its states, a part of those of the controller
+    # whether its states have rates, so that a law may act without sampling
     continuous: ClassVar[bool] = False
+    # velocities that the law takes as zero: nothing pushes there, and in a current they are the water's
     unheld: tuple[str, ...] = ()
+    # start, end: (n,): pose where it begins and where it ends, m and rad
     start: np.ndarray
     end: np.ndarray
 

@@ -286,7 +286,9 @@ def lqg(
         for name in given:
             if name not in states:
                 near = nearest(name, states)
-                raise UndertowError(f"{what} of '{name}', which is no state{near}: give {', '.join(states)}")
+                raise UndertowError(
+                    f"{what} of '{name}', which is not a state{near}: give {', '.join(states)}"
+                )
         _positive(what, given, list(given))
     shown = ct.ss(plant.A, plant.B, plant.C[[_place(plant.output_labels, n) for n in noise]], 0)
     kept = _kept(plant, shown)
@@ -305,7 +307,7 @@ def lqg(
 
 def _place(labels: list[str], name: str) -> int:
     if name not in labels:
-        raise UndertowError(f"'{name}' is no output of the linear system: it has {', '.join(labels)}")
+        raise UndertowError(f"'{name}' is not an output of the linear system: it has {', '.join(labels)}")
     return labels.index(name)
 
 

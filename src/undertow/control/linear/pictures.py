@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from undertow.errors import UndertowError
 from undertow.figures import BEFORE, COLOURS, FAINT, INK, figure, look, plain, unit_text
+from undertow.typing import Array
 
 from .analysis import Line, duration, frequencies, locus, response, singular_values, step
 from .report import Analysis, Channel
@@ -50,15 +51,14 @@ def _title(found: Analysis, what: str) -> str:
 
 # --- Bode -----------------------------------------------------------------------------------------
 def _bode(found: Analysis, channels: Sequence[Channel]) -> Figure:
-    drawn, what, unit = _opened(found, channels)
-    omega = frequencies([system for _, system in drawn])
     shown, axes = figure(6.0, 2, sharex=True)
     (size,), (angle,) = axes
-    for colour, (name, system) in zip(_cycle(len(drawn)), drawn, strict=True):
-        for member in _members(found, name, channels):
-            _bode_line(size, angle, response("", member, omega), color=colour, alpha=0.12, linewidth=0.7)
-        line = response(name, system, omega)
-        _bode_line(size, angle, line, color=colour, label=plain(name))
+
+    def draw(line: Line, **style: Any) -> None:
+        size.semilogx(line.x, decibels(line.y), **style)
+        angle.semilogx(line.x, _phase(line), **style)
+
+    omega, what, unit = _drawn(found, channels, draw)
     size.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
     angle.axhline(-180.0, color=FAINT, linewidth=0.8, linestyle=":")
     size.set_ylabel(f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
@@ -89,9 +89,15 @@ def _per(found: Analysis, c: Channel) -> str:
     )
 
 
-def _bode_line(size: Any, angle: Any, line: Line, **style: Any) -> None:
-    size.semilogx(line.x, decibels(line.y), **style)
-    angle.semilogx(line.x, _phase(line), **style)
+def _drawn(found: Analysis, channels: Sequence[Channel], draw: Callable[..., None]) -> tuple[Array, str, str]:
+    """Let `draw` draw every response over its family; the frequencies, what they are, and the unit."""
+    systems, what, unit = _opened(found, channels)
+    omega = frequencies([system for _, system in systems])
+    for colour, (name, system) in zip(_cycle(len(systems)), systems, strict=True):
+        for member in _members(found, name, channels):
+            draw(response("", member, omega), color=colour, alpha=0.12, linewidth=0.7)
+        draw(response(name, system, omega), color=colour, label=plain(name))
+    return omega, what, unit
 
 
 def decibels(values: Any) -> Any:
@@ -107,17 +113,15 @@ def _phase(line: Line) -> Any:
 
 # --- Nyquist, Nichols, singular values --------------------------------------------------------------
 def _nyquist(found: Analysis, channels: Sequence[Channel]) -> Figure:
-    drawn, what, unit = _opened(found, channels)
-    omega = frequencies([system for _, system in drawn])
     shown, axes = figure(5.6)
     axis = axes[0, 0]
-    for colour, (name, system) in zip(_cycle(len(drawn)), drawn, strict=True):
-        for member in _members(found, name, channels):
-            line = response("", member, omega)
-            axis.plot(line.y.real, line.y.imag, color=colour, alpha=0.12, linewidth=0.7)
-        line = response(name, system, omega)
-        axis.plot(line.y.real, line.y.imag, color=colour, label=plain(name))
-        axis.plot(line.y.real, -line.y.imag, color=colour, linestyle=":", linewidth=0.9)
+
+    def draw(line: Line, **style: Any) -> None:
+        axis.plot(line.y.real, line.y.imag, **style)
+        if line.name:  # of the model itself the mirror image, too
+            axis.plot(line.y.real, -line.y.imag, color=style["color"], linestyle=":", linewidth=0.9)
+
+    _, what, unit = _drawn(found, channels, draw)
     turn = np.linspace(0.0, 2 * np.pi, 200)
     axis.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.8, linestyle=":")
     axis.plot(-1.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.8, label="-1")
@@ -133,16 +137,13 @@ def _nyquist(found: Analysis, channels: Sequence[Channel]) -> Figure:
 
 
 def _nichols(found: Analysis, channels: Sequence[Channel]) -> Figure:
-    drawn, what, unit = _opened(found, channels)
-    omega = frequencies([system for _, system in drawn])
     shown, axes = figure(5.6)
     axis = axes[0, 0]
-    for colour, (name, system) in zip(_cycle(len(drawn)), drawn, strict=True):
-        for member in _members(found, name, channels):
-            line = response("", member, omega)
-            axis.plot(_phase(line), decibels(line.y), color=colour, alpha=0.12, linewidth=0.7)
-        line = response(name, system, omega)
-        axis.plot(_phase(line), decibels(line.y), color=colour, label=plain(name))
+
+    def draw(line: Line, **style: Any) -> None:
+        axis.plot(_phase(line), decibels(line.y), **style)
+
+    _, what, unit = _drawn(found, channels, draw)
     axis.plot(-180.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.8, label="-180 deg, 0 dB")
     axis.set(xlabel="phase [deg]", ylabel=f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
     axis.set_title(_title(found, f"Nichols, {what}"))

@@ -15,6 +15,7 @@ from pydantic import Field, TypeAdapter
 
 from undertow.control.gains import GainSet, load_gains
 from undertow.errors import UndertowError, nearest
+from undertow.files import json_ready
 from undertow.model.loading import resolve_vehicle
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
@@ -161,7 +162,7 @@ class Analysis:
         known = [n for n in (source, f"force_{source}", f"{source}_ref") if n in inputs]
         if not known:
             raise UndertowError(
-                f"'{source}' is no input{nearest(source, inputs)}: it has {', '.join(inputs)}"
+                f"'{source}' is not an input{nearest(source, inputs)}: it has {', '.join(inputs)}"
             )
         _require_output("", output, self._wide.output_labels)
         return Channel(known[0], output, channel(self._wide, output, known[0]))
@@ -188,7 +189,7 @@ class Analysis:
         return [self.channel(f, names[f.removeprefix("force_")]) for f in forces]
 
     def chosen(self, source: str | None, output: str | None) -> list[Channel]:
-        """The channels that are asked for; what is not said is that of the main channels."""
+        """The channels that are asked for; what is not given is that of the main channels."""
         if source is None and output is None:
             return self.main_channels
         if source is not None and output is not None:
@@ -232,7 +233,7 @@ class Analysis:
     def content(self, channels: Sequence[Channel]) -> dict[str, Any]:
         """Everything as plain data; what is infinite or undefined is None."""
         trim = self.trim
-        return _plain(
+        found: dict[str, Any] = json_ready(
             {
                 "vehicle": self.vehicle.name,
                 "gains": self.gains.name if self.gains else None,
@@ -252,12 +253,13 @@ class Analysis:
                 "family": self.family and _family(self.family),
             }
         )
+        return found
 
 
 def _require_output(kind: str, name: str, outputs: Sequence[str]) -> None:
     if name not in outputs:
         raise UndertowError(
-            f"{kind}'{name}' is no output{nearest(name, outputs)}: it has {', '.join(outputs)}"
+            f"{kind}'{name}' is not an output{nearest(name, outputs)}: it has {', '.join(outputs)}"
         )
 
 
@@ -280,18 +282,6 @@ def _family(found: Family) -> dict[str, Any]:
             {"name": m.name, "stable": m.stable, "poles": [q.pole for q in m.modes]} for m in found.members
         ],
     }
-
-
-def _plain(content: Any) -> Any:
-    if isinstance(content, Mapping):
-        return {str(k): _plain(v) for k, v in content.items()}
-    if isinstance(content, list | tuple):
-        return [_plain(v) for v in content]
-    if isinstance(content, complex):
-        return [_plain(content.real), _plain(content.imag)]
-    if isinstance(content, float):
-        return float(content) if isfinite(content) else None
-    return content
 
 
 def analyse(
@@ -330,7 +320,7 @@ def analyse(
     family_of, source, seed : int, str or Path, int
         How many vehicles to draw from the uncertainty of this one, the file it is from, and the seed.
     progress : callable
-        Told what share is done, and what is being done.
+        Called with the share that is done, and what is being done.
     """
     law = load_gains(gains, vehicle) if gains else None
     if observer is not None and law is None:
@@ -549,8 +539,8 @@ def _matched(old: Sequence[Pole], new: Sequence[Pole]) -> list[tuple[Pole | None
     from scipy.optimize import linear_sum_assignment
 
     def price(a: Pole, b: Pole) -> float:
-        alien = len({*a[2]} ^ {*b[2]})
-        return abs(complex(*a[:2]) - complex(*b[:2])) + 0.3 * alien
+        different = len({*a[2]} ^ {*b[2]})
+        return abs(complex(*a[:2]) - complex(*b[:2])) + 0.3 * different
 
     if not old or not new:
         return [*((a, None) for a in old), *((None, b) for b in new)]

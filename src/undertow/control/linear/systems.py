@@ -145,7 +145,7 @@ def _check_sampling(dt: float, pade: int) -> None:
         raise UndertowError(f"sampling time dt = {dt:g} s cannot be: give a time above zero")
     if not 0 <= pade <= SETTINGS.pade:
         raise UndertowError(
-            f"pade = {pade} is no order that dead times are approximated to: give 0 to {SETTINGS.pade}"
+            f"pade = {pade} cannot be the order of the approximation of dead times: give 0 to {SETTINGS.pade}"
         )
     if dt and pade:
         raise UndertowError(

@@ -49,13 +49,13 @@ def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection
 def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) -> None:
     if name not in known:
         raise UndertowError(
-            f"'{name}' is no velocity, pose or command of '{vehicle.name}'{nearest(name, known)}: it has "
+            f"'{name}' is not a velocity, pose or command of '{vehicle.name}'{nearest(name, known)}: it has "
             f"{', '.join(known)}"
         )
     if name in _PLACE:
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
     if not isfinite(value):
-        raise UndertowError(f"{name} = {value} is no value for a steady motion: give a finite one")
+        raise UndertowError(f"{name} = {value} cannot be a value of a steady motion: give a finite one")
     most = FASTEST if name in VELOCITY else _FARTHEST
     if abs(value) > most:
         raise UndertowError(f"{name} = {value:g} (SI) is too much for a steady motion: stay within {most:g}")
@@ -273,31 +273,18 @@ def at_parameters(balance: Balance, p: Array, x: Array, u: Array) -> tuple[Array
 
 @dataclass(frozen=True)
 class Trim:
-    """A steady motion of a vehicle.
+    """A steady motion of a vehicle."""
 
-    Attributes
-    ----------
-    states, commands : mapping
-        Value by name, SI; place x, y is where the motion begins.
-    direction : mapping
-        Velocity to 1 or -1 where parameters of one direction of motion were taken because the motion itself
-        does not tell (it is at rest in the water in that direction).
-    remarks : tuple of str
-        What was assumed.
-    wanted : Request
-        What was held.
-    turning : bool
-        Whether the heading changes, so that slopes in x and y depend on time.
-    reports : mapping
-        What the sensors report of pose and velocity, by name, SI: what a controller gets.
-    """
-
+    # states, commands: value by name, SI; place x, y is where the motion begins
     states: Mapping[str, float]
     commands: Mapping[str, float]
+    # velocity to 1 or -1 where parameters of one direction of motion were taken because the motion itself
+    # does not tell (it is at rest in the water in that direction)
     direction: Mapping[str, int]
-    wanted: Request
-    remarks: tuple[str, ...] = ()
-    turning: bool = False
+    wanted: Request  # what was held
+    remarks: tuple[str, ...] = ()  # what was assumed
+    turning: bool = False  # whether the heading changes, so that slopes in x and y depend on time
+    # what the sensors report of pose and velocity, by name, SI: what a controller gets
     reports: Mapping[str, float] = field(default_factory=dict)
 
     @property

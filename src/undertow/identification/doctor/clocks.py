@@ -250,7 +250,7 @@ def _listed(names: tuple[str, ...]) -> tuple[str, str]:
 
 
 def late_source(one: Latency, mapping: LogMapping) -> Finding:
-    """What is said of a source that is late, and the lines of the mapping file that mend it."""
+    """The finding on a source that is late, and the lines of the mapping file that mend it."""
     names, verb = _listed(one.names)
     effect = ", or the effect sensor_delay describes it" if {*one.names} <= {*VELOCITY[:3]} else ""
     return Finding(

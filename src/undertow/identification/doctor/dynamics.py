@@ -445,7 +445,7 @@ _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 def other_mass(at: Dynamics) -> Finding | None:
     """A mass that is not the one that the logs ask for; None where it is, or they cannot tell.
 
-    With added masses that are free and have no stated spread, nothing can be told: they take up any mass. Nor
+    With added masses that are free and have no stated spread, nothing follows: they take up any mass. Nor
     can it where an added mass that is held fixed explains as much with another value.
     """
     known = at.vehicle.values.get("m")

@@ -106,8 +106,8 @@ def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
     times = changes.pop("times", 1.0)
     scaled = {"scale": times * column.scale, "offset": times * column.offset}
     changed = column.model_copy(update={**scaled, **changes})
-    said = changed.model_dump(exclude_defaults=True)
-    return Edit("columns", name, {"channel": changed.channel} | said)
+    content = changed.model_dump(exclude_defaults=True)
+    return Edit("columns", name, {"channel": changed.channel} | content)
 
 
 def delay_edit(mapping: LogMapping, channel: str, more: float) -> Edit:
@@ -127,9 +127,9 @@ def reassigned(mapping: LogMapping, places: TypingMapping[str, tuple[str, float]
     for target, (source, sign) in places.items():
         name, column = column_of(mapping, source)
         times = sign * _axis_sign(mapping, source) * _axis_sign(mapping, target)
-        said = column.model_copy(update={"scale": times * column.scale, "offset": times * column.offset})
+        turned = column.model_copy(update={"scale": times * column.scale, "offset": times * column.offset})
         into = column_of(mapping, target)[1].channel
-        found.append(Edit("columns", name, said.model_dump(exclude_defaults=True) | {"channel": into}))
+        found.append(Edit("columns", name, turned.model_dump(exclude_defaults=True) | {"channel": into}))
     return tuple(found)
 
 
@@ -148,10 +148,10 @@ def frames_edits(mapping: LogMapping, position: str, body: str, attitude: str) -
     """Say the three frames; what the mapping says already, or need not say, is left out."""
     spec = mapping.frames
     implied = position if (position == "ENU") == (body == "FLU") else None
-    said = {"position": position, "body": body, "attitude": None if attitude == implied else attitude}
-    if said["attitude"] is None and spec.attitude not in (None, attitude):
-        said["attitude"] = attitude
-    changed = {k: v for k, v in said.items() if v is not None and v != getattr(spec, k)}
+    frames = {"position": position, "body": body, "attitude": None if attitude == implied else attitude}
+    if frames["attitude"] is None and spec.attitude not in (None, attitude):
+        frames["attitude"] = attitude
+    changed = {k: v for k, v in frames.items() if v is not None and v != getattr(spec, k)}
     return tuple(Edit("frames", k, v) for k, v in changed.items())
 
 

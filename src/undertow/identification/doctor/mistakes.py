@@ -534,7 +534,7 @@ def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -
         if tilted
         else f"psi changes by {turning:.3g} in an ordinary second"
     )
-    return Explanation(found, f"{found.clause}: {reason}, which is no vehicle's in radians", {})
+    return Explanation(found, f"{found.clause}: {reason}, which no vehicle can have in radians", {})
 
 
 def changed_channels(mistake: Mistake, run: Run) -> set[str]:

@@ -334,7 +334,9 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
             have = ", ".join(vehicle.command_names)
             raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
         if not (value > 0 and np.isfinite(value)):
-            raise UndertowError(f"--limit {name or 'of all'} = {value:g} is no limit: give a positive value")
+            raise UndertowError(
+                f"--limit {name or 'of all'} = {value:g} cannot be a limit: give a positive value"
+            )
     stated = vehicle.command_limits
     found = [_limit(n, asked, stated.get(n), runs) for n in vehicle.command_names]
     return CommandLimits(np.array([v for v, _ in found]), tuple(s for _, s in found))
@@ -419,9 +421,13 @@ def planned_noise(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[R
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     for name, value in asked.items():
         if name not in names:
-            raise UndertowError(f"--noise names '{name}', which is no channel: there are {', '.join(names)}")
+            raise UndertowError(
+                f"--noise names '{name}', which is not a channel: there are {', '.join(names)}"
+            )
         if not value > 0:
-            raise UndertowError(f"--noise {name} = {value:g} is no noise: give a positive standard deviation")
+            raise UndertowError(
+                f"--noise {name} = {value:g} cannot be a noise: give a positive standard deviation"
+            )
     found = [_noise(n, asked, runs) for n in names]
     sigma = np.array([s for s, _ in found])
     for name in vehicle.velocity_names:

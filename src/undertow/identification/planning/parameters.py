@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.files import json_ready
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.fitted import undetermined
 from undertow.identification.estimation.residual import WeakModel
@@ -32,7 +33,7 @@ from .problem import (
     log_determinant,
     remarks_on,
 )
-from .result import Plan, commands_of, extremes_of, finite, noise_of, parameters_of, safety_remarks
+from .result import Plan, commands_of, extremes_of, noise_of, parameters_of, safety_remarks
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class PlanSearch(ABC):
             commands=commands_of(problem, manoeuvre),
             noise=noise_of(problem),
             extremes=extremes_of(problem, manoeuvre),
-            limits=finite(request.motion.as_dict()),
+            limits=json_ready(request.motion.as_dict()),
             depth_spread=spread,
             logs=[r.name for r in problem.runs],
             **outcome,
@@ -237,7 +238,7 @@ class _ParameterSearch(PlanSearch):
         return {
             "goal": "parameters",
             "criterion": float(np.exp(self.value)),
-            "families": finite(
+            "families": json_ready(
                 {n: float(np.exp(v)) if np.isfinite(v) else v for n, v in self.by_family.items()}
             ),
             "parameters": parameters_of(known, problem.vehicle.signs, known.after(gram), lost),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 
+from undertow.files import json_ready
 from undertow.identification.doctor.findings import ResultTable
 from undertow.identification.long_logs.result import LongLogs
 from undertow.model.parameter import printed
@@ -146,7 +146,7 @@ def noise_of(problem: PlanningProblem) -> list[PlannedNoise]:
     """Noise of every channel that the plan counts with."""
     n = problem.noise
     return [
-        PlannedNoise(name=name, sigma=float(s) if np.isfinite(s) else None, source=source)
+        PlannedNoise(name=name, sigma=json_ready(s), source=source)
         for name, s, source in zip(n.names, n.sigma, n.source, strict=True)
     ]
 
@@ -155,11 +155,6 @@ def extremes_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> dict[str, flo
     """Largest motions by any of the models, SI."""
     found = [extremes(y, problem.names) for y in manoeuvre.y]
     return {what: max(one[what] for one in found) for what in found[0]}
-
-
-def finite(limits: Mapping[str, float]) -> dict[str, float | None]:
-    """Limits with None where there is none."""
-    return {name: value if np.isfinite(value) else None for name, value in limits.items()}
 
 
 def parameters_of(
@@ -186,8 +181,8 @@ def _planned(
         unit="" if parameter.unit == "1" else parameter.unit,
         about=parameter.about,
         value=printed(parameter, value, signs),
-        error_now=now if np.isfinite(now) else None,
-        error_after=then if np.isfinite(then) else None,
+        error_now=json_ready(now),
+        error_after=json_ready(then),
         verdict=verdict,  # type: ignore[arg-type]
     )
 

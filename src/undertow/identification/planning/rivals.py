@@ -353,7 +353,7 @@ def read_diagnosis(path: Path) -> Diagnosed:
         first = failure.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the whole"
         raise UndertowError(
-            f"'{path}' is no diagnosis ({where}: {first['msg'].lower()}): give the file that "
+            f"'{path}' is not a diagnosis ({where}: {first['msg'].lower()}): give the file that "
             "'undertow diagnose --json' wrote"
         ) from failure
     if not found.schema_id.startswith("undertow/diagnosis/"):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.files import json_ready
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
@@ -22,7 +23,7 @@ from undertow.typing import Array
 
 from .parameters import Planned, PlanSearch
 from .problem import Manoeuvre, PlanningProblem, PlanRequest, Plant
-from .result import Rival, Separation, finite
+from .result import Rival, Separation
 from .rivals import RivalModel, RivalSpec, rival_models
 
 
@@ -218,7 +219,7 @@ class _SeparationSearch(PlanSearch):
         return {
             "goal": "separate",
             "criterion": min(p.deviations for p in pairs),
-            "families": finite(self.by_family),
+            "families": json_ready(self.by_family),
             "parameters": [],
             "undetermined": [],
             "rivals": [_planned_rival(r, self.problem.vehicle.signs) for r in self.rivals],

@@ -191,8 +191,8 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
 
 def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
     """Whether a candidate does anything, in the search or in the verdict; the others are folded away."""
-    told = {*diagnosis.effects, *(e for s in diagnosis.indistinguishable for e in s.effects)}
-    return bool(candidate.parameters) or candidate.significant or candidate.effect in told
+    named = {*diagnosis.effects, *(e for s in diagnosis.indistinguishable for e in s.effects)}
+    return bool(candidate.parameters) or candidate.significant or candidate.effect in named
 
 
 @cache

@@ -131,7 +131,7 @@ def _labels(left: Remaining) -> Iterator[str]:
 # --- terms ------------------------------------------------------------------------------------
 def _terms(left: Remaining, near: float) -> Iterator[Coefficient]:
     if left.degree_of_freedom not in DOFS:
-        raise UndertowError(f"'{left.degree_of_freedom}' is no degree of freedom: is this a diagnosis?")
+        raise UndertowError(f"'{left.degree_of_freedom}' is not a degree of freedom: is this a diagnosis?")
     row = DOFS.index(left.degree_of_freedom)
     for found in left.depends_on:
         yield from _dependent(found, row)
@@ -153,7 +153,7 @@ def _dependent(dependence: Dependence, row: int) -> Iterator[Coefficient]:
 def _checked(factors: Sequence[str]) -> Column:
     for factor in factors:
         if not is_factor(factor):
-            raise UndertowError(f"'{factor[:40]}' is no factor of a term: is this a diagnosis?")
+            raise UndertowError(f"'{factor[:40]}' is not a factor of a term: is this a diagnosis?")
     return tuple(factors)
 
 
@@ -214,10 +214,10 @@ _LONGEST_TEXT = 400
 
 
 def check_id(effect_id: str) -> None:
-    """Refuse an id that is no word in snake case, a word of Python, or that of an effect of the catalogue."""
+    """Refuse an id that is not in snake case, is a word of Python, or has an effect of the catalogue."""
     if not _ID.fullmatch(effect_id) or len(effect_id) > _LONGEST or keyword.iskeyword(effect_id):
         raise UndertowError(
-            f"'{effect_id[: 2 * _LONGEST]}' is no id for an effect: write small letters, digits and single "
+            f"'{effect_id[: 2 * _LONGEST]}' cannot be an id: write small letters, digits and single "
             f"underscores, at most {_LONGEST} of them, such as 'turning_drag'"
         )
     if effect_id in catalogue():
@@ -266,11 +266,11 @@ def read_diagnosis(path: Path) -> Diagnosis:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
         why = f"{place}: {first['msg']}" if place else first["msg"]
-        raise UndertowError(f"'{path}' is no diagnosis ({why}): {_HOW}") from error
+        raise UndertowError(f"'{path}' is not a diagnosis ({why}): {_HOW}") from error
     if diagnosis.schema_id != SCHEMA:
         raise UndertowError(f"'{path}' has the schema '{diagnosis.schema_id}', not '{SCHEMA}': {_HOW}")
     if not _finite(diagnosis.model_dump()):
-        raise UndertowError(f"'{path}' is no diagnosis (a number in it is infinite or none): {_HOW}")
+        raise UndertowError(f"'{path}' is not a diagnosis (a number in it is infinite or none): {_HOW}")
     return diagnosis
 
 

@@ -125,7 +125,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
     helping = listed(diagnosis.helps)
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
-    said: dict[str, str] = {
+    sentences: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
         "missing_effect": f"{change}{also if helping else ''}.",
         "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same: record the run that tells "
@@ -137,7 +137,9 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     }
     unexplained = f"No effect of the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
     freed = diagnosis.verdict == "adequate" and diagnosis.freed
-    return f"{change}, and nothing else is missing." if freed else said.get(diagnosis.verdict, unexplained)
+    return (
+        f"{change}, and nothing else is missing." if freed else sentences.get(diagnosis.verdict, unexplained)
+    )
 
 
 def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:

@@ -17,7 +17,7 @@ from undertow.model.symbols import Signals, symbol
 _AHEAD, _GAP = symbol("ahead"), symbol("gap")
 # Where a search begins: decay lengths in the range of the vehicle, and how far inside that the boundary is.
 # One long run makes the range wide for what happens in a small part of it.
-_BEGINNINGS = ((4.0, 0.0), (4.0, 0.4), (16.0, 0.2), (16.0, 0.4), (16.0, 0.6), (16.0, 0.8))
+_STARTS = ((4.0, 0.0), (4.0, 0.4), (16.0, 0.2), (16.0, 0.4), (16.0, 0.6), (16.0, 0.8))
 
 
 class BoundaryProximity(Wrench):
@@ -73,7 +73,7 @@ class BoundaryProximity(Wrench):
             low, high = seen.get(axis, (0.0, 0.0))
             # On either side: a boundary at the edge of where the vehicle was, and some that readings pass.
             for side, edge, reach in ((1, high, high - low), (-1, -low, high - low)):
-                for fades, beyond in _BEGINNINGS if reach > 0 else ():
+                for fades, beyond in _STARTS if reach > 0 else ():
                     fade = fades / reach
                     point = {"fade_N": 0.0, "fade_E": 0.0, "fade_D": 0.0, f"fade_{part}": side * fade}
                     points.append(point | {"fade_0": fade * (edge - beyond * reach)})

@@ -57,7 +57,7 @@ class TetherDrag(Wrench):
         ranges = [seen.get(axis, (0.0, 0.0)) for axis in "xyz"]
         x, y, z = (sum(ends) / 2 for ends in ranges)
         # Away from the plane of the motion, in which the height of a winch could not show; and on both sides
-        # of it, for a fit that comes too near ends in a dale on the other side.
+        # of it, for a fit that comes too near ends in a local minimum on the other side.
         away = math.dist(*zip(*ranges, strict=True)) / 4
         start = {"x_winch": x, "y_winch": y, "y_tail": 0.0, "z_tail": 0.0}
         # The moment gives a tether away, and only from an attachment on its own side of the origin.
