@@ -292,7 +292,7 @@ def _out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> b
     ratios = [noise_ratio(fit, bench.test) for fit in (before, after)]
     limit = bench.settings.within_reach * np.count_nonzero(np.isfinite(ratios[1]))
     total, remaining = (float(np.nansum(ratio)) for ratio in ratios)
-    return remaining - left * max(total - remaining, 0.0) > limit
+    return bool(remaining - left * max(total - remaining, 0.0) > limit)
 
 
 def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
