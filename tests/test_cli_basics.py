@@ -95,10 +95,10 @@ NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
     first_quick(
         [
             ("audit-tables", {"sympy", "numpy", "pint", *NO_NUMBERS}),
-            ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
             ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
-            ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
             (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+            ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
+            ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
             ("vehicles", {"numpy", "scipy", "pint", *NO_NUMBERS}),
             ("effects show lift", NO_NUMBERS),
             ("vehicles show mini-auv", NO_NUMBERS),
@@ -108,7 +108,7 @@ NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
             (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
             ("linearize mini-auv", {"polars", "plotly", "undertow.identification"}),
         ],
-        5,
+        3,
     ),
 )
 def test_a_command_spares_what_it_does_not_need(words: str, spared: set[str], tmp_path: Path) -> None:
@@ -258,7 +258,7 @@ def _program(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
-@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", first_quick([">&-", ">&- 2>&-", "<&- >&- 2>&-"]))
 @pytest.mark.parametrize(
     ("words", "code"), first_quick([("--version", 0), ("effects show lift", 0), ("nothing", 2)], 3)
 )

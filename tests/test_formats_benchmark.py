@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+# Private: the commands that are quick, in place of all.
 from benchmarks.formats.__main__ import BEGIN, COMMANDS, END, RESULTS, _tried, real_table, table
 from benchmarks.formats.made import KINDS
 

@@ -28,6 +28,7 @@ from benchmarks.fuzz.mutations import Mutation, mutated, parquet, zipped
 from benchmarks.fuzz.originals import diagnosis, originals
 from benchmarks.fuzz.readers import READERS, refusal
 from benchmarks.shape.hulls import spheroid_mesh, stl
+from tests.quick import first_quick
 from undertow.cli.control.simulate import ScenarioOptions, ScheduleOptions
 from undertow.cli.main import run
 from undertow.control.closed_loop import Scenario
@@ -369,7 +370,7 @@ def test_the_tables_of_the_paper_are_whole() -> None:
 
 
 # --- the fuzz target ------------------------------------------------------------------------------
-@pytest.mark.parametrize("reader", COMMANDS)
+@pytest.mark.parametrize("reader", first_quick(COMMANDS, 2))
 def test_commands_have_an_answer_to_sound_files(reader: str, tmp_path: Path) -> None:
     """Else the damage would be told by nothing but a command that refuses everything."""
     command = COMMANDS[reader][0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,7 +25,8 @@ def add(effect: str, *words: str) -> int:
 
 def test_the_current_goes_into_a_new_file(case: Path, simulated: Case, capsys: Capture) -> None:
     before = (case / "usv.toml").read_bytes()
-    assert add("ocean_current", "--out", "new.toml", "--picture", "fall.png", "--json", "new.json") == 0
+    words = ["--out", "new.toml", "--picture", "fall.png", "--json", "new.json", "--build", "code"]
+    assert main(["add", "ocean_current", "usv.toml", *LOGS, *words]) == 0
     out = capsys.readouterr().out
     written = json.loads((case / "new.json").read_text())
     assert written["schema_id"] == "undertow/addition/1"
@@ -40,11 +42,16 @@ def test_the_current_goes_into_a_new_file(case: Path, simulated: Case, capsys: C
         assert found.estimate
         assert found.sigma is not None
         assert abs(found.value - value) < max(5 * found.sigma, 0.02 * abs(value)), name
+    _assert_told_how(tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))["history"])
+    assert "wrote the code in" in out
+    name = vehicle.name
+    assert "V_N" in (case / "code" / name / f"src/{name}_vehicle.h").read_text(encoding="utf-8")
+    assert main(["export", "c", "new.toml", "--check", "--out", "code"]) == 0
 
 
-def test_the_file_says_how_the_values_came_about(case: Path) -> None:
-    assert add("ocean_current", "--out", "new.toml") == 0
-    (history,) = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))["history"]
+def _assert_told_how(told: list[dict[str, Any]]) -> None:
+    """The file says how its values came about."""
+    (history,) = told
     assert history["added"] == ["ocean_current"]
     assert history["helps"] is True
     assert [(log["name"], log["role"]) for log in history["logs"]] == [
@@ -83,21 +90,13 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
     assert contents(case) == before
 
 
+@pytest.mark.slow
 def test_what_does_not_help_is_written_by_force_and_said_so(case: Path, capsys: Capture) -> None:
     assert add("dry_friction", "--out", "new.toml", "--force") == 0
     assert "raises the" in capsys.readouterr().out
     table = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))
     assert "dry_friction" in table["effects"]
     assert table["history"][0]["helps"] is False
-
-
-def test_the_code_is_regenerated(case: Path, capsys: Capture) -> None:
-    words = ["add", "ocean_current", "usv.toml", *LOGS, "--out", "new.toml", "--build", "code"]
-    assert main(words) == 0
-    name = load_vehicle(case / "new.toml").name
-    assert "wrote the code in" in capsys.readouterr().out
-    assert "V_N" in (case / "code" / name / f"src/{name}_vehicle.h").read_text(encoding="utf-8")
-    assert main(["export", "c", "new.toml", "--check", "--out", "code"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.quick import first_quick
 from undertow.cli.main import each_named, main
 from undertow.identification.compare.comparison import ComparisonResult
 from undertow.model.loading import load_vehicle
@@ -57,6 +58,7 @@ def test_compare_takes_several_logs_and_a_part_of_them(
     assert result["windows"] == 10
 
 
+@pytest.mark.slow
 def test_compare_draws_what_it_found(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", *LOG, "--plots", "pictures"]) == 0
     drawn = sorted(p.name for p in Path("pictures").iterdir())
@@ -89,7 +91,9 @@ def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:
 # --- fit --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["weak", "integral", "instrumental", "output-error", "prediction-error"])
+@pytest.mark.parametrize(
+    "method", first_quick(["weak", "output-error", "integral", "instrumental", "prediction-error"], 2)
+)
 def test_fit_writes_what_it_found(case: Path, capsys: pytest.CaptureFixture[str], method: str) -> None:
     words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", method, "--out", "new.toml", "--force"]
     assert main(words) == 0
@@ -189,6 +193,7 @@ def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["fit", *LOG, "--holdout", "holdout.csv", "--equal", "Y_vdot = 1.5 X_udot", "--dissipative"]
     assert main([*words, "--out", "new.toml", "--force"]) == 0
@@ -203,6 +208,7 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
     assert "'Q_x' is not a parameter in the equations of 'usv'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_of_the_history_fits_the_same_again(case: Path) -> None:
     words = [*LOG, "--holdout", "holdout.csv"]
     chosen = ["--method", "output-error", "--horizon", "2.5"]

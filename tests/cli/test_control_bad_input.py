@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.cli.bad import refusal
+from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.control.gains import load_gains
 from undertow.model.loading import load_vehicle
@@ -109,7 +110,7 @@ FULL = ["--error", "x=0.5,z=0.2,psi=0.2", "--force", "surge=1,heave=2,yaw=0.1"]
 
 @pytest.mark.parametrize(
     ("vehicle", "weights", "alone"),
-    [("mini-auv", FULL, True), ("heave.toml", ["--error", "z=1", "--force", "heave=10"], False)],
+    first_quick([("heave.toml", ["--error", "z=1", "--force", "heave=10"], False), ("mini-auv", FULL, True)]),
 )
 def test_an_axis_left_alone_is_told_by_design_as_by_gains(
     here: Path, capsys: Capture, vehicle: str, weights: list[str], alone: bool
@@ -195,7 +196,8 @@ def test_a_place_without_files_is_refused_before_the_run(here: Path, capsys: Cap
 
 
 @pytest.mark.parametrize(
-    ("goal", "asks"), [("1,1,1,90", True), ("1,1,1,1.5", False), ("1,1,1,900deg", False), ("90,1,1", False)]
+    ("goal", "asks"),
+    first_quick([("1,1,1,90", True), ("1,1,1,1.5", False), ("1,1,1,900deg", False), ("90,1,1", False)], 2),
 )
 def test_a_heading_of_many_turns_is_asked_about(here: Path, capsys: Capture, goal: str, asks: bool) -> None:
     assert main([*SIMULATE, "--to", goal]) == 0

@@ -36,6 +36,7 @@ def test_what_a_log_holds_is_listed(folder: Path, capsys: Capture) -> None:
     assert "left out: 0.0 to 10.0 s (disarmed)" in out
 
 
+@pytest.mark.slow
 def test_the_doctor_says_of_the_table_what_it_says_of_the_log(folder: Path, capsys: Capture) -> None:
     assert main(["import", "dive.bin", "--vehicle", "rov.toml", "--out", "dive.parquet"]) == 0
     assert read_mapping("dive.toml").columns["RCOU.C1"].channel == "f2"

@@ -90,7 +90,7 @@ def test_the_published_pid_gains(sled: Path, capsys: Capture) -> None:
     assert out.count("there is none") == 3
 
 
-@pytest.mark.parametrize(("gains", "law"), [("paper-pd", "pd"), ("paper-smc", "sliding-mode")])
+@pytest.mark.parametrize(("gains", "law"), first_quick([("paper-pd", "pd"), ("paper-smc", "sliding-mode")]))
 def test_other_published_gains(gains: str, law: str, sled: Path, capsys: Capture) -> None:
     """Every condition holds; sway, which the file names as unactuated, comes to rest by its own damping."""
     code, found = content(capsys, "mini-auv", gains)
@@ -168,6 +168,7 @@ def test_printed_repairs_put_into_a_file_hold(kind: str, sled: Path, capsys: Cap
     assert holding(sled, capsys, gains) >= wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", first_quick(["K_I", "K_V"]))
 def test_a_printed_bound_of_one_gain_is_on_the_safe_side(gain: str, sled: Path, capsys: Capture) -> None:
     out = printed("mini-auv", "paper-pid")

@@ -77,7 +77,6 @@ def test_units_are_understood(folder: Path, capsys: Capture) -> None:
             ["step", "--family", "3"],
             ["poles", "--gains", "paper-pid", "--family", "3"],
         ],
-        2,
     ),
 )
 def test_pictures_are_written(folder: Path, words: list[str]) -> None:
@@ -155,6 +154,7 @@ def test_a_vehicle_without_thrusters_has_poles_only(folder: Path, capsys: Captur
 DESIGN = ["design", "auv.toml", "--error", "x=0.5,z=0.2,psi=10deg", "--force", "surge=1,heave=2,yaw=0.1"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", first_quick(["pid", "pd"]))
 def test_a_design_becomes_a_gain_file(folder: Path, capsys: Capture, law: str) -> None:
     assert main([*DESIGN, "--law", law, "--out", "gains.toml"]) == 0

@@ -55,7 +55,10 @@ def numbers(out: str) -> Counter[str]:
 
 # Of another vehicle, or what the longest of the kind prints, too.
 _MORE = bundled_vehicles().keys() - {"mini-auv"}
-_LIKE = ("gains mini-auv paper-pd", "gains mini-auv paper-pid", "gains mini-auv paper-pid --repair literal")
+_LIKE = (
+    *("gains mini-auv paper-pd", "gains mini-auv paper-pid", "gains mini-auv paper-pid --repair literal"),
+    *("linearize mini-auv", "audit mini-auv", "effects show lift"),
+)
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,7 @@ def test_a_log_gets_velocities_with_deviations(dive: Path, tmp_path: Path, capsy
     assert main(["compare", "mini-auv", str(out)]) == 0
 
 
+@pytest.mark.slow
 def test_json_has_the_numbers(dive: Path, capsys) -> None:
     assert main(["observe", "mini-auv", str(dive), "--process", "model", "--current", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
@@ -43,6 +44,7 @@ def test_json_has_the_numbers(dive: Path, capsys) -> None:
     assert np.isfinite(content["nis"][-1]["mean"])
 
 
+@pytest.mark.slow
 def test_the_chain_from_a_log_to_a_loop_and_to_c(dive: Path, tmp_path: Path, capsys) -> None:
     save = tmp_path / "observer.toml"
     assert main(["observe", "mini-auv", str(dive), "--process", "model", "--save", str(save)]) == 0

@@ -136,6 +136,7 @@ def test_a_file_keeps_every_gain_to_its_thruster(names: tuple[str, ...], load: L
 
 
 # --- with logs ------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names", [ODD[0], *(pytest.param(n, marks=pytest.mark.slow) for n in ODD[1:])], ids=str
 )

@@ -77,6 +77,7 @@ def test_options_reach_the_plan(case: Path, capsys: Capture) -> None:
     assert "the commands were not written" in out
 
 
+@pytest.mark.slow
 def test_effects_are_told_apart(case: Path, capsys: Capture) -> None:
     words = ["plan", "usv.toml", "train.csv", *QUICK, "--between", "ocean_current,constant_force"]
     assert main([*words, "--picture", "plan.png", "--json", "plan.json"]) == 0

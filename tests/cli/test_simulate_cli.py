@@ -119,6 +119,7 @@ def test_a_log_of_an_exact_run_is_explained_by_its_own_model(here: Path) -> None
         assert channel["ahead_rms"] < 1e-9
 
 
+@pytest.mark.slow
 def test_pictures_of_three_controllers(here: Path, capsys: Capture) -> None:
     words = ["simulate", "mini-auv", "paper-pd", "paper-pid", "paper-smc", "--to", "-1,1,1", "--dt", "0.01"]
     assert main([*words, "--gate", "170deg", "--for", "30", "--figures", "pictures"]) == 0

@@ -47,6 +47,7 @@ def test_an_update_tells_what_an_edit_changes(folder: Path, capsys: Capture) -> 
     assert "0.4" in Path("build/mini-auv/src/mini_auv_vehicle.c").read_text()
 
 
+@pytest.mark.slow
 def test_a_second_update_finds_nothing_new(folder: Path, capsys: Capture) -> None:
     assert main(["update", "auv.toml", "--at", "u=0.3"]) == 0
     before = {p: p.read_bytes() for p in Path("build").rglob("*") if p.is_file()}
@@ -57,6 +58,7 @@ def test_a_second_update_finds_nothing_new(folder: Path, capsys: Capture) -> Non
     assert '"at": [\n  "u=0.3"\n ]' in Path("build/mini-auv/update.json").read_text()
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_added_is_told(folder: Path, capsys: Capture) -> None:
     assert main(["update", "auv.toml"]) == 0
     _edit(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.codegen.support import BUNDLED, assert_close, functions_of, random_point
-from tests.quick import first_quick
+from tests.quick import quick_if
 from undertow.codegen import Compiled
 from undertow.codegen.compiler import Compiler, Evaluator
 
@@ -20,7 +20,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"], len(BUNDLED)))
+@pytest.mark.parametrize("name", quick_if(("cybership2", "mini-auv").__contains__, [*BUNDLED, "full"]))
 def test_compiled_functions_equal_the_virtual_machine(name: str, c_compiler: Compiler) -> None:
     functions = functions_of(name)
     compiled = Compiled(functions, compiled=True)

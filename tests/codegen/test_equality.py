@@ -10,6 +10,7 @@ from tests.codegen.support import (
     BUNDLED,
     DIGITS,
     EFFECTS,
+    SPREAD,
     Point,
     assert_close,
     derivative,
@@ -19,7 +20,7 @@ from tests.codegen.support import (
     random_point,
     reference_of,
 )
-from tests.quick import first_quick
+from tests.quick import first_quick, quick_if
 
 STATE, _, INPUT, PARAMETER = range(4)
 VEHICLES = [*BUNDLED, *EFFECTS]
@@ -34,6 +35,9 @@ def _digits():
 @pytest.fixture(params=VEHICLES)
 def name(request: pytest.FixtureRequest) -> str:
     return request.param
+
+
+DERIVED = quick_if([*BUNDLED, *SPREAD].__contains__, VEHICLES)
 
 
 def _at(point: Point) -> tuple:
@@ -64,6 +68,7 @@ def test_regressor(name: str) -> None:
     assert_close(np.array(found), expected)
 
 
+@pytest.mark.parametrize("name", DERIVED)
 def test_jacobians(name: str) -> None:
     functions, point = functions_of(name), random_point(functions_of(name), 5)
     x_dot, *found = functions.jacobians(*_at(point))

@@ -16,6 +16,7 @@ from tests.codegen.support import (
     BUNDLED,
     DIGITS,
     EFFECTS,
+    SPREAD,
     Reference,
     assert_close,
     doubles,
@@ -24,6 +25,7 @@ from tests.codegen.support import (
     random_point,
     vehicle_with,
 )
+from tests.quick import first_quick, quick_if
 from undertow.codegen.functions import Functions
 from undertow.codegen.rewriting import Inertia, find_inertia, kirchhoff
 from undertow.model.effect import Wrench
@@ -78,14 +80,16 @@ def _assert_equal(functions: Functions, seed: int) -> None:
 # --- equality -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["bench", "full", *BUNDLED, *EFFECTS])
+@pytest.mark.parametrize(
+    "name", quick_if(["bench", "full", *BUNDLED, *SPREAD].__contains__, ["bench", "full", *BUNDLED, *EFFECTS])
+)
 def test_it_is_the_dynamics(name: str) -> None:
     for seed in (1, 2, 3):
         _assert_equal(_functions(name), seed)
 
 
 @pytest.mark.parametrize("dofs", SUBSETS, ids="-".join)
-@pytest.mark.parametrize("flow", ["ocean_current", "waves"])
+@pytest.mark.parametrize("flow", first_quick(["ocean_current", "waves"]))
 def test_it_is_the_dynamics_in_any_degrees_of_freedom(dofs: tuple[str, ...], flow: str) -> None:
     functions = Functions(vehicle_with(*CORIOLIS, flow, dofs=dofs))
     for seed in (1, 2):

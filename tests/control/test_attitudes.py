@@ -116,6 +116,7 @@ def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
     assert abs(found.worst["theta"]) == pytest.approx(np.pi / 3, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sideways", first_quick([60.0, 50.0]))
 def test_pd_on_six_degrees_of_freedom(sideways: float, tmp_path: Path) -> None:
     """With other gains to the side the heading matters, and is searched as well."""

@@ -115,7 +115,7 @@ def test_limits_of_the_gain_file_count_too() -> None:
     assert not judged(law(sinker(), allocation={"limits": {"f1": 5.0}})).ok
 
 
-@pytest.mark.parametrize("name", first_quick(sorted(GAINS), 2))
+@pytest.mark.parametrize("name", first_quick(sorted(GAINS)))
 def test_within_the_region_no_command_meets_its_limit(name: str) -> None:
     """Starts on the border of what is certified: commands stay below the bounds, and all come to rest."""
     gains = law(sinker(40.0), name)
@@ -160,7 +160,7 @@ def test_a_loop_that_cannot_be_judged_is_not_certified(effect: str, values: dict
     assert not report.ok
 
 
-@pytest.mark.parametrize(("bias", "ok"), first_quick([(0.05, True), (2.0, False), (-2.5, False)], 2))
+@pytest.mark.parametrize(("bias", "ok"), first_quick([(0.05, True), (2.0, False), (-2.5, False)]))
 def test_the_law_is_told_what_the_compass_reports(bias: float, ok: bool) -> None:
     """A heading reported b off turns the forces of x and y by b: unstable beyond a quarter turn."""
     gains = law(with_effect(sinker(), "attitude_bias", b_psi=bias))
@@ -190,7 +190,7 @@ def test_poles_turn_with_a_biased_compass() -> None:
             assert np.abs(poles - root).min() < 1e-6
 
 
-@pytest.mark.parametrize(("late", "ok"), [(0.05, True), (6.0, False)])
+@pytest.mark.parametrize(("late", "ok"), first_quick([(0.05, True), (6.0, False)]))
 def test_late_reports_are_in_the_whole_loop(late: float, ok: bool) -> None:
     vehicle = with_effect(sinker(), "sensor_delay", velocity_delay=late)
     gains = law(
@@ -201,6 +201,7 @@ def test_late_reports_are_in_the_whole_loop(late: float, ok: bool) -> None:
     assert report.whole.stable == report.ok == ok
 
 
+@pytest.mark.slow
 def test_a_dead_band_at_rest_is_no_stable_loop() -> None:
     """Within the dead band nothing closes the loop of surge: a pole at zero is not a stable one."""
     report = judged(law(with_effect(sinker(), "thruster_deadband", deadband_width=0.5)))

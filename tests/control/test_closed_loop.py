@@ -35,7 +35,7 @@ ROWS = {
 }
 
 
-@pytest.mark.parametrize("gains", ROWS)
+@pytest.mark.parametrize("gains", first_quick(ROWS))
 def test_the_paper_s_run(gains: str) -> None:
     gate, settling, overshoot, final = ROWS[gains]
     result = run(gains, moving=CREEPING).result
@@ -105,6 +105,7 @@ def test_integrals_that_start_at_once_overshoot_more() -> None:
 
 
 # --- the sign, sampled ---------------------------------------------------------------------------
+@pytest.mark.slow
 def test_sliding_mode_nears_its_exact_solution_as_it_is_sampled_faster() -> None:
     """Reaching in |S| / K_Z = 14 s, then exponential; what the sampled sign leaves is within its bound."""
     choices = Choices(order="together", sway="actuated")

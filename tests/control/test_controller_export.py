@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.quick import first_quick
 from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import slug
@@ -83,11 +84,12 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", first_quick(LAWS, 3))
 def test_the_step_in_c_is_that_of_python(law: str, compiler: Compiler, tmp_path: Path) -> None:
     assert_same(auv(law), compiler, tmp_path)
 
 
+@pytest.mark.slow
 def test_six_degrees_of_freedom_and_eight_thrusters(compiler: Compiler, tmp_path: Path) -> None:
     limits = {f"f{i}": 5.0 for i in range(1, 9)}
     gains = gains_from_table(table("pid", allocation={"limits": limits}), load_vehicle("bluerov2"))

@@ -124,6 +124,7 @@ def test_lqg_refuses_what_it_cannot_hold(auv: Vehicle) -> None:
 
 
 # --- families -------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_members_of_a_family_have_the_dead_time_and_the_observer_of_the_loop(
     auv: Vehicle, tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from tests.quick import first_quick
 from undertow.codegen import Functions, Simulator
 from undertow.control import (
     as_controller,
@@ -139,7 +140,7 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("case", MOTIONS)
+@pytest.mark.parametrize("case", first_quick(MOTIONS, 2))
 def test_slopes_are_those_of_the_simulation(case: str) -> None:
     """A second of the nonlinear simulation, started a bit to either side, against exp(A t).
 
@@ -244,7 +245,7 @@ def test_a_law_keeps_what_the_trim_needs(auv: Vehicle) -> None:
     assert np.prod(surge) == pytest.approx(0.2 / 9.432838, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["paper-pd", "paper-pid"])
+@pytest.mark.parametrize("name", first_quick(["paper-pd", "paper-pid"]))
 def test_the_loop_of_python_control_is_the_compiled_one(auv: Vehicle, name: str) -> None:
     """Sixty seconds of the continuous law, with one set of parameters so that the equations are smooth."""
     vehicle = in_direction(auv, {"u": 1, "w": 1})
@@ -327,6 +328,7 @@ def test_minimal_leaves_out_what_cancels() -> None:
     assert minimal(system).poles() == pytest.approx([-1.0])
 
 
+@pytest.mark.slow
 def test_python_control_is_imported_late() -> None:
     code = "import undertow.control, sys; assert 'control' not in sys.modules; undertow.control.linearize"
     subprocess.run([sys.executable, "-c", code], check=True)

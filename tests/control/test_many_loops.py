@@ -34,7 +34,7 @@ def closed(gains: str, choices: Choices | None = None, *, compiled: bool = True)
     return (choices or Choices()).loop(gains, AUV, compiled=compiled)
 
 
-@pytest.mark.parametrize("gains", LAWS)
+@pytest.mark.parametrize("gains", first_quick(LAWS))
 def test_lanes_are_runs_one_by_one(gains: str, lanes: int) -> None:
     known = {n: v for n, v in GAINS.items() if n in closed(gains).parts.controller.gain_names}
     scenario, loops = Scenario(GOAL, 10.0, log_interval=0.5), closed(gains)

@@ -15,10 +15,13 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.quick import first_quick
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import slug
 from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario
 from undertow.control.conditions.problem import Problem
+
+# Private: C of the conditions, in a derivative that is worked out by differences.
 from undertow.control.conditions.tracking import _coriolis, check_mission, damping_corners
 from undertow.control.conditions.whole import certify
 from undertow.control.controller import Controller
@@ -157,7 +160,7 @@ def test_a_set_point_is_the_reference_that_stands_still(law: str) -> None:
     assert (moving - gains.law.force(gains.signals)).applyfunc(sm.expand).is_zero_matrix
 
 
-@pytest.mark.parametrize("law", ["pd", "pid", "sliding-mode-boundary-layer"])
+@pytest.mark.parametrize("law", first_quick(["pd", "pid", "sliding-mode-boundary-layer"]))
 def test_a_vehicle_that_begins_on_its_spline_stays_there(law: str) -> None:
     loop = ClosedLoop(ship(law), mission=mission("spline", SQUARE))
     record = loop.run(Scenario(duration=60.0, dt=0.01, continuous=True))
@@ -362,6 +365,7 @@ def _in_current(gains: GainSet):  # type: ignore[no-untyped-def]
     return Choices(current=(0.0, 0.3)).in_current(gains.plant.vehicle)
 
 
+@pytest.mark.slow
 def test_a_leg_is_certified_and_too_short_a_lookahead_is_not(remus: GainSet) -> None:
     good = check_mission(remus, on_leg(integral=0.1))
     assert good.ok
@@ -397,6 +401,7 @@ def _four_legs(observer: ObserverTable | None) -> Record:
     return loop.run(Scenario(duration=legs.lasts(gains.plant.vehicle.pose_names), dt=0.1))
 
 
+@pytest.mark.slow
 def test_a_mission_behind_an_observer_is_that_of_true_states() -> None:
     """Its states stand before those of the guidance: legs and the end have to be read behind them."""
     true = _four_legs(None).result.followed
@@ -409,6 +414,7 @@ def test_a_mission_behind_an_observer_is_that_of_true_states() -> None:
         assert (mine.rms, mine.largest) == pytest.approx((own.rms, own.largest), abs=0.01)
 
 
+@pytest.mark.slow
 def test_legs_in_a_current_are_followed_by_estimates_that_are_near_the_truth() -> None:
     record = _four_legs(_observer(0.02, V_N=3e-3, V_E=3e-3))
     assert record.followed is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import sympy as sm
 
+from tests.quick import quick_if
 from undertow.control.gains import bundled_gains, load_gains
 from undertow.control.laws import LAWS, LawSignals
 from undertow.control.plant import Plant
@@ -14,6 +15,7 @@ from undertow.model.symbols import symbol
 from undertow.model.vehicle import Value, Vehicle
 
 VEHICLES = sorted(bundled_vehicles())
+QUICK = ("box-hull", "cybership2", "kvlcc2", "mini-auv")  # one, three and four degrees of freedom; a rudder
 SIX = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
 
@@ -32,7 +34,7 @@ def as_stated(plant: Plant) -> sm.Matrix:
     return kept.xreplace({symbol(n): sm.Integer(0) for n in unsaid})
 
 
-@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("name", quick_if(QUICK.__contains__, VEHICLES))
 def test_matrices_add_up_to_the_effects(name: str) -> None:
     plant = Plant(load_vehicle(name))
     nu_dot = plant.vehicle.composition.nu_dot
@@ -43,7 +45,7 @@ def test_matrices_add_up_to_the_effects(name: str) -> None:
     assert max(abs(sm.N(e)) for e in difference) < sm.Float("1e-12")
 
 
-@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("name", quick_if(QUICK.__contains__, VEHICLES))
 def test_power_balances(name: str) -> None:
     """C is skew, and d(M_q)/dt - 2 C_q is skew in pose coordinates."""
     plant = Plant(load_vehicle(name))

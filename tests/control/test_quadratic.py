@@ -8,6 +8,7 @@ import sympy as sm
 
 from tests.control.test_certificates import law, sinker
 from tests.control.test_uncertain import STRONG, thick_water
+from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import Interval, enclose
@@ -63,7 +64,7 @@ def value(found: Region, states: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ki,ij,kj->k", z, found.quadratic.P, z))
 
 
-@pytest.mark.parametrize(("gains", "frame"), [(STRONG, "body"), (UNEQUAL, "earth")])
+@pytest.mark.parametrize(("gains", "frame"), first_quick([(STRONG, "body"), (UNEQUAL, "earth")]))
 def test_v_falls_along_the_model_from_every_state_below_its_level(
     gains: dict[str, float], frame: str
 ) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from tests.cli.bad import refusal
 from tests.control.loops import AUV, loop
+from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.cli.main import main
 from undertow.codegen import Functions, Simulator
@@ -189,7 +190,7 @@ def test_what_cannot_be_sampled_is_refused(
     assert said in refusal(["linearize", "mini-auv", *words], capsys, tmp_path)
 
 
-@pytest.mark.parametrize("kind", ["poles", "step", "root-locus"])
+@pytest.mark.parametrize("kind", first_quick(["poles", "step", "root-locus"]))
 def test_pictures_of_the_sampled_form_are_written(kind: str, tmp_path: Path) -> None:
     target = tmp_path / "a.png"
     words = ["linearize", "mini-auv", "--gains", "paper-pd", "--dt", "0.3", "--plot", kind]

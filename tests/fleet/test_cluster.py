@@ -15,6 +15,7 @@ import pytest
 
 from benchmarks.trust.cases import Planned
 from benchmarks.trust.run import records, run
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.fleet.diagnose import Store, diagnose
 from undertow.fleet.engine import DaskEngine, Failure, InProcess, Waiting, engine
@@ -120,7 +121,7 @@ def test_a_second_cluster_of_this_machine_is_not_in_the_way(cluster: DaskEngine)
         assert list(other.results(abs, [(-1,)])) == [(0, 1)]
 
 
-@pytest.mark.parametrize("address", ["nonsense", "nonsense:x", "", "tls://127.0.0.1:9"])
+@pytest.mark.parametrize("address", first_quick(["nonsense", "nonsense:x", "", "tls://127.0.0.1:9"], 2))
 def test_what_is_no_address_is_refused_once_and_for_all(
     address: str, cluster: DaskEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:

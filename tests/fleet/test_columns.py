@@ -123,6 +123,7 @@ def test_a_vehicle_with_nothing_to_estimate_is_refused(fleet: Path, tmp_path: Pa
         with_fingerprint(Job(str(fleet / "craft.toml"), daily=("currant",)))
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_vehicle_file_refuses(fleet: Path, tmp_path: Path) -> None:
     job = with_fingerprint(Job(str(fleet / "craft.toml")))[0]
     other = tmp_path / "craft.toml"

@@ -67,6 +67,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_counts(small: Path, capsys: C
     assert str(days[0]) in Path("report/report.md").read_text()
 
 
+@pytest.mark.slow
 def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -> None:
     (small / "own").mkdir()
     shutil.copy("craft.toml", "own/bravo.toml")

@@ -66,6 +66,7 @@ def test_an_edited_actuation_or_sensor_is_another_model(fleet: Path, tmp_path: P
     assert len(set(contents)) == 3
 
 
+@pytest.mark.slow
 def test_another_prior_is_another_result(fleet: Path, tmp_path: Path) -> None:
     other, text = tmp_path / "craft.toml", (fleet / "craft.toml").read_text()
     found = {with_fingerprint(Job(str(fleet / "craft.toml")))[0].fingerprint}

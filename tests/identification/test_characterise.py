@@ -97,6 +97,7 @@ def test_what_is_right_stays_right_although_all_accelerations_are_coupled(effect
     assert left["yaw"].normalised_error < 1.15
 
 
+@pytest.mark.slow
 def test_a_force_that_follows_two_commands() -> None:
     _, left = _left(*COMMANDS)
     told = left["surge"].depends_on[0]

@@ -268,6 +268,7 @@ def test_what_windows_inherit_is_that_of_these_parameters_whatever_was_asked_bef
         assert fresh is None or np.array_equal(found[0], fresh[0])
 
 
+@pytest.mark.slow
 def test_the_slope_of_what_windows_inherit_is_found_from_close_by() -> None:
     """Searched from the states of parameters close by, it is that between two searches from rest."""
     case = make_case("usv", ("thruster_lag",), 2, duration=20.0, runs=("steps",))

@@ -12,6 +12,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of, with_effect
 from tests.identification.surge import surge_run, surge_vehicle
+from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.errors import UndertowError
@@ -244,7 +245,7 @@ def test_damping_takes_energy_where_that_is_asked_for() -> None:
 # --- equality ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["weak", "output error"])
+@pytest.mark.parametrize("method", first_quick(["weak", "output error"]))
 def test_an_equality_holds_exactly_and_lowers_the_error(method: str) -> None:
     case = make_case("usv", (), 4, duration=30.0, runs=("steps",))
     vehicle, runs = vehicle_of(case), runs_of(case)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.candidates import Candidate, candidates
@@ -44,7 +45,8 @@ def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, 
 @pytest.mark.parametrize(
     ("vehicle", "effect", "seed", "known"),
     [
-        ("usv", "lift", 11, _DRAGS),
+        ("usv", "lift", 11, _FEW),
+        pytest.param("usv", "lift", 11, _DRAGS, marks=pytest.mark.slow),
         pytest.param("mini-auv", "thruster_deadband", 12, None, marks=pytest.mark.slow),
         pytest.param("usv", "ocean_current", 13, None, marks=pytest.mark.slow),
     ],
@@ -66,17 +68,21 @@ def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "effects"),
-    [
-        ("usv", ("wrong_drag",)),
-        pytest.param("usv", (), marks=pytest.mark.slow),
-        pytest.param("mini-auv", (), marks=pytest.mark.slow),
-    ],
+    ("vehicle", "effects", "known"),
+    first_quick(
+        [
+            ("usv", ("wrong_drag",), _FEW),
+            ("usv", ("wrong_drag",), None),
+            ("usv", (), None),
+            ("mini-auv", (), None),
+        ]
+    ),
 )
 def test_nothing_is_named_where_nothing_is_missing(
-    vehicle: str, effects: tuple[str, ...], tmp_path: Path
+    vehicle: str, effects: tuple[str, ...], known: Catalogue | None, tmp_path: Path
 ) -> None:
-    d = _diagnosed(tmp_path, vehicle, effects, 21, duration=60.0).diagnosis
+    _, model, runs = _loaded(tmp_path, vehicle, effects, 21, duration=60.0)
+    d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict == "adequate"
     assert d.effects == []
     assert not any(r.significant for r in d.ranking)
@@ -91,9 +97,10 @@ def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
     assert d.steps[-1].error < 1.2
 
 
-def test_an_effect_that_no_catalogue_has_is_not_given_a_name(tmp_path: Path) -> None:
+@pytest.mark.parametrize("known", first_quick([_FEW, _DRAGS]), ids=["few", "drags"])
+def test_an_effect_that_no_catalogue_has_is_not_given_a_name(known: Catalogue, tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("growing_drag",), 31, duration=60.0)
-    d = diagnose(model, runs[:3], runs[3:], known=_DRAGS).diagnosis
+    d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict == "unexplained"
     assert d.effects == []
     assert d.steps[0].error > 1.5

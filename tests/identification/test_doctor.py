@@ -349,7 +349,7 @@ def test_commands_on_a_clock_of_their_own(auv: Case) -> None:
 
 @pytest.mark.parametrize("left_out", first_quick(["y", "x", "x psi"]))
 @pytest.mark.parametrize(
-    "frames", [{}, {"position": "ENU", "attitude": "ENU"}, {"body": "FLU", "attitude": "NED"}]
+    "frames", first_quick([{}, {"position": "ENU", "attitude": "ENU"}, {"body": "FLU", "attitude": "NED"}])
 )
 def test_a_mistake_that_a_log_has_not_the_channels_for_is_not_tried(
     left_out: str, frames: dict[str, str], usv: Case, read: Callable[..., Run]
@@ -373,7 +373,7 @@ def test_a_channel_in_the_place_of_another_is_no_reason_to_stop(usv: Case, read:
     assert found.result.findings
 
 
-@pytest.mark.parametrize("roll", [0.4, 0.6])
+@pytest.mark.parametrize("roll", first_quick([0.4, 0.6]))
 def test_what_a_zero_would_mend_as_well_is_no_other_unit(roll: float) -> None:
     """A tilted compass lets sway leak into heave and turns the track: v in km/h would hide the first only."""
     case = make_case("mini-auv", (), 6, duration=60.0, runs=("steps",))

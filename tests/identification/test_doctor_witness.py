@@ -100,7 +100,7 @@ def test_steps_of_a_turn_among_large_ones_are_no_jumps() -> None:
 
 
 # --- a log that is no witness ----------------------------------------------------------------------------
-@pytest.mark.parametrize(("unit", "seconds"), [("ms", 1e-3), ("us", 1e-6)])
+@pytest.mark.parametrize(("unit", "seconds"), first_quick([("ms", 1e-3), ("us", 1e-6)]))
 def test_times_in_another_unit_are_mended_and_blamed_for_nothing_else(
     auv: Case, examined: Callable[..., Examined], unit: str, seconds: float
 ) -> None:
@@ -171,7 +171,7 @@ def _two_runs() -> Case:
 
 @pytest.mark.parametrize(
     ("factor", "found"),
-    quick_if(lambda case: case[0] in (0.8, 0.95), [(0.7, True), (0.8, True), (0.95, False), (1.05, False)]),
+    quick_if(lambda case: case[0] == 0.8, [(0.7, True), (0.8, True), (0.95, False), (1.05, False)]),
 )
 def test_a_dry_mass_shows_in_added_masses_that_are_known_to_fifteen_per_cent(
     factor: float, found: bool

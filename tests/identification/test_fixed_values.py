@@ -119,6 +119,7 @@ def test_a_right_fixed_value_stays_where_it_is_and_takes_no_effect_away() -> Non
     assert (found.verdict, found.effects, found.freed) == ("missing_effect", ["thruster_lag"], [])
 
 
+@pytest.mark.slow
 def test_fixed_values_that_fit_are_left_alone() -> None:
     found = _diagnosed((), (("Y_v", 1.0), ("N_r", 1.0))).diagnosis
     assert (found.verdict, found.freed) == ("adequate", [])

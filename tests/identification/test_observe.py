@@ -53,6 +53,7 @@ def test_reports_stand_at_the_time_when_they_were_true() -> None:
     assert np.isnan(given.y[rows[0], 4]) or given.y[rows[0], 4] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_kinematics_is_honest_where_the_model_leans_towards_itself() -> None:
     """A tenth of the buoyancy is missing in the model, and no velocity is measured."""
     right = auv()
@@ -69,6 +70,7 @@ def test_kinematics_is_honest_where_the_model_leans_towards_itself() -> None:
     assert np.sqrt(np.mean(pulls["model"] ** 2)) > 4
 
 
+@pytest.mark.slow
 def test_the_noise_that_drives_the_motion_is_found() -> None:
     run, _, _ = log(auv(), 60.0, 4, {"x": 1, "y": 1, "z": 1, "psi": 1, "u": 1, "v": 1, "w": 1, "r": 1})
     found = observe(auv(), run, process="model", method="ekf")

@@ -37,6 +37,7 @@ def claimed(fits: list[Fitted]) -> np.ndarray:
     return np.median([list(f.standard_errors.values()) for f in fits], axis=0)
 
 
+@pytest.mark.slow
 def test_robust_losses_hold_output_error_where_squares_do_not() -> None:
     runs = [surge_run(0.02, seed) for seed in range(DRAWS)]
     bad = [spoilt(run, seed) for seed, run in enumerate(runs)]

@@ -19,6 +19,7 @@ from undertow.identification.estimation.fitted import correlation, cramer_rao, r
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
 
 # Private: sums as large as these come from no simulation that is worth a test.
+# Private: sums with a column of rounding, which no log here has.
 from undertow.identification.estimation.shooting import Shooting, _condensed, eliminated
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.estimation.windows import cut
@@ -49,6 +50,7 @@ def test_without_noise_the_truth_is_found(horizon: float | None) -> None:
         assert fit.values[name] == pytest.approx(-value, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_errors_at_two_per_cent_noise_are_near_the_bound() -> None:
     vehicle = surge_vehicle()
     truth = -np.array(list(TRUTH.values()))
@@ -66,6 +68,7 @@ def test_errors_at_two_per_cent_noise_are_near_the_bound() -> None:
         np.testing.assert_allclose(rmse, reference, rtol=0.35)
 
 
+@pytest.mark.slow
 def test_claimed_errors_are_the_ones_that_are_made() -> None:
     fits = [fit_output_error(surge_vehicle(), [surge_run(0.02, 100 + s)], horizon=None) for s in range(12)]
     claimed = np.median([list(f.standard_errors.values()) for f in fits], axis=0)
@@ -169,6 +172,7 @@ def test_sums_beyond_all_numbers_count_as_diverged() -> None:
     assert np.all(np.isfinite(found.r))
 
 
+@pytest.mark.slow
 def test_a_window_that_runs_away_from_a_wrong_start_finds_the_right_one() -> None:
     """A torpedo-shaped hull turns away from its course by itself: the error of a start grows."""
     case = make_case("mini-auv", (), 15967740, closed_loop=True)
@@ -265,6 +269,7 @@ def test_a_lever_arm_is_found_by_what_the_sensor_reports() -> None:
         assert fit.values[name] == pytest.approx(true[name], abs=4 * fit.standard_errors[name])
 
 
+@pytest.mark.slow
 def test_starts_of_long_windows_without_velocities_are_found() -> None:
     """What a pose says of the velocity at one sample makes a nimble vehicle run away within 20 s."""
     case = make_case("micro-auv", (), 91071820, duration=60.0)

@@ -93,6 +93,7 @@ def test_near_the_surface_a_sphere_carries_less_at_high_frequency() -> None:
     np.testing.assert_allclose(np.diag(deep)[:3], half, rtol=0.02)
 
 
+@pytest.mark.slow
 @needs_capytaine
 def test_radiation_damping_of_a_small_deep_sphere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Haskind's relation with the long-wave force (1 + 1/2) rho V times the acceleration of the water."""

@@ -78,7 +78,7 @@ def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
     write_case(make_case("usv", ("lift",), 11, duration=30.0), tmp_path)
     model = load_vehicle(tmp_path / "vehicle.toml")
     runs = [read_log(tmp_path / f"{n}.csv", channels=model.command_names) for n in ("train_1", "holdout")]
-    known, answers = {i: catalogue()[i] for i in ("lift", "constant_force", "thruster_lag")}, []
+    known, answers = {i: catalogue()[i] for i in ("lift", "constant_force")}, []
     for number in ("1", "2"):
         monkeypatch.setenv("UNDERTOW_JOBS", number)
         answers.append(

@@ -71,7 +71,7 @@ def _assert_found(found: Fitted) -> None:
 # --- estimation -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["weak", "output-error"])
+@pytest.mark.parametrize("method", first_quick(["weak", "output-error"]))
 def test_a_current_of_its_own_is_found_for_every_run(method: str) -> None:
     case = _case(3, noise=2.0)
     runs = _dives(case, {n: CURRENTS[n] for n in ("steps", "cruise", "multisine")})
@@ -95,6 +95,7 @@ def test_prediction_error_has_values_by_run_too() -> None:
     _assert_found(Estimator(method="prediction-error").fit(_vehicle(_case(4)), runs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_quick(range(5, 11)))
 def test_runs_in_the_same_current_share_one_value(seed: int) -> None:
     runs = _dives(_case(seed), dict.fromkeys(("steps", "cruise", "multisine"), (0.15, -0.1)))
@@ -118,6 +119,7 @@ def test_the_file_may_ask_for_values_by_run_and_deny_them() -> None:
     assert not fit_weak_by_run(vehicle.with_values(denied), prepare(differing, vehicle)).between_runs
 
 
+@pytest.mark.slow
 def test_a_payload_of_every_dive_keeps_its_mass_positive() -> None:
     vehicle = load_vehicle("cybership2")
     own = replace(vehicle.value_of("X_udot"), per_run=True)
@@ -226,6 +228,7 @@ STRUCTURAL = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "size", "effect", "values"), first_quick(STRUCTURAL))
 def test_values_by_run_do_not_absorb_what_a_structural_effect_explains(
     name: str, size: float, effect: str, values: dict[str, float]

@@ -30,6 +30,7 @@ def logged(seed: int, kind: str) -> Run:
     return simulated(steps(SAMPLES, seed, size=2.0), noise, disturbance=lambda i, u: push[i])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "gain"), first_quick([("walk", 4.0), ("white", 1.2)]))
 def test_a_disturbance_is_told_from_what_the_parameters_do(kind: str, gain: float) -> None:
     off, claimed, others, fits = [], [], [], []

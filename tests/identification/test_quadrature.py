@@ -47,7 +47,7 @@ def _squares(vehicle: str, effect: str, *, closed_loop: bool = False) -> np.ndar
     return mean_square(whitened(weak.linearise(data, p), weak.whitening(data, p)).r, data)
 
 
-@pytest.mark.parametrize("closed_loop", [False, True])
+@pytest.mark.parametrize("closed_loop", first_quick([False, True]))
 @pytest.mark.parametrize("vehicle", first_quick(["usv", "rov"]))
 def test_the_error_of_quadrature_is_far_below_a_faint_noise(vehicle: str, closed_loop: bool) -> None:
     assert np.max(_squares(vehicle, "", closed_loop=closed_loop)) < 0.02

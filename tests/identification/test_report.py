@@ -12,6 +12,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from tests.quick import first_quick
 from undertow.cli.identification.diagnose import _content  # words for verdicts that no log here has
 from undertow.errors import UndertowError
 from undertow.figures import plain, save_png, svg, unit_text, with_unit
@@ -211,7 +212,7 @@ def _words(html: str) -> str:
 
 
 # --- the page ---------------------------------------------------------------------------------
-@pytest.mark.parametrize("verdict", get_args(Verdict))
+@pytest.mark.parametrize("verdict", first_quick(get_args(Verdict), 2))
 def test_every_verdict_has_its_page(verdict: Verdict) -> None:
     page = _Page(render_report(_diagnosis(verdict), _data(runs=0)))
     assert not page.open
@@ -314,6 +315,7 @@ def test_one_model_alone_has_one_map_and_one_simulation() -> None:
     assert alone.after not in page.svg_text
 
 
+@pytest.mark.slow
 def test_a_page_of_many_long_runs_stays_small() -> None:
     names = ("u", "v", "w", "p", "q", "r", "x", "y", "z", "phi", "theta", "psi")
     rng = np.random.default_rng(1)

@@ -49,6 +49,7 @@ def test_gaps_cost_information_and_nothing_else(method: str) -> None:
 # --- coloured noise ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", first_quick(["weak", "output error"]))
 def test_errors_are_honest_in_coloured_noise(method: str) -> None:
     off, naive = [], []

@@ -47,6 +47,7 @@ def _with_arm(share: float) -> Vehicle:
     return _ship().with_values({"S_z": replace(value, value=share * value.value)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", first_quick([0.4, 0.8, 0.6]))
 def test_a_righting_arm_too_short_in_the_file_is_found_and_no_memory_of_the_water(share: float) -> None:
     found = diagnose(_with_arm(share), [_decay(0.15, 1), _decay(0.1, 2)], [_decay(0.12, 3)]).diagnosis

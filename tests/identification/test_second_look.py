@@ -56,6 +56,7 @@ def test_a_bench_without_disturbance_weighs_by_the_noise_of_the_sensors() -> Non
     assert np.allclose(bare.noise_level, 1.0, atol=0.2)
 
 
+@pytest.mark.slow
 def test_the_steady_force_is_found_at_its_size() -> None:
     vehicle, bench, truth = _bench()
     found = search(vehicle, bench.train, bench.test, _FORCES, residual_is_noise=only_noise)

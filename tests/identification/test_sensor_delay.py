@@ -150,6 +150,7 @@ def test_rows_that_reach_beyond_the_last_true_value_count_for_nothing() -> None:
     assert np.all(white.r[: part.known])
 
 
+@pytest.mark.slow
 def test_a_long_delay_gains_nothing_by_the_rows_that_it_loses() -> None:
     """On pieces of 3 s a delay of 0.7 s loses a third of the test functions; noise stays what it is."""
     rng = np.random.default_rng(5)
@@ -213,6 +214,7 @@ def test_a_delay_is_found_by_output_error() -> None:
     assert fit.standard_errors["velocity_delay"] < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_quick([1, 8]))
 def test_a_complete_model_gains_nothing_by_a_delay(seed: int) -> None:
     """Smoothing looks like an improvement to equation errors; here there is none to be had."""

@@ -204,7 +204,7 @@ def _errors_in_sigmas(fit: object) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("how", first_quick(["weak", "output", "prediction"], 2))
+@pytest.mark.parametrize("how", first_quick(["weak", "output", "prediction"]))
 def test_the_truth_is_found_within_its_intervals(how: str, union: list[Run], dense: list[Run]) -> None:
     """As well as from a dense log, which has many more reports."""
     vehicle = _with_current()
@@ -256,6 +256,7 @@ def late(dives: list[Dive], tmp_path_factory: pytest.TempPathFactory) -> list[Pa
     ]
 
 
+@pytest.mark.slow
 def test_a_late_position_is_found_and_mended(late: list[Path]) -> None:
     examined = examine(truth(), [_read(path) for path in late[:2]])
     (found,) = [f for f in examined.result.findings if f.id == "late_pose"]

@@ -10,6 +10,7 @@ from undertow.identification.diagnosis.result import Indistinguishable, how_sure
 from undertow.identification.diagnosis.settings import DEFAULT
 
 # Private: by its input each of these rules would take a search of its own.
+# Private: sentences for remainders and winners that no log here has.
 from undertow.identification.diagnosis.verdict import Remainder, _doubt, _named
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]

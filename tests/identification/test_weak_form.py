@@ -11,6 +11,7 @@ import pytest
 from benchmarks.hidden_effects import make_case, write_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
+from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import prepare, white_noise
 from undertow.identification.estimation.inputs import shifted_mean
@@ -151,7 +152,7 @@ def test_derivative_in_the_delay(delay: float, ship: tuple[Vehicle, list[Run]]) 
     np.testing.assert_allclose(weak.linearise(data, p)[0].J[:, 0], difference, atol=1e-9)
 
 
-@pytest.mark.parametrize(("vehicle", "seed"), [("usv", 3), ("mini-auv", 4)])
+@pytest.mark.parametrize(("vehicle", "seed"), first_quick([("usv", 3), ("mini-auv", 4)]))
 def test_a_complete_model_leaves_white_noise_and_true_parameters(
     vehicle: str, seed: int, tmp_path: Path
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue, load_effects, merge
-from undertow.model.contract import check_effect, positive_semidefinite
+from undertow.model.contract import ContractCheck, check_effect, positive_semidefinite
 from undertow.model.effect import Effect
 from undertow.model.parameter import logged
 from undertow.model.units import dimension, dimension_of, require_unit, short_unit, unit_text
@@ -28,9 +29,14 @@ EVERY |= {"shape", "symbols", "parameters", "units", "zero", "linearity"}
 
 
 # --- the catalogue ------------------------------------------------------------------------------
+@cache
+def _findings(effect_id: str) -> tuple[ContractCheck, ...]:
+    return tuple(check_effect(catalogue()[effect_id]))
+
+
 @pytest.mark.parametrize("effect_id", sorted(catalogue()))
 def test_effect_keeps_the_contract(effect_id: str) -> None:
-    findings = check_effect(catalogue()[effect_id])
+    findings = _findings(effect_id)
     assert [f.message for f in findings if not f.ok] == []
     assert {f.check for f in findings} >= EVERY
 
@@ -74,7 +80,7 @@ def test_catalogue_has_the_effects_of_the_first_version() -> None:
 )
 def test_laws_are_tried_where_they_apply(check: str, effects: set[str]) -> None:
     for effect_id in effects:
-        assert check in {f.check for f in check_effect(catalogue()[effect_id])}
+        assert check in {f.check for f in _findings(effect_id)}
 
 
 # --- effects of a user, good and bad --------------------------------------------------------------

@@ -12,6 +12,7 @@ import pytest
 import sympy as sm
 from numpy.typing import NDArray
 
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import statement_of
@@ -240,7 +241,7 @@ def test_bundled_vehicles_have_positive_definite_inertia(name: str) -> None:
         assert np.linalg.eigvalsh(rows).min() > 0
 
 
-@pytest.mark.parametrize("name", sorted(bundled_vehicles()))
+@pytest.mark.parametrize("name", first_quick(sorted(bundled_vehicles()), 4))
 def test_bundled_vehicles_balance_their_power(name: str) -> None:
     """What the effects do to the vehicle in 0.2 s is what its kinetic energy gains."""
     vehicle = load_vehicle(name)
@@ -378,6 +379,7 @@ def test_the_residual_is_linear_in_its_linear_parameters() -> None:
     assert difference.is_zero_matrix
 
 
+@pytest.mark.slow
 def test_jacobian_of_the_forcing_against_differences() -> None:
     vehicle = vehicle_with(any_values(*STILL) | BODY, *STILL)
     body, step = Numbers(vehicle), 1e-6

@@ -120,6 +120,7 @@ def test_the_log_page_shows_every_channel_and_takes_stretches(place: Workspace) 
     _played_on(place, story)
 
 
+@pytest.mark.slow
 def test_where_it_fails_shows_the_worst_cell_and_any_other(place: Workspace) -> None:
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}&page=fails")
@@ -141,6 +142,7 @@ def test_where_it_fails_shows_the_worst_cell_and_any_other(place: Workspace) -> 
     _played_on(place, story)
 
 
+@pytest.mark.slow
 def test_what_is_missing_lists_candidates_and_draws_the_one_pointed_at(place: Workspace) -> None:
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}&page=missing")
@@ -226,7 +228,7 @@ def test_add_lets_the_waterfall_fall_and_undo_takes_it_back(place: Workspace) ->
 
 def _markers(user: User) -> set[str]:
     with user:
-        return {m for e in ui.context.client.elements.values() for m in e._markers}
+        return {m for e in ui.context.client.elements.values() for m in e._markers}  # NiceGUI's
 
 
 @pytest.mark.slow
@@ -250,6 +252,7 @@ def test_parameters_are_shown_with_their_doubts_and_edited(place: Workspace) -> 
     _played_on(place, story)
 
 
+@pytest.mark.slow
 def test_out_gives_the_command_lines(place: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(place.folder.parent)
     place.session.steps.append(ModelStep(what="with lift", file="", effect="lift", command="add lift"))

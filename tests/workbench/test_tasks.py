@@ -101,6 +101,7 @@ def test_simulations_go_with_the_measurement(worked_out: Workspace) -> None:
     assert misses(with_current) < 0.3 * misses(found["traces"][horizon])
 
 
+@pytest.mark.slow
 def test_add_makes_the_file_that_the_command_makes(
     place: Workspace, job: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,6 +132,7 @@ def test_the_second_word_puts_it_in(job: Make) -> None:
     assert forced["step"]["file"] == "model-1.toml"
 
 
+@pytest.mark.slow
 def test_a_refit_says_what_the_logs_determine(place: Workspace, job: Make) -> None:
     found = tasks.fit(job())
     table = np.array(found["correlation"])
@@ -179,6 +181,7 @@ def test_stretches_are_written_as_logs_of_their_own(place: Workspace, job: Make)
     assert part.sigma == {"u": pytest.approx(0.01)}
 
 
+@pytest.mark.slow
 def test_stretches_of_one_log_may_train_and_judge(place: Workspace, job: Make) -> None:
     place.session.logs = place.session.logs[:1]
     place.session.logs[0].stretches.append(Stretch(start=40.0, end=60.0, role="judge"))
@@ -236,7 +239,7 @@ def test_work_is_done_in_another_process_and_can_be_cancelled(tmp_path: Path) ->
         assert bench.failure == ""
         assert [s.what for s in bench.session.steps] == ["as given", "X_u = -1 estimated"]
         bench.start("diagnose")
-        process = bench.worker._process
+        process = bench.worker._process  # private: whether it is gone
         assert process.pid != 0
         bench.start("compare")
         assert "is still going on" in bench.failure

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -111,14 +112,7 @@ class Curve:
 
     def thrust(self, command: sm.Expr) -> sm.Expr:
         """Thrust at a command, N: what every piece adds up to there."""
-        total = sm.Float(self.start)
-        for begin, end, coefficients in self.pieces:
-            beyond = sm.Max(sm.Float(begin), sm.Min(command, sm.Float(end))) - sm.Float(begin)
-            powers = sm.Integer(0)
-            for c in reversed(coefficients):
-                powers = (powers + sm.Float(c)) * beyond
-            total += powers
-        return total
+        return _thrust(self, command)
 
     def at(self, command: float) -> float:
         """The same for a number."""
@@ -143,6 +137,19 @@ class Curve:
             middle = (low + high) / 2
             low, high = (low, middle) if self.at(middle) >= thrust else (middle, high)
         return (low + high) / 2
+
+
+@lru_cache(maxsize=64)
+def _thrust(curve: Curve, command: sm.Expr) -> sm.Expr:
+    """Kept, as SymPy orders the ends of every piece anew, and several effects ask for the same thrust."""
+    total = sm.Float(curve.start)
+    for begin, end, coefficients in curve.pieces:
+        beyond = sm.Max(sm.Float(begin), sm.Min(command, sm.Float(end))) - sm.Float(begin)
+        powers = sm.Integer(0)
+        for c in reversed(coefficients):
+            powers = (powers + sm.Float(c)) * beyond
+        total += powers
+    return total
 
 
 # Commands at which a curve is tried for a fall, the share of its rise that is rounding, and halvings of the

@@ -27,6 +27,7 @@ from tests.identification.logs.ardusub import (
 )
 from tests.identification.logs.dive import FULL, dive
 from tests.identification.logs.field import FIELD
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.ardupilot import vehicle_text
 from undertow.identification.logs.formats.fieldlog import FieldLog
@@ -284,7 +285,7 @@ def test_a_frame_that_is_not_known_is_refused(log: FieldLog, frame: float, told:
         vehicle_text(other, "made")
 
 
-@pytest.mark.parametrize("number", sorted(FRAMES))
+@pytest.mark.parametrize("number", first_quick(sorted(FRAMES), 2))
 def test_thrusters_of_a_frame_do_what_its_firmware_means_them_to(
     log: FieldLog, tmp_path: Path, number: int
 ) -> None:

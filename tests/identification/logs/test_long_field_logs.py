@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 from tests.identification.logs.ardusub import DIVES, vehicle_for, write_bin
+from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.chunks import LongLog, long_logs
@@ -68,7 +69,7 @@ def test_read_in_parts_it_is_what_it_is_as_a_whole(place: Path, vehicle: Vehicle
     assert (parts[0].reader_notes == whole[0].reader_notes) == (name == "dive.bin")
 
 
-@pytest.mark.parametrize("name", ["dive.bin", "dive.parquet"])
+@pytest.mark.parametrize("name", first_quick(["dive.bin", "dive.parquet"]))
 def test_chosen_stretches_lie_on_one_side_of_a_reset(place: Path, vehicle: Vehicle, name: str) -> None:
     logs = _logs(place, vehicle, name)
     assert too_long(logs, 1000)
@@ -97,6 +98,7 @@ def test_numbers_that_come_back_in_a_table_are_one_stretch(place: Path, tmp_path
         assert list(second.channels["u"]) == list(t[20:40])
 
 
+@pytest.mark.slow
 def test_a_log_too_long_for_a_fit_is_fitted_in_stretches(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -60,6 +60,7 @@ def test_frames_that_say_ned_and_frd_are_taken_so(tmp_path: Path) -> None:
     assert (run.mapping.frames.position, run.mapping.frames.body) == ("NED", "FRD")
 
 
+@pytest.mark.slow
 def test_a_twist_along_the_axes_of_the_world_is_found_by_the_doctor(tmp_path: Path) -> None:
     path, vehicle = bag(tmp_path / "dive.mcap", dive(), world=True), load_vehicle("bluerov2")
     found = examine(vehicle, read_logs([path], vehicle))
