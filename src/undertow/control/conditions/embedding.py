@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -157,11 +156,6 @@ class Corners:
     def cases(self) -> int:
         """How many cases of the signs there are."""
         return len(self.rest.inverse.lo)
-
-    @property
-    def count(self) -> int:
-        """Corners of the box in all cases."""
-        return self.cases * math.prod(len(e.inverse.lo) // self.cases for e in self.ends)
 
 
 class Embedding:
