@@ -322,8 +322,9 @@ def _quadratic_value(gains: GainSet, report: Report, states: Array, place: Array
         R[np.ix_(shifts, shifts)] = J[np.ix_(shifts, shifts)]
         error, nu = -row[:n], row[n:]
         z = [R.T @ error, nu] if found.frame == "body" else [error, R @ nu]
-        own = np.concatenate([np.zeros(n), *z])[-len(found.P) :]
-        values.append(own @ found.P @ own)
+        P = found.at(float(np.broadcast_to(place, n)[-1]) if "psi" in plant.vehicle.pose_names else 0.0)
+        own = np.concatenate([np.zeros(n), *z])[-len(P) :]
+        values.append(own @ P @ own)
     return np.array(values)
 
 

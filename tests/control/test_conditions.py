@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -292,3 +293,49 @@ def test_routh_array() -> None:
         polynomial = list(np.poly(rng.normal(size=degree)))
         assert _sign_changes(polynomial) == sum(r.real > 0 for r in roots(polynomial))
     assert _sign_changes([1, 1, 2, 2, 3]) == 2  # a zero at the beginning of a row
+
+
+MIXED = """
+schema = "undertow/vehicle/1"
+name = "mixed signs"
+degrees_of_freedom = ["surge", "sway", "yaw"]
+signs = "sname"
+[effects.rigid_body]
+m = 1.0
+I_z = 1.0
+[effects.added_mass]
+X_udot = { forward = -0.20430777, backward = -13.98785491 }
+Y_vdot = { forward = -30.3711721, backward = -20.42131082 }
+N_rdot = -1.0
+[effects.linear_damping]
+X_u = { forward = -1.25828135, backward = -0.21674305 }
+Y_v = { forward = -8.92878855, backward = -1.0921851 }
+N_r = -2.0
+"""
+MIXED_GAINS = """
+schema = "undertow/gains/1"
+name = "mixed signs"
+law = "pid"
+[gains]
+K_P = { x = 20.98575117, y = 60.59404895, psi = 4.0 }
+K_V = { x = 0.56771486, y = 23.25238354, psi = 4.0 }
+K_I = { x = 0.71280736, y = 57.63618638, psi = 0.4 }
+"""
+
+
+def test_axes_that_move_in_different_directions_have_poles_of_their_own(tmp_path: Path) -> None:
+    """Found by a search: stable all forward and all backward, not with surge ahead and sway astern."""
+    thrusters = "".join(
+        f'[[thrusters]]\nname = "{name}"\nwrench = {[float(i == axis) for i in range(6)]}\n'
+        for name, axis in (("a", 0), ("b", 1), ("c", 5))
+    )
+    (tmp_path / "v.toml").write_text(MIXED + thrusters)
+    (tmp_path / "g.toml").write_text(MIXED_GAINS)
+    report = certify(load_gains(tmp_path / "g.toml", load_vehicle(tmp_path / "v.toml")), forms=["derived"])
+    growth = {name: roots[0].real for name, roots in report.coupled.items()}
+    both = [g for name, g in growth.items() if name.startswith(("forward", "backward"))]
+    mixed = [g for name, g in growth.items() if name.startswith("u ")]
+    assert len(both) == 2
+    assert max(both) == pytest.approx(-0.00898, abs=1e-4)
+    assert max(mixed) == pytest.approx(0.0097, abs=1e-4)
+    assert not report.ok

@@ -49,7 +49,7 @@ def rates(problem: Problem, way: dict[sm.Symbol, int], states: np.ndarray) -> np
 
 
 def value(found: Region, states: np.ndarray) -> np.ndarray:
-    """V by (heading, error, integral, nu): translations turn by the heading alone."""
+    """V by (heading, error, integral, nu): translations turn by the heading alone; P is the set-point's."""
     assert found.quadratic is not None
     psi, error, integral, nu = states[:, 0], states[:, 1:5], states[:, 5:9], states[:, 9:]
     turn = np.tile(np.eye(4), (len(psi), 1, 1))
@@ -61,7 +61,8 @@ def value(found: Region, states: np.ndarray) -> np.ndarray:
     else:
         parts = [integral, error, np.einsum("kij,kj->ki", turn, nu)]
     z = np.concatenate(parts, axis=1)
-    return np.asarray(np.einsum("ki,ij,kj->k", z, found.quadratic.P, z))
+    P = np.array([found.quadratic.at(goal) for goal in psi + error[:, 3]])
+    return np.asarray(np.einsum("ki,kij,kj->k", z, P, z))
 
 
 @pytest.mark.parametrize(("gains", "frame"), first_quick([(STRONG, "body"), (UNEQUAL, "earth")]))

@@ -85,20 +85,22 @@ def _channel(problem: Problem, one: SignSet, i: int, axis: int, name: str) -> Ch
 def coupled(problem: Problem) -> dict[str, list[complex]]:
     """Roots with all axes together, where M or D couple them or gains tell north from east.
 
-    Of all headings, where they matter, the one with the root that grows fastest.
+    Of all headings, where they matter, the one with the root that grows fastest. Velocities whose signs
+    differ have a set of their own, which is named where its root is beyond those of all forward or backward.
     """
     if (problem.decoupled and not problem.heading_counts) or "K_P" not in problem.values:
         return {}
     given, (_, stiffness) = _given(problem.gains), _static(problem.plant)
-    found = {}
-    for one in problem.sets[:2]:
+    found: dict[str, list[complex]] = {}
+    for one in problem.sets:
         tried = [
             (coupled_roots(problem.values, one.inertia, one.damping, given, stiffness, J), degrees)
             for degrees, J in problem.headings
         ]
         roots_there, degrees = max(tried, key=lambda case: case[0][0].real)
         of = "" if not problem.heading_counts else f"worst of {len(tried)} headings: {degrees:.0f} deg"
-        found[", ".join(filter(None, (one.name, of)))] = roots_there
+        if len(found) < 2 or roots_there[0].real > max(r[0].real for r in found.values()):
+            found[", ".join(filter(None, (one.name, of)))] = roots_there
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -144,21 +143,19 @@ class Corners:
         By velocity: what its ends add, the ends of the first case before those of the second.
     bend : Matrices
         One interval around all that velocities do, with the mass matrices of all cases.
+    switching : sequence of int
+        Velocities whose sign is that of the case; their second end is rest.
     """
 
     rest: Matrices
     ends: Sequence[Matrices]
     bend: Matrices
+    switching: Sequence[int]
 
     @property
     def cases(self) -> int:
         """How many cases of the signs there are."""
         return len(self.rest.inverse.lo)
-
-    @property
-    def count(self) -> int:
-        """Corners of the box in all cases."""
-        return self.cases * math.prod(len(e.inverse.lo) // self.cases for e in self.ends)
 
 
 class Embedding:
@@ -257,6 +254,13 @@ class Embedding:
         found = self._functions[key](*self.problem.attitudes.every_angle(dict(angles)))
         return Interval(found.lo[:, None], found.hi[:, None])
 
+    @cached_property
+    def half_turn(self) -> Array:
+        """F, the turn by half a circle in the plane: A(psi + pi) = F A(psi) F, whatever the gains."""
+        names = self.problem.coordinates
+        signs = [-1.0 if c in ("x", "y") else 1.0 for c in names]
+        return np.tile(signs, self.size // self.n)
+
     # --- velocities -----------------------------------------------------------------------------
     @cached_property
     def _moving(self) -> _Moving:
@@ -304,7 +308,7 @@ class Embedding:
         most = self._turning(np.array(speeds, dtype=float)[None])
         turning = Interval(-np.abs(most), np.abs(most))
         bend = Matrices(Interval(*hull), moving, turning, Interval(nu.lo[..., None], nu.hi[..., None]))
-        return Corners(rest, ends, bend)
+        return Corners(rest, ends, bend, m.switching)
 
     def _ends(self, i: int, speed: float, cases: Array, inverse: Interval) -> Matrices:
         """What the ends of one velocity add in every case."""
@@ -413,10 +417,9 @@ class Embedding:
         parts = [force @ K["K_P"], -(force @ K["K_V"] @ N)]
         return _one(block([[force @ K["K_I"], *parts] if self.integral else parts]))
 
-    def boxes(self, tilts: Mapping[str, float], cuts: Mapping[str, int]) -> Boxes:
-        """Boxes of the angles that A depends on: |roll|, |pitch| within `tilts` and every heading."""
-        ends = [np.pi if a == "psi" else tilts[a] for a in self.angles]
-        edges = [np.linspace(-e, e, 1 + cuts[a]) for a, e in zip(self.angles, ends, strict=True)]
+    def boxes(self, ranges: Mapping[str, tuple[float, float]]) -> Boxes:
+        """Boxes of the angles that A depends on, each of their ranges cut into two."""
+        edges = [np.linspace(*ranges[a], 3) for a in self.angles]
         low, high = (np.meshgrid(*[e[part] for e in edges]) for part in (slice(-1), slice(1, None)))
         pairs = zip(self.angles, low, high, strict=True)
         return {a: Interval(lo.ravel(), hi.ravel()) for a, lo, hi in pairs}
@@ -471,3 +474,23 @@ def _switching(
             if len(own | {k for k in range(n) if degree[k]}) > 1 or any(powers[2 * n + k] > 1 for k in own):
                 found |= own
     return sorted(found)
+
+
+def point(value: Array) -> Interval:
+    """Intervals of no width."""
+    return Interval(value, value)
+
+
+def count_of(boxes: Boxes) -> int:
+    """How many boxes there are: one where nothing depends on angles."""
+    return len(next(iter(boxes.values())).lo) if boxes else 1
+
+
+def halved(boxes: Boxes) -> Boxes:
+    """Two boxes of each, cut across the side that is longest."""
+    longest = max(boxes, key=lambda a: float((boxes[a].hi - boxes[a].lo).max()))
+    middle = boxes[longest].middle
+    lower = boxes | {longest: Interval(boxes[longest].lo, middle)}
+    upper = boxes | {longest: Interval(middle, boxes[longest].hi)}
+    join = np.concatenate
+    return {a: Interval(join([lower[a].lo, upper[a].lo]), join([lower[a].hi, upper[a].hi])) for a in boxes}

@@ -233,8 +233,12 @@ class Problem:
 
     @cached_property
     def distinct(self) -> list[SignSet]:
-        """The sign sets that matter: with diagonal matrices the mixed ones add nothing to the first two."""
-        return self.sets[:2] if self.decoupled else self.sets
+        """The sign sets that matter: where no axis meets another the mixed ones add nothing to the first two.
+
+        Diagonal M and D are not enough: an attitude that gains do not commute with mixes the axes.
+        """
+        apart = self.turned and (self.attitudes.orthogonal or not self.attitudes.angles(turned=True))
+        return self.sets[:2] if self.decoupled and apart else self.sets
 
     @cached_property
     def decoupled(self) -> bool:

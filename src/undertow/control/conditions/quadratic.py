@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -15,7 +15,8 @@ from undertow.typing import Array, Flags
 
 from .attitude import Interval, enclose
 from .commands import Commands
-from .embedding import Boxes, Corners, Embedding, certainly_positive
+from .definite import ROOM, bounded, covers, doubled, flat, mean_roots, positive, rows_of, widest
+from .embedding import Boxes, Corners, Embedding, certainly_positive, count_of, halved, point
 from .problem import Problem
 from .result import Quadratic
 from .semidefinite import Form, solved
@@ -30,7 +31,8 @@ class QuadraticSettings:
     decay: float = 0.3
     # Room in every bound of the program, relative: what the solver leaves and what boxes of angles add.
     slack: float = 0.05
-    headings: int = 12  # headings in the program; the proof has every one
+    # Where A depends on the heading: a P for each of so many ranges of set-points in half a turn.
+    sectors: int = 6
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
     most: float = 2e9  # size^3 of all matrices that one proof may look at: seconds
@@ -38,17 +40,16 @@ class QuadraticSettings:
     looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     starts: int = 3  # eigenvectors from which that corner is looked for, and
     steps: int = 4  # turns between the corner and its eigenvector
-    # What bounds of proofs are widened by, relative: beyond all rounding of 64-bit numbers.
-    room: float = 1e-7
     most_forms: int = 800  # matrix inequalities that the solver is given in one search: seconds
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
-    tries: int = 7  # boxes of speeds that are tried
+    tries: int = 16  # boxes of speeds that are tried
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
     smaller: float = 0.6  # factor on speeds for which there is no V
     # Factors on speeds that a V asks for which does not hold the start: a little more, and at most so much.
     more: float = 1.15
     most_more: float = 8.0
+    least_step: float = 0.03  # change of speeds, relative, below which no better ones are looked for
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
     tilt: float = 2.0  # roll and pitch that are allowed for, times those of the start
@@ -65,17 +66,26 @@ class Proposal(NamedTuple):
 
     P: Array
     start: float  # V of the worst corner of the start box; the level is one
+    slopes: Array  # derivative of `start` by the logarithm of each speed of the box
 
 
 Key = tuple[int, int, tuple[int, ...]]
 """A corner: its attitude, its case of the signs, and the end of each velocity."""
 
 
+class Row(NamedTuple):
+    """A sum of states that has to stay below its bound."""
+
+    states: Array
+    bound: float
+    velocity: int | None = None  # which one, if it is one
+
+
 class Bounds(NamedTuple):
     """A box that the level set V < 1 has to stay in."""
 
     speeds: Array  # body velocities, shape (n,)
-    tilts: dict[str, float]  # roll and pitch, rad
+    tilts: dict[str, float]  # roll and pitch, and the error of the heading where A depends on it, rad
 
 
 def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
@@ -97,6 +107,7 @@ class Search:
         self.commands = Commands(problem)
         self.forms = 0  # what the solver was given so far
         self.chosen: set[Key] = set()  # corners that the programs so far were about
+        self.centre = 0.0  # heading in the middle of those of the set-point, rad
         self.start = self._mixed(np.array([start.get(c, 0.0) for c in problem.coordinates]))
 
     def _mixed(self, start: Array) -> Array:
@@ -108,12 +119,31 @@ class Search:
 
     # --- boxes of speeds --------------------------------------------------------------------------
     def found(self) -> Quadratic | None:
-        """The first V that is proved and holds the start."""
+        """The first V that is proved and holds the start, for every range of headings of the set-point."""
         self._require_thrust()
-        bounds: Bounds | None = self._first()
-        for _ in range(SETTINGS.tries):
-            if bounds is None:
+        bounds, proofs = self._first(), []
+        for centre in self.centres:
+            self.centre, self.forms = centre, 0
+            self.chosen.clear()
+            proof = self._in_sector(bounds)
+            if proof is None:
                 return None
+            bounds, one = proof
+            proofs.append(one)
+        return _together(proofs, self.loop)
+
+    @property
+    def centres(self) -> Array:
+        """The middle of each range of set-points' headings; the second half of a turn is as the first."""
+        if "psi" not in self.loop.angles:
+            return np.zeros(1)
+        return (np.arange(SETTINGS.sectors) + 0.5) * np.pi / SETTINGS.sectors
+
+    def _in_sector(self, bounds: Bounds) -> tuple[Bounds, Quadratic] | None:
+        """V is searched for on smaller speeds until there is one, then on those that its start asks for."""
+        best: tuple[Bounds, Program, Proposal] | None = None
+        step = 0.0
+        for _ in range(SETTINGS.tries):
             program = Program(self, bounds)
             if program.rate <= 0:
                 raise UndertowError("the loop at rest is not stable at every attitude")
@@ -121,17 +151,39 @@ class Search:
             if proposal is not None and proposal.start < 1:
                 proof = program.proof(proposal)
                 if proof is not None:
-                    return proof
-            bounds = self._next(bounds, program, proposal)
+                    return bounds, proof
+            if best is None and (proposal is None or proposal.start < 1):
+                bounds = self._smaller(bounds)
+                continue
+            if proposal is not None and (best is None or proposal.start < best[2].start):
+                best = bounds, program, proposal
+                step = max(1.5 * step, min(0.5 * np.log(proposal.start * SETTINGS.more), np.log(8.0)))
+            else:
+                step /= 2
+            if best is None or step < SETTINGS.least_step:
+                return None
+            bounds = self._moved(*best, step)
         return None
+
+    def _smaller(self, bounds: Bounds) -> Bounds:
+        least = self._tilted(self._filled(self.start) * (1 + SETTINGS.slack))
+        tilts = {a: max(SETTINGS.smaller * t, self._tilt(a, least[a])) for a, t in bounds.tilts.items()}
+        return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
+
+    def _moved(self, bounds: Bounds, program: Program, proposal: Proposal, step: float) -> Bounds:
+        """Speeds along the slope of the start's level, and tilts that the start asks for."""
+        way = -proposal.slopes / max(float(np.abs(proposal.slopes).max()), 1e-300)
+        reach = program.reach(proposal) * np.sqrt(proposal.start) * SETTINGS.more
+        tilts = {a: self._tilt(a, v) for a, v in self._tilted(reach).items()}
+        return Bounds(bounds.speeds * np.exp(step * way), tilts)
 
     def _require_thrust(self) -> None:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
         if not len(self.commands.limits):
             return
-        tilts = {a: self._tilt(e) for a, e in self._tilted(self._filled(self.start)).items()}
+        tilts = {a: self._tilt(a, e) for a, e in self._tilted(self._filled(self.start)).items()}
         _left(self.problem, self.commands, tilts)  # refuses where nothing is
-        level = {a: _point(np.zeros(1)) for a in self.loop.angles}
+        level = {a: point(np.zeros(1)) for a in self.loop.angles}
         springs = np.abs(self.commands.share) @ (self.problem.values["K_P"] * self.start)
         rows = self.loop.commands_of(self.commands, level).middle[0]
         own = rows[:, self.loop.size - 2 * self.loop.n : self.loop.size - self.loop.n]
@@ -151,15 +203,17 @@ class Search:
         speeds = SETTINGS.first_speed * self._filled(rate * self.start)
         for group in self.loop.groups:
             speeds[group] = speeds[group].max()
-        tilts = {a: self._tilt(SETTINGS.tilt * e) for a, e in self._tilted(self._filled(self.start)).items()}
+        angles = self._tilted(self._filled(self.start))
+        tilts = {a: self._tilt(a, SETTINGS.tilt * e) for a, e in angles.items()}
         return Bounds(speeds, tilts)
 
     def _tilted(self, values: Array) -> dict[str, float]:
         pairs = zip(self.problem.coordinates, values, strict=True)
-        return {c: float(v) for c, v in pairs if c in ("phi", "theta")}
+        bounded = {"phi", "theta"} | ({"psi"} & set(self.loop.angles))
+        return {c: float(v) for c, v in pairs if c in bounded}
 
-    def _tilt(self, angle: float) -> float:
-        return min(angle, self.problem.attitudes.tilt)
+    def _tilt(self, name: str, angle: float) -> float:
+        return min(angle, np.pi / 2 if name == "psi" else self.problem.attitudes.tilt)
 
     def _filled(self, values: Array) -> Array:
         """At least a share of the largest among translations, and among rotations."""
@@ -170,18 +224,6 @@ class Search:
         if not found.any():
             raise UndertowError("the start box has no error at all: state one, as x=0.5 m")
         return np.maximum(found, 1e-3 * found.max())
-
-    def _next(self, bounds: Bounds, program: Program, proposal: Proposal | None) -> Bounds | None:
-        """Smaller speeds where there is no V; those that the start asks for where V does not hold it."""
-        if proposal is None or proposal.start < 1:
-            least = self._tilted(self._filled(self.start) * (1 + SETTINGS.slack))
-            tilts = {a: max(SETTINGS.smaller * t, self._tilt(least[a])) for a, t in bounds.tilts.items()}
-            return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
-        growth = np.sqrt(proposal.start) * SETTINGS.more
-        reach, speeds = program.reach(proposal) * growth, program.speeds(proposal) * growth
-        most = np.minimum(speeds, SETTINGS.most_more * bounds.speeds)
-        tilts = {a: self._tilt(v) for a, v in self._tilted(reach).items()}
-        return Bounds(np.maximum(most, bounds.speeds / SETTINGS.most_more), tilts)
 
 
 def _left(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
@@ -202,14 +244,20 @@ class Program:
         self._looked = 0.0
         self._scale = self._scaling()
 
+    @property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """Roll and pitch, and headings near those of the set-point."""
+        found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
+        if "psi" in found:
+            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + ROOM)
+            found["psi"] = (self.search.centre - half, self.search.centre + half)
+        return found
+
     def _samples(self) -> Boxes:
-        """Attitudes in the program: roll and pitch at none and at their extremes, at every heading."""
-        ends = self.bounds.tilts
-        tilts = [dict(zip(ends, s, strict=True)) for s in product((-1.0, 0.0, 1.0), repeat=len(ends))]
-        count = SETTINGS.headings if "psi" in self.loop.angles else 1
-        headings = np.linspace(-np.pi, np.pi, count, endpoint=False)
-        rows = [{a: t[a] * ends[a] for a in ends} | {"psi": float(h)} for t in tilts for h in headings]
-        return {a: _point(np.array([r[a] for r in rows])) for a in self.loop.angles}
+        """Attitudes in the program: the middle and the ends of each angle."""
+        ends = [np.linspace(*self._ranges[a], 3) for a in self.loop.angles]
+        rows = np.array(list(product(*ends)))
+        return {a: point(rows[:, i]) for i, a in enumerate(self.loop.angles)}
 
     def _scaling(self) -> Array:
         """Sizes of the states: errors of the start, speeds of the box, integrals by what they hold."""
@@ -266,8 +314,7 @@ class Program:
         chosen = self.search.chosen or self._first_corners()
         self.search.chosen = chosen
         for turn in range(SETTINGS.rounds):
-            loops = np.array([self._corner(key) for key in sorted(chosen)])
-            proposal = self._solved(loops + self.rate * np.eye(self.loop.size))
+            proposal = self._solved(sorted(chosen))
             if proposal is None:
                 return None
             worst = self._violated(proposal.P, turn)
@@ -297,7 +344,7 @@ class Program:
             places = np.random.default_rng(turn).permutation(places)[: SETTINGS.looked_at]
         own = rest[places[:, 0], places[:, 1]] + self.rate * np.eye(self.loop.size)
         added = [e[places[:, 0], places[:, 1]] for e in ends]
-        _, vectors = np.linalg.eigh(_doubled(P, own))
+        _, vectors = np.linalg.eigh(doubled(P, own))
         limit = 0.5 * self.rate * float(np.linalg.eigvalsh(P)[0])  # half of the decay is the proof's
         found: dict[Key, float] = {}
         for k in range(1, SETTINGS.starts + 1):
@@ -306,7 +353,7 @@ class Program:
                 worst = [np.argmax(_along(P, e, x), axis=-1) for e in added]
                 rows = np.arange(len(own))
                 whole = own + sum(e[rows, w] for e, w in zip(added, worst, strict=True))
-                values, turned = np.linalg.eigh(_doubled(P, whole))
+                values, turned = np.linalg.eigh(doubled(P, whole))
                 x = turned[..., -1]
             for (i, case), ways, value in zip(places, np.array(worst).T, values[:, -1], strict=True):
                 if value > limit:
@@ -332,7 +379,8 @@ class Program:
         except np.linalg.LinAlgError:
             return unit, unit
 
-    def _solved(self, loops: Array) -> Proposal | None:
+    def _solved(self, keys: Sequence[Key]) -> Proposal | None:
+        loops = np.array([self._corner(key) for key in keys]) + self.rate * np.eye(self.loop.size)
         (T, C), size, n = self._balance, self.loop.size, self.loop.n
         back = np.linalg.inv(T)
         B = back.T @ self.basis @ back  # of P; the program's own unknown is Q = T' P T
@@ -340,11 +388,11 @@ class Program:
         groups, start = self.loop.groups, self.search.start / self._scale[size - 2 * n : size - n]
         cost = np.concatenate([np.zeros(k), [float(np.sum(start[g][:1] ** 2)) for g in groups]])
         zero = np.zeros((size, size))
+        rows = self._rows()
         falls = (-(C.T @ (B @ A + np.swapaxes(A, -1, -2) @ B) @ C) for A in loops)
         forms = [Form(zero, self._with_groups(fall)) for fall in falls]
         forms += [Form(-1e-6 * np.eye(size), self._with_groups(self.basis))]
-        for row, bound in self._rows():
-            forms.append(self._within(row @ T, bound))
+        forms += [self._within(r.states @ T, r.bound) for r in rows]
         errors = slice(size - 2 * n, size - n)
         slots = np.zeros((len(groups), n, n))
         for s, g in zip(slots, groups, strict=True):
@@ -353,10 +401,28 @@ class Program:
         self.search.forms += len(forms)
         if self.search.forms > SETTINGS.most_forms:
             raise UndertowError("no quadratic V was found within the time that the search may take")
-        x = solved(cost, forms)
-        if x is None:
+        solution = solved(cost, forms)
+        if solution is None:
             return None
-        return Proposal(np.tensordot(x[:k], B, 1), float(cost @ x))
+        P = np.tensordot(solution.x[:k], B, 1)
+        slopes = self._slopes(P, C, keys, solution.duals)
+        for row, dual in zip(rows, solution.duals[len(keys) + 1 :], strict=False):
+            if row.velocity is not None:
+                own = row.states @ T
+                slopes[row.velocity] += 2 * float(dual[-1, :-1] @ own[_touched(B, own)]) / row.bound
+        return Proposal(P, float(cost @ solution.x), slopes)
+
+    def _slopes(self, P: Array, C: Array, keys: Sequence[Key], duals: Sequence[Array]) -> Array:
+        """What the fall of V adds to the slopes of the start's level: what a speed adds grows with it."""
+        found = np.zeros(self.loop.n)
+        for (sample, case, places), dual in zip(keys, duals, strict=False):
+            for i, (ends, place) in enumerate(zip(self._pieces[1], places, strict=True)):
+                last = ends.shape[2] - 1
+                still = last - place if last == 1 else min(max(place, 1), last - 1)
+                twice = last == 1 and i not in self.corners.switching  # from one end to the other
+                moved = (ends[sample, case, place] - ends[sample, case, still]) / (2 if twice else 1)
+                found[i] += np.sum(dual * (C.T @ doubled(P, moved) @ C))
+        return found
 
     def _with_groups(self, forms: Array) -> Array:
         return np.concatenate([forms, np.zeros((len(self.loop.groups), *forms.shape[1:]))])
@@ -364,10 +430,7 @@ class Program:
     def _within(self, row: Array, bound: float) -> Form:
         """[P, row; row', bound^2] >= 0 on the states that belong to the row: |row z| < bound on V < 1."""
         B = self.basis
-        touched: Flags = row != 0
-        for _ in range(2):
-            touched = touched | (np.abs(B).sum(axis=0)[touched].sum(axis=0) > 0)
-        own = np.flatnonzero(touched)
+        own = _touched(B, row)
         m = len(own)
         forms = np.zeros((len(B), m + 1, m + 1))
         forms[:, :m, :m] = B[:, own[:, None], own]
@@ -377,17 +440,17 @@ class Program:
         constant[m, m] = (1 - SETTINGS.slack) ** 2
         return Form(constant, self._with_groups(forms))
 
-    def _rows(self) -> list[tuple[Array, float]]:
+    def _rows(self) -> list[Row]:
         """What has to stay within its bound: speeds, tilts, half a turn, commands."""
-        found: list[tuple[Array, float]] = list(self._fixed_rows())
+        found = [Row(row, bound) for row, bound in self._fixed_rows()]
         for speeds in self._speed_rows:
-            found += zip(speeds, self.bounds.speeds, strict=True)
+            found += map(Row, speeds, self.bounds.speeds, range(self.loop.n))
         for commands in self._command_rows:
-            found += zip(commands, self.left, strict=True)
-        kept: dict[bytes, tuple[Array, float]] = {}
-        for row, bound in found:
-            kept.setdefault(np.round(np.abs(row) / bound, 9).tobytes(), (row, bound))
-        return [(r, b) for r, b in kept.values() if np.any(r != 0)]
+            found += map(Row, commands, self.left)
+        kept: dict[bytes, Row] = {}
+        for row in found:
+            kept.setdefault(np.round(np.abs(row.states) / row.bound, 9).tobytes(), row)
+        return [r for r in kept.values() if np.any(r.states != 0)]
 
     @cached_property
     def _speed_rows(self) -> Array:
@@ -412,7 +475,7 @@ class Program:
 
     def _fixed_rows(self) -> list[tuple[Array, float]]:
         n, size = self.loop.n, self.loop.size
-        ends = self.bounds.tilts | {"psi": np.pi}
+        ends = {"psi": np.pi} | self.bounds.tilts
         found = []
         for i, c in enumerate(self.search.problem.coordinates):
             if c in ends:
@@ -449,9 +512,7 @@ class Program:
         return self._stated(P, proposal, weights)
 
     def _fixed_proved(self, P: Array) -> bool:
-        return all(
-            _bounded(P, enclose(row[None, None]), np.array([b])).all() for row, b in self._fixed_rows()
-        )
+        return all(bounded(P, enclose(row[None, None]), np.array([b])).all() for row, b in self._fixed_rows())
 
     def _start_weights(self, P: Array) -> Array | None:
         """S diagonal with S > P_EE, proved, and E' S E < 1 on the start box; None if there is none."""
@@ -472,7 +533,7 @@ class Program:
         return self._halving(P, self._within_bounds) and self._halving(P, self._falls)
 
     def _halving(self, P: Array, holds: Callable[[Array, Boxes], Flags]) -> bool:
-        boxes = self.loop.boxes(self.bounds.tilts, {"phi": 2, "theta": 2, "psi": 2 * SETTINGS.headings})
+        boxes = self.loop.boxes(self._ranges)
         self._looked = 0.0
         for _ in range(SETTINGS.halvings * max(len(boxes), 1)):
             open_ = ~holds(P, boxes)
@@ -480,17 +541,17 @@ class Program:
                 return True
             if not boxes or self._looked > SETTINGS.most:
                 return False
-            boxes = _halved({a: Interval(v.lo[open_], v.hi[open_]) for a, v in boxes.items()})
+            boxes = halved({a: Interval(v.lo[open_], v.hi[open_]) for a, v in boxes.items()})
             if open_.all():
-                boxes = _halved(boxes)
+                boxes = halved(boxes)
         return False
 
     def _within_bounds(self, P: Array, boxes: Boxes) -> Flags:
         """Speeds and commands, at every attitude in each box."""
-        speeds = _bounded(P, self._by(self.loop.speeds_of(boxes)), self.bounds.speeds)
+        speeds = bounded(P, self._by(self.loop.speeds_of(boxes)), self.bounds.speeds)
         if not len(self.left):
             return speeds
-        return speeds & _bounded(P, self._by(self.loop.commands_of(self.commands, boxes)), self.left)
+        return speeds & bounded(P, self._by(self.loop.commands_of(self.commands, boxes)), self.left)
 
     def _falls(self, P: Array, boxes: Boxes) -> Flags:
         """Whether V falls at every corner of velocities at every attitude in each box.
@@ -498,21 +559,21 @@ class Program:
         A(angles) differs from what its values at the corners of the box interpolate by h^2/8 times the second
         derivative along each side h at most.
         """
-        batches = -(-_count(boxes) * self.corners.cases // SETTINGS.batch)
-        parts = np.array_split(np.arange(_count(boxes)), min(_count(boxes), batches))
+        batches = -(-count_of(boxes) * self.corners.cases // SETTINGS.batch)
+        parts = np.array_split(np.arange(count_of(boxes)), min(count_of(boxes), batches))
         some = [{a: Interval(v.lo[p], v.hi[p]) for a, v in boxes.items()} for p in parts]
         return np.concatenate([self._falls_in(each, P) for each in some])
 
     def _falls_in(self, boxes: Boxes, P: Array) -> Flags:
         ratio = self._scale[None, :] / self._scale[:, None]
-        missed = np.zeros((_count(boxes), self.loop.size, self.loop.size))
+        missed = np.zeros((count_of(boxes), self.loop.size, self.loop.size))
         for angle, side in boxes.items():
             width = (side.hi - side.lo)[:, None, None]
             missed += 1.001 * width**2 / 8 * self.loop.bend(self.corners, boxes, angle) * ratio
         around = Interval(-missed[:, None], missed[:, None])
-        held = np.ones(_count(boxes), dtype=bool)
+        held = np.ones(count_of(boxes), dtype=bool)
         for corner in product(*(("lo", "hi") for _ in boxes)):
-            at = {a: _point(getattr(v, side)) for (a, v), side in zip(boxes.items(), corner, strict=True)}
+            at = {a: point(getattr(v, side)) for (a, v), side in zip(boxes.items(), corner, strict=True)}
             held[held] = self._falls_at(
                 {a: Interval(v.lo[held], v.hi[held]) for a, v in at.items()},
                 Interval(around.lo[held], around.hi[held]) if boxes else around,
@@ -529,9 +590,9 @@ class Program:
         ends = []
         for end in self.loop.added(self.corners, at):
             added = P @ self._scaled(end)
-            ends.append(_flat(-(added + added.T)))
+            ends.append(flat(-(added + added.T)))
         place = np.arange(shape[0] * shape[1]) % len(ends[0].lo)  # ends are the same at all attitudes, or not
-        held: Flags = self._sums_positive(_flat(falls), place, ends).reshape(shape)
+        held: Flags = self._sums_positive(flat(falls), place, ends).reshape(shape)
         return np.asarray(held.all(axis=1))
 
     def _sums_positive(self, rest: Interval, place: Any, ends: list[Interval]) -> Flags:
@@ -545,7 +606,7 @@ class Program:
         """
         held = np.zeros(len(rest.lo), dtype=bool)
         own, place = np.unique(place, return_inverse=True)
-        ends = [_rows(e, own) for e in ends]
+        ends = [rows_of(e, own) for e in ends]
         centres = [0.5 * (e.middle[:, 0] + e.middle[:, -1]) for e in ends]
         centre = np.sum(centres, axis=0)
         middle = rest.middle + centre[place]
@@ -554,24 +615,24 @@ class Program:
         self._looked += work * rest.lo.shape[-1] ** 3
         if self._looked > SETTINGS.most or not len(live):
             return held
-        root = _mean_roots(middle[live], place[live], len(own))
-        covers, sure = _covers(ends, centres, root)
-        lowered = centre - root @ np.sum(covers, axis=0) @ np.swapaxes(root, -1, -2)
+        root = mean_roots(middle[live], place[live], len(own))
+        taken, sure = covers(ends, centres, root)
+        lowered = centre - root @ np.sum(taken, axis=0) @ np.swapaxes(root, -1, -2)
         inverse = np.linalg.inv(root)[place[live]]  # triangular: regular for certain
-        left = inverse @ (_rows(rest, live) + lowered[place[live]]) @ np.swapaxes(inverse, -1, -2)
+        left = inverse @ (rows_of(rest, live) + lowered[place[live]]) @ np.swapaxes(inverse, -1, -2)
         blur = left.radius.sum(axis=-1).max(axis=-1)  # what the width of the attitudes takes
         good = sure[place[live]] & (np.linalg.eigvalsh(left.middle)[:, 0] > blur)
-        held[live[good]] = _positive(_rows(left, good))
+        held[live[good]] = positive(rows_of(left, good))
         # Where attitudes alone take everything, cutting ends is of no use.
         hopeful = live[~held[live] & (blur < 1)]
-        widest = _widest(ends, covers, np.unique(place[hopeful]))
-        if not len(hopeful) or widest is None:
+        cutting = widest(ends, taken, np.unique(place[hopeful]))
+        if not len(hopeful) or cutting is None:
             return held
-        half = ends[widest].lo.shape[1] // 2
+        half = ends[cutting].lo.shape[1] // 2
         for part in (slice(None, half), slice(half, None)):
             cut = ends.copy()
-            cut[widest] = Interval(ends[widest].lo[:, part], ends[widest].hi[:, part])
-            hopeful = hopeful[self._sums_positive(_rows(rest, hopeful), place[hopeful], cut)]
+            cut[cutting] = Interval(ends[cutting].lo[:, part], ends[cutting].hi[:, part])
+            hopeful = hopeful[self._sums_positive(rows_of(rest, hopeful), place[hopeful], cut)]
         held[hopeful] = True
         return held
 
@@ -588,115 +649,40 @@ class Program:
             largest = np.minimum(self.commands.limits - self.left + moves, self.commands.limits)
         own = weights * inverse[size - 2 * n : size - n] ** 2
         return Quadratic(
-            P=P * np.outer(inverse, inverse),
+            P=(P * np.outer(inverse, inverse))[None],
             frame=self.loop.frame_name,
             errors=self.reach(proposal),
             speeds=self.bounds.speeds,
             starts=1 / np.sqrt(own),
             commands=largest,
             start=float(proposal.start),
-            matrices=self.corners.count,
         )
 
 
-def _point(value: Array) -> Interval:
-    return Interval(value, value)
+def _touched(B: Array, row: Array) -> Any:
+    """Places of the states that a row is about, with those that P ties to them."""
+    found: Flags = row != 0
+    for _ in range(2):
+        found = found | (np.abs(B).sum(axis=0)[found].sum(axis=0) > 0)
+    return np.flatnonzero(found)
 
 
-def _count(boxes: Boxes) -> int:
-    return len(next(iter(boxes.values())).lo) if boxes else 1
-
-
-def _halved(boxes: Boxes) -> Boxes:
-    """Two boxes of each, cut across the side that is longest."""
-    longest = max(boxes, key=lambda a: float((boxes[a].hi - boxes[a].lo).max()))
-    middle = boxes[longest].middle
-    lower = boxes | {longest: Interval(boxes[longest].lo, middle)}
-    upper = boxes | {longest: Interval(middle, boxes[longest].hi)}
-    join = np.concatenate
-    return {a: Interval(join([lower[a].lo, upper[a].lo]), join([lower[a].hi, upper[a].hi])) for a in boxes}
-
-
-def _rows(stack: Interval, rows: Any) -> Interval:
-    return Interval(stack.lo[rows], stack.hi[rows])
-
-
-def _doubled(P: Array, A: Array) -> Array:
-    """P A + A' P."""
-    held = P @ A
-    return np.asarray(held + np.swapaxes(held, -1, -2))
+def _together(proofs: Sequence[Quadratic], loop: Embedding) -> Quadratic:
+    """One statement of what was proved for ranges of headings, those of the other half of a turn with it."""
+    P = np.concatenate([p.P for p in proofs])
+    if len(proofs) > 1:
+        P = np.concatenate([P, P * np.outer(loop.half_turn, loop.half_turn)])
+    return Quadratic(
+        P=P,
+        frame=proofs[0].frame,
+        errors=np.max([p.errors for p in proofs], axis=0),
+        speeds=np.max([p.speeds for p in proofs], axis=0),
+        starts=np.min([p.starts for p in proofs], axis=0),
+        commands=np.max([p.commands for p in proofs], axis=0),
+        start=max(p.start for p in proofs),
+    )
 
 
 def _along(P: Array, A: Array, x: Array) -> Array:
     """x' P A x for directions x (k, size) and matrices A (k, ends, size, size)."""
     return np.asarray(np.einsum("ks,kest,kt->ke", x @ P, A, x))
-
-
-def _flat(stack: Interval) -> Interval:
-    """Attitudes and cases in one row."""
-    return Interval(*(v.reshape(-1, *v.shape[2:]) for v in (stack.lo, stack.hi)))
-
-
-def _covers(ends: list[Interval], centres: list[Array], root: Array) -> tuple[list[Array], Flags]:
-    """T_i in states in which root root' is the identity, and whether they cover every end, proved."""
-    inverse, sure = np.linalg.inv(root), np.ones(len(root), dtype=bool)
-    covers = []
-    for end, centre in zip(ends, centres, strict=True):
-        off = inverse[:, None] @ (centre[:, None] - end.middle) @ np.swapaxes(inverse, -1, -2)[:, None]
-        cover = _cover(off) + SETTINGS.room * np.eye(root.shape[-1])
-        T = root @ cover @ np.swapaxes(root, -1, -2)
-        sure &= _positive(end - centre[:, None] + (0.5 * (T + np.swapaxes(T, -1, -2)))[:, None])
-        covers.append(cover)
-    return covers, sure
-
-
-def _mean_roots(middle: Array, place: Any, count: int) -> Array:
-    """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
-    total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
-    np.add.at(total, place, middle)
-    total[many == 0] = np.eye(middle.shape[-1])
-    return np.asarray(np.linalg.cholesky(total / np.maximum(many, 1)[:, None, None]))
-
-
-def _widest(ends: list[Interval], covers: list[Array], rows: Array) -> int | None:
-    """Of which velocity the ends should be cut, or None where each has one only."""
-    several = [i for i, e in enumerate(ends) if e.lo.shape[1] > 1]
-    if not len(rows):
-        return None
-    return max(several, key=lambda i: np.linalg.eigvalsh(covers[i][rows])[:, -1].sum(), default=None)
-
-
-def _cover(off: Array) -> Array:
-    """T >= each of the matrices off (k, ends, size, size), shape (k, size, size)."""
-    if off.shape[1] == 1:
-        return np.zeros_like(off[:, 0])
-    largest = _part(off[:, 0], np.abs)  # the last end is the same turned round
-    for k in range(1, off.shape[1] - 1):
-        largest = largest + _part(off[:, k] - largest, lambda v: np.maximum(v, 0.0))
-    return largest
-
-
-def _part(matrices: Array, of: Callable[[Array], Array]) -> Array:
-    """Symmetric matrices with a function of their eigenvalues."""
-    values, vectors = np.linalg.eigh(matrices)
-    return np.asarray((vectors * of(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
-
-
-def _positive(matrices: Interval) -> Flags:
-    """By row of a stack, whether all of its matrices are positive definite, proved."""
-    count = len(matrices.lo)
-    if count == 0 or certainly_positive(matrices):
-        return np.ones(count, dtype=bool)
-    if count == 1:
-        return np.zeros(1, dtype=bool)
-    halves = slice(None, count // 2), slice(count // 2, None)
-    return np.concatenate([_positive(_rows(matrices, half)) for half in halves])
-
-
-def _bounded(P: Array, rows: Interval, bounds: Array) -> Flags:
-    """By box, whether |row z| < bound on z' P z < 1, proved: bound^2 P - row row' is positive definite."""
-    rows = rows * enclose(bounds[:, None]).reciprocal()
-    outer = Interval(rows.lo[..., :, None], rows.hi[..., :, None]) * Interval(
-        rows.lo[..., None, :], rows.hi[..., None, :]
-    )
-    return _positive(P - outer)

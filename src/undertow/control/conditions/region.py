@@ -234,7 +234,7 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     text = (
         f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
-        f"every attitude in it, {found.matrices} corners of speeds and signs, {_PARAMETERS}"
+        f"every attitude and every motion in it, {_PARAMETERS}"
     )
     whole = Region(
         "level",

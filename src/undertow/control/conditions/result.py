@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from undertow.notebook import html
 from undertow.typing import Array
 
@@ -128,14 +130,20 @@ class Quadratic:
     translations, w = diag(G' R, I) nu with R from body to earth. PD control has no integral.
     """
 
-    P: Array  # shape (3n, 3n) or (2n, 2n), SI
+    # By range of headings of the set-point, which share a turn equally from north on; one where the heading
+    # does not matter. Shape (ranges, 3n, 3n) or (ranges, 2n, 2n), SI.
+    P: Array
     frame: str  # what G turns by: "body" (G = R), "heading" or "earth" (not at all)
     errors: Array  # largest of each coordinate, m and rad
     speeds: Array  # largest body velocities
     starts: Array  # largest error of each coordinate alone, at rest
     commands: Array  # bound on the magnitude of each limited command
     start: float  # bound on V over the start box
-    matrices: int  # corners of the velocities that were looked at, for every box of angles
+
+    def at(self, heading: float) -> Array:
+        """P for a heading of the set-point, rad."""
+        share = heading / (2 * np.pi) % 1.0
+        return np.asarray(self.P[min(int(share * len(self.P)), len(self.P) - 1)])
 
 
 @dataclass(frozen=True)

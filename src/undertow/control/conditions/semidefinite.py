@@ -18,7 +18,22 @@ class Form(NamedTuple):
     forms: Array
 
 
-def solved(cost: Array, forms: Sequence[Form]) -> Array | None:
+class Solution(NamedTuple):
+    """What a program came to.
+
+    Attributes
+    ----------
+    x : ndarray
+        The unknowns.
+    duals : list of ndarray
+        By form, a matrix Z: the least cost changes by -trace(Z' change) with a small change of the form.
+    """
+
+    x: Array
+    duals: list[Array]
+
+
+def solved(cost: Array, forms: Sequence[Form]) -> Solution | None:
     """x of least cost' x for which every form is positive semidefinite, or None where there is none."""
     clarabel = _solver()
     from scipy.sparse import csc_matrix
@@ -35,7 +50,9 @@ def solved(cost: Array, forms: Sequence[Form]) -> Array | None:
     solution = clarabel.DefaultSolver(none, cost, A, b, cones, settings).solve()
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         return None
-    return np.array(solution.x)
+    sizes = np.cumsum([r.shape[0] for r in rows])[:-1]
+    duals = map(_unpacked, np.split(np.array(solution.z), sizes), (len(f.constant) for f in forms))
+    return Solution(np.array(solution.x), list(duals))
 
 
 def _packed(matrices: Array) -> Array:
@@ -43,6 +60,14 @@ def _packed(matrices: Array) -> Array:
     n = matrices.shape[-1]
     j, i = np.tril_indices(n)
     return np.asarray(matrices[:, i, j] * np.where(i == j, 1.0, np.sqrt(2)))
+
+
+def _unpacked(triangle: Array, n: int) -> Array:
+    """The symmetric matrix of such a triangle."""
+    found = np.zeros((n, n))
+    j, i = np.tril_indices(n)
+    found[i, j] = found[j, i] = triangle / np.where(i == j, 1.0, np.sqrt(2))
+    return found
 
 
 def _solver() -> Any:
