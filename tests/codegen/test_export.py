@@ -28,7 +28,7 @@ from undertow.cli.main import main
 from undertow.codegen import Simulator
 from undertow.codegen.compiler import Compiler
 from undertow.codegen.library import Library
-from undertow.codegen.manifest import sha256
+from undertow.codegen.source import digest
 from undertow.model.loading import bundled_vehicles
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
@@ -271,7 +271,7 @@ def test_the_manifest_records_the_model(tmp_path: Path) -> None:
     assert [i["unit"] for i in content["inputs"]] == ["command", "command", "N", "N m"]
     assert content["input_delay"] == 0.3
     header = next((folder / "src").glob("*_vehicle.h"))
-    assert content["files"][f"src/{header.name}"] == sha256(header.read_text())
+    assert content["files"][f"src/{header.name}"] == digest(header.read_text())
     assert "0.3 s late" in header.read_text()
 
 

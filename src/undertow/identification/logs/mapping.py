@@ -167,7 +167,7 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 def mapping_beside(log: Path) -> LogMapping | None:
     """The mapping of a log that has a mapping file of its name beside it, run1.toml of run1.csv."""
-    path = log.with_name(f"{log.name.split('.')[0]}.toml")
+    path = log.parent / f"{log.name.split('.')[0]}.toml"
     if not path.is_file() or read_toml(path, "file").get("schema") != SCHEMA:
         return None
     return read_mapping(path)
