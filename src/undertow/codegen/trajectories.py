@@ -30,7 +30,7 @@ class Problem:
     """Arrays of a simulation; where runs share t, u or p, its leading size is one."""
 
     t: Array  # (b or 1, n): times of the samples, s
-    steps: Integers  # (b or 1, n - 1): runge-Kutta steps from sample to sample
+    steps: Integers  # (b or 1, n - 1): Runge-Kutta steps from sample to sample
     u: Array  # (b or 1, n, nu): inputs, held from their sample to the next
     p: Array  # (b or 1, np): parameters
     x: Array  # (b, n, nx): states; the first sample is given, the others are written

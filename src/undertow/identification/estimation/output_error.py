@@ -157,7 +157,7 @@ class Descent:
             dispersion = found
             self._shooting.weight = self._weight / np.sqrt(dispersion)
             state = self._roughly(state.p, state.starts)
-        state = self._minimised(state, _nothing)
+        state = self._minimised(state, _negligible_fall)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
         )
@@ -206,12 +206,12 @@ class Descent:
 
     def minimise(self, p: Array, starts: Array) -> State:
         """Minimise from these parameters and starts, with the weights as they are."""
-        return self._minimised(self._at(p, starts), _nothing)
+        return self._minimised(self._at(p, starts), _negligible_fall)
 
     def _roughly(self, p: Array, starts: Array) -> State:
         """The same until what is left, and so the weights, hardly change."""
         return self._minimised(
-            self._at(p, starts), lambda at: max(_nothing(at), SETTINGS.rough_fall * at.cost)
+            self._at(p, starts), lambda at: max(_negligible_fall(at), SETTINGS.rough_fall * at.cost)
         )
 
     def _at(self, p: Array, starts: Array) -> State:
@@ -245,14 +245,14 @@ class Descent:
             if after < before:
                 return State(p, starts, at, max(damping / 10, SETTINGS.least_damping)), before - after
             promised = self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
-            if before - promised < _nothing(state.at):
+            if before - promised < _negligible_fall(state.at):
                 break
             damping *= 10
         return state, 0.0
 
 
-def _nothing(at: Reduced) -> float:
-    """A fall of the cost that is none.
+def _negligible_fall(at: Reduced) -> float:
+    """Fall of the cost below which a descent has converged.
 
     What a poor model leaves is many times the noise: there a fraction of a noise variance moves no parameter
     by a notable share of its standard error.

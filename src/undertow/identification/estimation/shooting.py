@@ -228,17 +228,16 @@ class Shooting:
         every = np.arange(len(self.windows))
         # In a velocity that was derived from the pose every sample is far off.
         if any(run.derived for run in self.windows.runs):
-            return self._fitted_progressively(every, p, first)
+            return self._fitted_progressively(every, p, first)[0]
         starts, squares = self._some(every, length, p)._stepped(p, first)
         wrong = np.flatnonzero(squares > SETTINGS.wrong_start * np.median(squares))
         if len(wrong):
-            opened = self._fitted_progressively(wrong, p, first[wrong])
-            after = self._some(wrong, length, p).mean_squares(p, opened)
+            opened, after = self._fitted_progressively(wrong, p, first[wrong])
             starts[wrong] = np.where((after < squares[wrong])[:, None], opened, starts[wrong])
         return starts
 
-    def _fitted_progressively(self, rows: Index, p: Array, starts: Array) -> Array:
-        """Starts of some windows, fitted to more and more of each."""
+    def _fitted_progressively(self, rows: Index, p: Array, starts: Array) -> tuple[Array, Array]:
+        """Starts of some windows, fitted to more and more of each, and the mean square of each with them."""
         windows = self.windows.take(rows, self.windows.t.shape[1])
         elapsed, part = windows.t - windows.t[:, :1], SETTINGS.first_part
         while part < np.max(elapsed):
@@ -247,7 +246,7 @@ class Shooting:
             weight = 1.0 if beginning.trust is None else beginning.trust
             beginning.trust = np.where(within[:, : beginning.windows.t.shape[1], None], weight, 0.0)
             starts, part = beginning._stepped(p, starts)[0], 2.0 * part
-        return self._some(rows, windows.t.shape[1], p)._stepped(p, starts)[0]
+        return self._some(rows, windows.t.shape[1], p)._stepped(p, starts)
 
     def _some(self, rows: Index, most: int, p: Array) -> Shooting:
         """Some of the windows, each with its first samples, to fit their starts for these parameters."""
