@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_simpson
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
@@ -120,6 +121,18 @@ def test_every_parameter_gets_a_verdict() -> None:
     np.testing.assert_allclose(np.diag(between), 1.0)
     # At one speed the linear and the quadratic drag are one number; P has little else.
     assert between[1, 2] < -0.9
+
+
+def test_what_the_pose_says_of_a_sensor_holds_where_the_forces_are_poorly_modelled() -> None:
+    """Beside drag that is wrong a bias moves to make up for it, unless the pose weighs as it fits."""
+    run = surge_run()
+    u, bias = run.channels["u"], 0.02
+    x = cumulative_simpson(u, x=run.t, initial=0)
+    run = replace(run, channels={**run.channels, "x": x, "u": u + bias})
+    vehicle = with_effect(surge_vehicle(), "sensor_bias", b_u=0.0)
+    start = {"X_udot": -TRUTH["X_udot"], "b_u": 0.9 * bias}
+    fit = fit_output_error(vehicle, [run], ("X_udot", "b_u"), 2.0, start=start)
+    assert fit.values["b_u"] == pytest.approx(bias, rel=0.01)
 
 
 def test_several_runs_are_fitted_jointly() -> None:

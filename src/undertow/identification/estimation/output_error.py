@@ -145,14 +145,17 @@ class Descent:
         self._steps = 0
 
     def fit(self, p: Array) -> OutputErrorFit:
-        """Minimise, weight every channel by what the model leaves in it, until the weights converge."""
+        """Minimise, weight every channel by what the model leaves in it, until the weights converge.
+
+        The first weights are those of the start. By the noise of the sensors alone, a channel that the start
+        fits well would give way to one that no parameters fit, and weigh little ever after.
+        """
         starts = self._shooting.fitted_starts(p)
-        dispersion = np.ones(len(self.windows.names))
-        state = self._roughly(p, starts)
-        for round_ in range(1, SETTINGS.rounds):
+        state, dispersion = self._at(p, starts), np.ones(len(self.windows.names))
+        for round_ in range(SETTINGS.rounds):
             self._progress(round_ / SETTINGS.rounds, "output error")
             found = np.maximum(1.0, np.nan_to_num(_mean_square(state.at, starts, dispersion), nan=1.0))
-            if np.max(np.abs(np.log(found / dispersion))) < SETTINGS.converged:
+            if round_ and np.max(np.abs(np.log(found / dispersion))) < SETTINGS.converged:
                 break
             dispersion = found
             self._shooting.weight = self._weight / np.sqrt(dispersion)
