@@ -51,6 +51,7 @@ from .trial import (
     screen,
     try_candidate,
     unpacked,
+    without_replaced,
 )
 
 _log = logging.getLogger("undertow.diagnosis")
@@ -81,7 +82,10 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     """Try every candidate on top of a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
     runs = origins(bench.train.runs)
-    listed = possible(vehicle, known, derived=bench.train.velocities_derived, runs=runs)
+    listed = [
+        without_replaced(c, bench)
+        for c in possible(vehicle, known, derived=bench.train.velocities_derived, runs=runs)
+    ]
     screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
     by_chance = null_distribution([s.linear for s in screened], settings)

@@ -490,6 +490,7 @@ class _Selector:
             best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
             return Graded(best, [], worth[best.id], doubt)
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
+        doubts |= self._outdone(worthy, doubts, ahead, bench)
         if not graded:
             self._worth |= worth
             doubts |= dict.fromkeys(springs, _SPRING)
@@ -508,6 +509,28 @@ class _Selector:
         ]
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
+
+    def _outdone(
+        self,
+        worthy: Sequence[FoundEffect],
+        doubts: Mapping[str, str],
+        ahead: Mapping[str, dict[float, Array]],
+        bench: Bench,
+    ) -> dict[str, str]:
+        """Doubts of effects that are worth nothing beside one that predicts better and is in doubt itself.
+
+        Whatever is behind the better one, it is what the other makes up for in part.
+        """
+        if not worthy or _stands(best := worthy[0], doubts[worthy[0].id], bench):
+            return {}
+        vehicle, found = bench.base.model.functions.vehicle, {}
+        for f in worthy[1:]:
+            if doubts[f.id] or self._often([best, f], ahead, bench)[0] < self._settings.best_share:
+                continue
+            both = self._ahead([fitted(vehicle, [best, f], bench).fit])[0]
+            if not Worth.of(ahead[best.id], both, self._settings).enough(self._settings.worth):
+                found[f.id] = f"{best.id}, itself in doubt, predicts better, and beside it this adds nothing"
+        return found
 
     def _springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> set[str]:
         """Ids of memories that are springs, where another candidate does at least half as much."""
@@ -542,14 +565,10 @@ class _Selector:
     ) -> tuple[list[FoundEffect], list[FoundEffect]]:
         """The candidates of which one is the best in nearly all resamples, the best first; and others that
         the data do not tell from that.
-
-        Resamples of the weak residual see quick forces, those of the simulation slow ones: each has half.
         """
         if not findings:
             return [], []
-        by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
-        by_simulation = best_in_resamples([ahead[f.id] for f in findings], self._settings)
-        often = 0.5 * (by_residual + by_simulation)
+        often = self._often(findings, ahead, bench)
         order = np.argsort(-often, kind="stable")
         enough = int(np.searchsorted(np.cumsum(often[order]), self._settings.best_share)) + 1
         leading = [findings[k] for k in order[:enough]]
@@ -557,6 +576,16 @@ class _Selector:
         best = leading[0].trial.score
         near = [f for f in others if as_good(best, f.trial.score, bench)]
         return leading, near[: self._settings.rivals]
+
+    def _often(
+        self, findings: Sequence[FoundEffect], ahead: Mapping[str, dict[float, Array]], bench: Bench
+    ) -> Array:
+        """How often each candidate is the best in resamples, shape (len(findings),).
+
+        Resamples of the weak residual see quick forces, those of the simulation slow ones: each has half.
+        """
+        by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
+        return 0.5 * (by_residual + best_in_resamples([ahead[f.id] for f in findings], self._settings))
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""

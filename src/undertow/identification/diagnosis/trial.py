@@ -351,6 +351,21 @@ def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough:
     return bench.in_all_runs(separated(fit, own))
 
 
+def without_replaced(candidate: Candidate, bench: Bench) -> Candidate:
+    """The candidate without parts that are no evidence of it and for which the model's own parameters stand
+    in exactly: one proportional to the command is thrust per command, where that is estimated.
+    """
+    parts = [i for i, p in enumerate(candidate.parameters) if not p.alone]
+    if not parts:
+        return candidate
+    own = whitened(_own_columns(candidate, bench, {}, bench.train), bench.train_whitening).J[:, parts]
+    J = bench.base.at.J
+    left = own - J @ np.linalg.lstsq(J, own, rcond=None)[0]
+    gone = np.linalg.norm(left, axis=0) <= _REPLACED * np.linalg.norm(own, axis=0)
+    names = [candidate.parameters[i].name for i, there in zip(parts, gone, strict=True) if there]
+    return replace(candidate, replaced=tuple(names))
+
+
 def rejected(candidate: Candidate, bench: Bench) -> Trial:
     """A candidate none of whose parameters matters: the model stays as it was."""
     return Trial(candidate, bench.base, bench.base, (), bench.base_score)
@@ -435,8 +450,8 @@ def _without(i: int, estimate: Array, information: Array, bounds: Array) -> _Wit
     return _Without(values, 2.0 * float(found.cost))
 
 
-# Relative difference of two residuals up to which they are the same.
-_SAME = 1e-9
+# Relative difference of two residuals up to which they are the same, and of a column from what stands in.
+_SAME, _REPLACED = 1e-9, 1e-6
 
 
 class Screened:

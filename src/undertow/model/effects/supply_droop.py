@@ -22,13 +22,13 @@ class SupplyDroop(Actuation):
     stage = 35
 
     droop_rate = Parameter(
-        "1/s", "share of the thrust that is lost per second", (-0.1, 0.1), without_log="voltage", per_run=True
+        "1/s", "share of the thrust that is lost per second", (0, 0.1), without_log="voltage", per_run=True
     )
     voltage = LoggedOnly("V", "voltage of the supply")
     voltage_exponent = Parameter(
         "1",
         "relative change of the thrust over that of the voltage",
-        (-10, 10),
+        (0, 10),
         with_log="voltage",
     )
     voltage_nominal = Parameter(
