@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
 from undertow.identification.diagnosis.candidates import possible
+from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.selection import (
     Agreement,
     Worth,
     best_in_resamples,
+    dominated,
     own_variables,
     undetermined,
 )
@@ -62,6 +67,18 @@ def test_a_gain_that_hangs_on_a_few_windows_is_not_worth_adding() -> None:
     steady = Worth.of(before, {h: squares * 0.8 for h, squares in before.items()})
     assert steady.better[0] == 1.0
     assert steady.enough(0.05)
+
+
+@pytest.mark.parametrize(
+    ("clearly", "worth", "doubted"), [(0.95, 0.0, True), (0.95, 0.4, False), (0.6, 0.0, False)]
+)
+def test_what_is_worth_nothing_beside_a_better_effect_in_doubt_is_not_established(
+    clearly: float, worth: float, *, doubted: bool
+) -> None:
+    """Of two effects as good, a doubt about the one does not speak against the other."""
+    best, other = (cast(FoundEffect, SimpleNamespace(id=name)) for name in ("best", "other"))
+    gain = Worth({1.0: worth, 5.0: worth}, {1.0: worth, 5.0: worth}, ())
+    assert bool(dominated(best, [other], lambda *_: clearly, lambda *_: gain)) is doubted
 
 
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:

@@ -8,7 +8,7 @@ much as matters and nowhere worse, and that it says the same in every run and ev
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -406,6 +406,28 @@ def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
     return other.id in finding.trial.candidate.effect.series_of
 
 
+def dominated(
+    best: FoundEffect,
+    others: Sequence[FoundEffect],
+    better: Callable[[FoundEffect, FoundEffect], float],
+    beside: Callable[[FoundEffect, FoundEffect], Worth],
+    settings: Settings = DEFAULT,
+) -> dict[str, str]:
+    """Why others are not established beside a better effect that is in doubt, by their ids.
+
+    Whatever is behind the better one, what is worth nothing beside it only makes up for that in part.
+
+    better: share of the resamples in which the first of two is better.
+    beside: worth of the second on top of the first.
+    """
+    found = {}
+    for f in others:
+        clearly = better(best, f) >= settings.best_share
+        if clearly and not beside(best, f).enough(settings.worth):
+            found[f.id] = f"{best.id}, in doubt itself, predicts better, and beside it this adds nothing"
+    return found
+
+
 _NOT_BEST = "others are better in nearly all resamples of the logs"
 
 
@@ -490,7 +512,7 @@ class _Selector:
             best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
             return Graded(best, [], worth[best.id], doubt)
         doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
-        doubts |= self._outdone(worthy, doubts, ahead, bench)
+        doubts |= self._dominated(worthy, doubts, ahead, bench)
         if not graded:
             self._worth |= worth
             doubts |= dict.fromkeys(springs, _SPRING)
@@ -510,27 +532,27 @@ class _Selector:
         doubt = doubts[chosen.id]
         return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
 
-    def _outdone(
+    def _dominated(
         self,
         worthy: Sequence[FoundEffect],
         doubts: Mapping[str, str],
         ahead: Mapping[str, dict[float, Array]],
         bench: Bench,
     ) -> dict[str, str]:
-        """Doubts of effects that are worth nothing beside one that predicts better and is in doubt itself.
+        """Doubts of effects that are worth nothing beside the best one, which is in doubt itself."""
+        vehicle = bench.base.model.functions.vehicle
 
-        Whatever is behind the better one, it is what the other makes up for in part.
-        """
-        if not worthy or _stands(best := worthy[0], doubts[worthy[0].id], bench):
+        def better(best: FoundEffect, other: FoundEffect) -> float:
+            return float(self._often([best, other], ahead, bench)[0])
+
+        def beside(best: FoundEffect, other: FoundEffect) -> Worth:
+            both = self._ahead([fitted(vehicle, [best, other], bench).fit])[0]
+            return Worth.of(ahead[best.id], both, self._settings)
+
+        if not worthy or _stands(worthy[0], doubts[worthy[0].id], bench):
             return {}
-        vehicle, found = bench.base.model.functions.vehicle, {}
-        for f in worthy[1:]:
-            if doubts[f.id] or self._often([best, f], ahead, bench)[0] < self._settings.best_share:
-                continue
-            both = self._ahead([fitted(vehicle, [best, f], bench).fit])[0]
-            if not Worth.of(ahead[best.id], both, self._settings).enough(self._settings.worth):
-                found[f.id] = f"{best.id}, itself in doubt, predicts better, and beside it this adds nothing"
-        return found
+        sure = [f for f in worthy[1:] if not doubts[f.id]]
+        return dominated(worthy[0], sure, better, beside, self._settings)
 
     def _springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> set[str]:
         """Ids of memories that are springs, where another candidate does at least half as much."""
