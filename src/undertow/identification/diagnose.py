@@ -385,7 +385,7 @@ def _confirmed(
     least = builder.settings.worth
     lacking = next((i for i, w in enumerate(worth) if not w.enough(least)), None)
     if lacking is not None:
-        return _confirmed(vehicle, found, validator, known, selection.until(lacking))
+        return _confirmed(vehicle, found, validator, known, selection.without(lacking))
     builder.regrade(worth)
     return builder
 

@@ -365,9 +365,9 @@ class Selection:
     reasons: dict[str, str]
     worth: dict[str, Worth]
 
-    def until(self, count: int) -> Selection:
-        """The first so many effects."""
-        return replace(self, graded=self.graded[:count])
+    def without(self, place: int) -> Selection:
+        """All effects but one."""
+        return replace(self, graded=[g for i, g in enumerate(self.graded) if i != place])
 
     @property
     def established(self) -> list[Graded]:
@@ -530,7 +530,8 @@ class _Selector:
             and (_is_series_of(chosen, f) or (f.id in doubts and _stands(f, doubts[f.id], bench)))
         ]
         doubt = doubts[chosen.id]
-        return Graded(chosen, [] if doubt else rivals, worth[chosen.id], doubt)
+        alike = [] if doubt else [r for r in rivals if not self._both_worthy(chosen, r, ahead, bench)]
+        return Graded(chosen, alike, worth[chosen.id], doubt)
 
     def _dominated(
         self,
@@ -540,19 +541,29 @@ class _Selector:
         bench: Bench,
     ) -> dict[str, str]:
         """Doubts of effects that are worth nothing beside the best one, which is in doubt itself."""
-        vehicle = bench.base.model.functions.vehicle
 
         def better(best: FoundEffect, other: FoundEffect) -> float:
             return float(self._often([best, other], ahead, bench)[0])
 
         def beside(best: FoundEffect, other: FoundEffect) -> Worth:
-            both = self._ahead([fitted(vehicle, [best, other], bench).fit])[0]
-            return Worth.of(ahead[best.id], both, self._settings)
+            return Worth.of(ahead[best.id], self._ahead_with([best, other], bench), self._settings)
 
         if not worthy or _stands(worthy[0], doubts[worthy[0].id], bench):
             return {}
         sure = [f for f in worthy[1:] if not doubts[f.id]]
         return dominated(worthy[0], sure, better, beside, self._settings)
+
+    def _both_worthy(
+        self, one: FoundEffect, other: FoundEffect, ahead: Mapping[str, dict[float, Array]], bench: Bench
+    ) -> bool:
+        """Whether two effects explain different things: each is worth adding beside the other."""
+        both = self._ahead_with([one, other], bench)
+        beside = [Worth.of(ahead[f.id], both, self._settings) for f in (one, other)]
+        return all(w.enough(self._settings.worth) for w in beside)
+
+    def _ahead_with(self, findings: Sequence[FoundEffect], bench: Bench) -> dict[float, Array]:
+        """How the model predicts with some candidates together."""
+        return self._ahead([fitted(bench.base.model.functions.vehicle, findings, bench).fit])[0]
 
     def _springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> set[str]:
         """Ids of memories that are springs, where another candidate does at least half as much."""
