@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from undertow.identification.diagnosis.candidates import possible
+from undertow.identification.diagnosis.consistency import Agreement, own_variables, undetermined
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.selection import (
-    Agreement,
     Worth,
+    alternatives,
     best_in_resamples,
     dominated,
-    own_variables,
-    undetermined,
 )
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.model.catalogue import catalogue
@@ -69,6 +68,14 @@ def test_a_gain_that_hangs_on_a_few_windows_is_not_worth_adding() -> None:
     assert steady.enough(0.05)
 
 
+def _effect(name: str) -> FoundEffect:
+    return cast(FoundEffect, SimpleNamespace(id=name))
+
+
+def _gain(fall: float) -> Worth:
+    return Worth({1.0: fall, 5.0: fall}, {1.0: fall, 5.0: fall}, ())
+
+
 @pytest.mark.parametrize(
     ("clearly", "worth", "doubted"), [(0.95, 0.0, True), (0.95, 0.4, False), (0.6, 0.0, False)]
 )
@@ -76,9 +83,19 @@ def test_what_is_worth_nothing_beside_a_better_effect_in_doubt_is_not_establishe
     clearly: float, worth: float, *, doubted: bool
 ) -> None:
     """Of two effects as good, a doubt about the one does not speak against the other."""
-    best, other = (cast(FoundEffect, SimpleNamespace(id=name)) for name in ("best", "other"))
-    gain = Worth({1.0: worth, 5.0: worth}, {1.0: worth, 5.0: worth}, ())
-    assert bool(dominated(best, [other], lambda *_: clearly, lambda *_: gain)) is doubted
+    best, other = map(_effect, ("best", "other"))
+    assert bool(dominated(best, [other], lambda *_: clearly, lambda *_: _gain(worth))) is doubted
+
+
+@pytest.mark.parametrize(("beside_it", "it_beside"), [(0.4, 0.3), (0.4, 0.02), (0.02, 0.02)])
+def test_what_is_worth_adding_beside_an_effect_is_no_alternative_of_it(
+    beside_it: float, it_beside: float
+) -> None:
+    """Unless the effect is worth nothing beside that: then one of the two is too many."""
+    chosen, rival = map(_effect, ("chosen", "rival"))
+    worth = {"chosen": _gain(beside_it), "rival": _gain(it_beside)}
+    both_there = min(beside_it, it_beside) >= DEFAULT.worth
+    assert alternatives(chosen, [rival], lambda first, _: worth[first.id]) == ([] if both_there else [rival])
 
 
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:

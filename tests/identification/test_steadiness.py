@@ -9,8 +9,8 @@ import pytest
 
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from tests.quick import first_quick
+from undertow.identification.diagnosis.consistency import agreements
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.selection import agreements
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.trial import open_bench
 from undertow.identification.estimation.data import prepare

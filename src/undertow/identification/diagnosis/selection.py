@@ -12,17 +12,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
-from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
-from undertow.model.effect import Effect, Flow, Measurement
-from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index, Progress
+from undertow.typing import Array, Progress
 
-from .candidates import Candidate
+from .consistency import SPRING, agreements, is_spring, left_open, never_turned, own_variables
 from .evidence import FoundEffect, as_good, fitted, inclusion, linear, with_effects
 from .parallel import mapped
 from .reference import captured
@@ -135,206 +130,6 @@ def _error_ahead(squares: Mapping[float, Array]) -> float:
     return float(np.mean(np.log(np.maximum(means, 1e-12))))
 
 
-# --- whether it says the same everywhere ----------------------------------------------------------
-@dataclass(frozen=True)
-class Agreement:
-    """Size of an effect in parts of the logs, in units of the fitted one.
-
-    over: what the parts are: runs, times within a run, levels of a signal.
-    value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
-    """
-
-    over: str
-    value: Array
-    error: Array
-
-    @property
-    def spread(self) -> float:
-        """Standard deviation between the parts beyond that of chance (DerSimonian and Laird)."""
-        weight = 1.0 / self.error**2
-        scale = float(weight.sum() - np.sum(weight**2) / weight.sum())
-        return float(np.sqrt(max((self._q - (len(self.value) - 1)) / scale, 0.0)))
-
-    @property
-    def _q(self) -> float:
-        """Cochran's Q."""
-        weight = 1.0 / self.error**2
-        mean = float(np.sum(weight * self.value) / weight.sum())
-        return float(np.sum(weight * (self.value - mean) ** 2))
-
-    def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
-        """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
-        if among * chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
-            return ""
-        if self.spread < settings.size_change:
-            return ""
-        low, high = self.value.min(), self.value.max()
-        return f"its size would have to go from {low:.0%} to {high:.0%} of the fitted one between {self.over}"
-
-
-def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
-    """Size of an effect by run, by time within the runs, and by the level of every signal, over all logs."""
-    pairs = [(bench.base.at.r, bench.train), (bench.base_score.r, bench.test)]
-    fit = finding.trial.fit
-    after = [bench.on_train(fit).r, finding.trial.score.r]
-    change = np.concatenate([a - r for a, (r, _) in zip(after, pairs, strict=True)])
-    before = np.concatenate([r for r, _ in pairs])
-    block = _numbered([data.block for _, data in pairs])
-    kinds = {
-        "runs": _numbered([_runs(data) for _, data in pairs]),
-        "times within a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
-    }
-    kinds |= {
-        f"levels of {name}": _levels(np.concatenate(values), bench.settings)
-        for name, values in _signals([data for _, data in pairs]).items()
-    }
-    found = [_agreement(over, before, change, part, block, bench.settings) for over, part in kinds.items()]
-    return [a for a in found if len(a.value) > 1]
-
-
-def _agreement(
-    over: str, before: Array, change: Array, part: Index, block: Index, settings: Settings
-) -> Agreement:
-    """Sizes by part: the share of the change by which the residual is least there."""
-    power = np.bincount(part, change**2)
-    size = -np.bincount(part, before * change) / np.maximum(power, 1e-300)
-    score = (before + size[part] * change) * change
-    table = np.zeros((int(part.max()) + 1, int(block.max()) + 1))
-    np.add.at(table, (part, block), score)
-    error = np.sqrt(np.maximum(np.sum(table**2, axis=1), power)) / np.maximum(power, 1e-300)
-    known = (power > 0.0) & (error < settings.part_error)
-    return Agreement(over, size[known], error[known])
-
-
-def _numbered(parts: Sequence[Index]) -> Index:
-    """Numbers of several tables, so that none comes twice."""
-    first = np.cumsum([0, *(int(p.max(initial=-1)) + 1 for p in parts)])
-    return np.concatenate([p + start for p, start in zip(parts, first, strict=False)])
-
-
-def _per_row(data: WeakData, values: Sequence[Array]) -> Array:
-    """Values at the test functions of every segment as values of the rows."""
-    return np.concatenate([np.repeat(v, len(data.rows)) for v in values])
-
-
-def _runs(data: WeakData) -> Index:
-    return _per_row(data, [np.full(s.functions.count, s.run) for s in data.segments]).astype(np.intp)
-
-
-def _times(data: WeakData, settings: Settings) -> Index:
-    shares = []
-    for s in data.segments:
-        t = data.runs[s.run].t
-        share = (s.functions.centre - t[0]) / (t[-1] - t[0])
-        shares.append(np.clip((share * settings.size_parts).astype(np.intp), 0, settings.size_parts - 1))
-    return _per_row(data, shares).astype(np.intp)
-
-
-def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
-    """Motion and commands, and the speed in units of each velocity's scatter, in the rows of each data."""
-    names, commands = data[0].names, data[0].commands
-    half = len(names) // 2
-    spread = np.nanstd(np.vstack([s.measured[:, half:] for d in data for s in d.segments]), axis=0)
-    found: dict[str, list[Array]] = {}
-    for d in data:
-        rows: dict[str, list[Array]] = {}
-        for s in d.segments:
-            table = np.column_stack([s.measured, s.u])
-            speed = np.sqrt(np.nansum((s.measured[:, half:] / np.maximum(spread, 1e-300)) ** 2, axis=1))
-            for name, values in (*zip((*names, *commands), table.T, strict=True), ("the speed", speed)):
-                if name not in ("x", "y") and np.isfinite(values).all():
-                    rows.setdefault(name, []).append(np.interp(s.functions.centre, s.t, values))
-        for name, values in rows.items():
-            if len(values) == len(d.segments):
-                found.setdefault(name, []).append(_per_row(d, values))
-    return {name: values for name, values in found.items() if len(values) == len(data)}
-
-
-def _levels(values: Array, settings: Settings) -> Index:
-    edges = np.quantile(values, np.arange(1, settings.size_parts) / settings.size_parts)
-    return np.digitize(values, edges).astype(np.intp)
-
-
-# --- whether these logs show what is special about it -----------------------------------------------
-def undetermined(
-    effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], settings: Settings = DEFAULT
-) -> str:
-    """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
-
-    A memory without a time of its own is a spring or a damper; what has run into a bound is not what it is
-    called. Where an effect is there beyond chance but nothing that it is proportional to is known, only a
-    product is, which another effect may be: a soft spring to a far point pulls like a constant force.
-
-    values, errors: those of its free parameters, by name, with standard errors.
-    """
-    own = [p for p in effect.parameters if p.name in values]
-    words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
-    known = {p.name for p in own if abs(values[p.name]) > settings.known_times * errors[p.name]}
-    for p in own:
-        if effect.states and p.unit == "s" and not (p.name in known and values[p.name] > 0.0):
-            return f"its time constant {words[p.name]} is not known from these logs"
-        if np.isclose(values[p.name], p.bounds[1], rtol=1e-6):
-            return f"{p.name} = {values[p.name]:.3g} lies on its bound"
-    sizes = [p.name for p in own if p.linear]
-    if sizes and len(own) > len(sizes) and not known & {*sizes}:
-        size = ", ".join(words[name] for name in sizes)
-        return f"its size {size} is not known from these logs, only its product with other parameters"
-    return ""
-
-
-def _undetermined(finding: FoundEffect, settings: Settings) -> str:
-    fit = finding.trial.fit
-    free = {n: fit.values[n] for n in fit.model.free}
-    return undetermined(finding.trial.candidate.effect(()), free, fit.standard_errors, settings)
-
-
-def _is_spring(finding: FoundEffect) -> bool:
-    """Whether a memory of the flow would take more inertia from slow motion than the water has.
-
-    A memory of waves cannot do that, and a stiffness does; drag that lags the motion can.
-    """
-    fit = finding.trial.fit
-    slow = added_mass_at_zero_frequency(fit.model.functions, fit.p[: fit.model.values.size])
-    return slow is not None and bool(np.any(np.diag(slow) < 0.0))
-
-
-_SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
-
-
-def _never_turned(finding: FoundEffect, bench: Bench) -> str:
-    """Why these logs do not tell a current from a force that goes with the vehicle; empty where they do."""
-    if not issubclass(finding.trial.candidate.effect, Flow):
-        return ""
-    runs = [r for data in (bench.train, bench.test) for r in data.runs]
-    turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))
-    if turned >= bench.settings.turning:
-        return ""
-    return f"the heading turns by {turned:.2g} rad only: a force that goes with the vehicle may do the same"
-
-
-def _turned(heading: Array) -> float:
-    """Range of directions, rad."""
-    direction = np.exp(1j * heading[np.isfinite(heading)])
-    return float(np.ptp(np.angle(direction / np.sum(direction))))
-
-
-# --- whether a function of its own variables would do much better ----------------------------------
-def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
-    """Velocities, pose and commands that what an effect adds to the equations depends on.
-
-    Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
-    force depends on none.
-    """
-    symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
-    names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
-    there = (*base.velocity_names, *base.pose_names, *base.command_names)
-    if found := tuple(n for n in there if n in names):
-        return found
-    if issubclass(candidate.effect, Measurement):
-        return base.velocity_names
-    return base.command_names if candidate.effect.family == "actuation" else ()
-
-
 # --- the selection --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Graded:
@@ -396,7 +191,7 @@ def _stands(finding: FoundEffect, doubt: str, bench: Bench) -> bool:
 
     A current on one heading is not refuted: these logs do not show what would be special about it.
     """
-    return not doubt or doubt == _never_turned(finding, bench)
+    return not doubt or doubt == never_turned(finding, bench)
 
 
 def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
@@ -406,11 +201,27 @@ def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
     return other.id in finding.trial.candidate.effect.series_of
 
 
+#: What the second of two effects is worth on top of the first.
+Beside = Callable[[FoundEffect, FoundEffect], Worth]
+
+
+def alternatives(
+    chosen: FoundEffect, rivals: Sequence[FoundEffect], beside: Beside, settings: Settings = DEFAULT
+) -> list[FoundEffect]:
+    """The rivals that explain what the chosen effect explains: not both of them are worth adding."""
+
+    def another(rival: FoundEffect) -> bool:
+        pairs = (chosen, rival), (rival, chosen)
+        return all(beside(*pair).enough(settings.worth) for pair in pairs)
+
+    return [r for r in rivals if not another(r)]
+
+
 def dominated(
     best: FoundEffect,
     others: Sequence[FoundEffect],
     better: Callable[[FoundEffect, FoundEffect], float],
-    beside: Callable[[FoundEffect, FoundEffect], Worth],
+    beside: Beside,
     settings: Settings = DEFAULT,
 ) -> dict[str, str]:
     """Why others are not established beside a better effect that is in doubt, by their ids.
@@ -418,7 +229,6 @@ def dominated(
     Whatever is behind the better one, what is worth nothing beside it only makes up for that in part.
 
     better: share of the resamples in which the first of two is better.
-    beside: worth of the second on top of the first.
     """
     found = {}
     for f in others:
@@ -505,7 +315,7 @@ class _Selector:
         leading, near = self._leading([f for f in able if f.id not in springs], ahead, bench)
         worthy = [f for f in leading if worth[f.id].enough(least)]
         # What has run into a bound is not what it is called: to predict, too, others come first.
-        worthy.sort(key=lambda f: bool(_undetermined(f, self._settings)))
+        worthy.sort(key=lambda f: bool(left_open(f, self._settings)))
         many = self._settings.many_alike
         doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
@@ -515,7 +325,7 @@ class _Selector:
         doubts |= self._dominated(worthy, doubts, ahead, bench)
         if not graded:
             self._worth |= worth
-            doubts |= dict.fromkeys(springs, _SPRING)
+            doubts |= dict.fromkeys(springs, SPRING)
             reasons = {i: worth[i].lacking(least) or doubts.get(i, "") for i in found}
             shown = (f.id for f in _beyond_chance(current))
             self._reasons |= {i: reasons.get(i) or _NOT_BEST for i in shown}
@@ -530,7 +340,7 @@ class _Selector:
             and (_is_series_of(chosen, f) or (f.id in doubts and _stands(f, doubts[f.id], bench)))
         ]
         doubt = doubts[chosen.id]
-        alike = [] if doubt else [r for r in rivals if not self._both_worthy(chosen, r, ahead, bench)]
+        alike = [] if doubt else alternatives(chosen, rivals, self._beside(ahead, bench), self._settings)
         return Graded(chosen, alike, worth[chosen.id], doubt)
 
     def _dominated(
@@ -545,30 +355,27 @@ class _Selector:
         def better(best: FoundEffect, other: FoundEffect) -> float:
             return float(self._often([best, other], ahead, bench)[0])
 
-        def beside(best: FoundEffect, other: FoundEffect) -> Worth:
-            return Worth.of(ahead[best.id], self._ahead_with([best, other], bench), self._settings)
-
         if not worthy or _stands(worthy[0], doubts[worthy[0].id], bench):
             return {}
         sure = [f for f in worthy[1:] if not doubts[f.id]]
-        return dominated(worthy[0], sure, better, beside, self._settings)
+        return dominated(worthy[0], sure, better, self._beside(ahead, bench), self._settings)
 
-    def _both_worthy(
-        self, one: FoundEffect, other: FoundEffect, ahead: Mapping[str, dict[float, Array]], bench: Bench
-    ) -> bool:
-        """Whether two effects explain different things: each is worth adding beside the other."""
-        both = self._ahead_with([one, other], bench)
-        beside = [Worth.of(ahead[f.id], both, self._settings) for f in (one, other)]
-        return all(w.enough(self._settings.worth) for w in beside)
+    def _beside(self, ahead: Mapping[str, dict[float, Array]], bench: Bench) -> Beside:
+        """What a candidate is worth on top of another."""
+        vehicle, both = bench.base.model.functions.vehicle, {}
 
-    def _ahead_with(self, findings: Sequence[FoundEffect], bench: Bench) -> dict[float, Array]:
-        """How the model predicts with some candidates together."""
-        return self._ahead([fitted(bench.base.model.functions.vehicle, findings, bench).fit])[0]
+        def worth(first: FoundEffect, then: FoundEffect) -> Worth:
+            pair = frozenset((first.id, then.id))
+            if pair not in both:
+                both[pair] = self._ahead([fitted(vehicle, [first, then], bench).fit])[0]
+            return Worth.of(ahead[first.id], both[pair], self._settings)
+
+        return worth
 
     def _springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> set[str]:
         """Ids of memories that are springs, where another candidate does at least half as much."""
         gained = {f.id: float(np.mean([*worth[f.id].falls.values()])) for f in findings}
-        springs = {f.id for f in findings if _is_spring(f)}
+        springs = {f.id for f in findings if is_spring(f)}
         most = max((gained[i] for i in springs), default=0.0)
         enough = any(gained[i] >= self._settings.own_share * most for i in gained.keys() - springs)
         return springs if enough else set()
@@ -622,7 +429,7 @@ class _Selector:
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
-        if words := _undetermined(finding, self._settings) or _never_turned(finding, bench):
+        if words := left_open(finding, self._settings) or never_turned(finding, bench):
             return words
         parts = agreements(finding, bench)
         if not parts:

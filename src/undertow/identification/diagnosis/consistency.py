@@ -1,0 +1,220 @@
+"""Whether an effect is what it is called: the same everywhere in the logs, and known from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
+from undertow.model.effect import Effect, Flow, Measurement
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array, Index
+
+from .candidates import Candidate
+from .evidence import FoundEffect
+from .settings import DEFAULT, Settings
+from .trial import Bench
+
+
+# --- whether it says the same everywhere ----------------------------------------------------------
+@dataclass(frozen=True)
+class Agreement:
+    """Size of an effect in parts of the logs, in units of the fitted one.
+
+    over: what the parts are: runs, times within a run, levels of a signal.
+    value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
+    """
+
+    over: str
+    value: Array
+    error: Array
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation between the parts beyond that of chance (DerSimonian and Laird)."""
+        weight = 1.0 / self.error**2
+        scale = float(weight.sum() - np.sum(weight**2) / weight.sum())
+        return float(np.sqrt(max((self._q - (len(self.value) - 1)) / scale, 0.0)))
+
+    @property
+    def _q(self) -> float:
+        """Cochran's Q."""
+        weight = 1.0 / self.error**2
+        mean = float(np.sum(weight * self.value) / weight.sum())
+        return float(np.sum(weight * (self.value - mean) ** 2))
+
+    def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
+        """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
+        if among * chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
+            return ""
+        if self.spread < settings.size_change:
+            return ""
+        low, high = self.value.min(), self.value.max()
+        return f"its size would have to go from {low:.0%} to {high:.0%} of the fitted one between {self.over}"
+
+
+def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
+    """Size of an effect by run, by time within the runs, and by the level of every signal, over all logs."""
+    pairs = [(bench.base.at.r, bench.train), (bench.base_score.r, bench.test)]
+    fit = finding.trial.fit
+    after = [bench.on_train(fit).r, finding.trial.score.r]
+    change = np.concatenate([a - r for a, (r, _) in zip(after, pairs, strict=True)])
+    before = np.concatenate([r for r, _ in pairs])
+    block = _numbered([data.block for _, data in pairs])
+    kinds = {
+        "runs": _numbered([_runs(data) for _, data in pairs]),
+        "times within a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
+    }
+    kinds |= {
+        f"levels of {name}": _levels(np.concatenate(values), bench.settings)
+        for name, values in _signals([data for _, data in pairs]).items()
+    }
+    found = [_agreement(over, before, change, part, block, bench.settings) for over, part in kinds.items()]
+    return [a for a in found if len(a.value) > 1]
+
+
+def _agreement(
+    over: str, before: Array, change: Array, part: Index, block: Index, settings: Settings
+) -> Agreement:
+    """Sizes by part: the share of the change by which the residual is least there."""
+    power = np.bincount(part, change**2)
+    size = -np.bincount(part, before * change) / np.maximum(power, 1e-300)
+    score = (before + size[part] * change) * change
+    table = np.zeros((int(part.max()) + 1, int(block.max()) + 1))
+    np.add.at(table, (part, block), score)
+    error = np.sqrt(np.maximum(np.sum(table**2, axis=1), power)) / np.maximum(power, 1e-300)
+    known = (power > 0.0) & (error < settings.part_error)
+    return Agreement(over, size[known], error[known])
+
+
+def _numbered(parts: Sequence[Index]) -> Index:
+    """Numbers of several tables, so that none comes twice."""
+    first = np.cumsum([0, *(int(p.max(initial=-1)) + 1 for p in parts)])
+    return np.concatenate([p + start for p, start in zip(parts, first, strict=False)])
+
+
+def _per_row(data: WeakData, values: Sequence[Array]) -> Array:
+    """Values at the test functions of every segment as values of the rows."""
+    return np.concatenate([np.repeat(v, len(data.rows)) for v in values])
+
+
+def _runs(data: WeakData) -> Index:
+    return _per_row(data, [np.full(s.functions.count, s.run) for s in data.segments]).astype(np.intp)
+
+
+def _times(data: WeakData, settings: Settings) -> Index:
+    shares = []
+    for s in data.segments:
+        t = data.runs[s.run].t
+        share = (s.functions.centre - t[0]) / (t[-1] - t[0])
+        shares.append(np.clip((share * settings.size_parts).astype(np.intp), 0, settings.size_parts - 1))
+    return _per_row(data, shares).astype(np.intp)
+
+
+def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
+    """Motion and commands, and the speed in units of each velocity's scatter, in the rows of each data."""
+    names, commands = data[0].names, data[0].commands
+    half = len(names) // 2
+    spread = np.nanstd(np.vstack([s.measured[:, half:] for d in data for s in d.segments]), axis=0)
+    found: dict[str, list[Array]] = {}
+    for d in data:
+        rows: dict[str, list[Array]] = {}
+        for s in d.segments:
+            table = np.column_stack([s.measured, s.u])
+            speed = np.sqrt(np.nansum((s.measured[:, half:] / np.maximum(spread, 1e-300)) ** 2, axis=1))
+            for name, values in (*zip((*names, *commands), table.T, strict=True), ("the speed", speed)):
+                if name not in ("x", "y") and np.isfinite(values).all():
+                    rows.setdefault(name, []).append(np.interp(s.functions.centre, s.t, values))
+        for name, values in rows.items():
+            if len(values) == len(d.segments):
+                found.setdefault(name, []).append(_per_row(d, values))
+    return {name: values for name, values in found.items() if len(values) == len(data)}
+
+
+def _levels(values: Array, settings: Settings) -> Index:
+    edges = np.quantile(values, np.arange(1, settings.size_parts) / settings.size_parts)
+    return np.digitize(values, edges).astype(np.intp)
+
+
+# --- whether these logs show what is special about it -----------------------------------------------
+def undetermined(
+    effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], settings: Settings = DEFAULT
+) -> str:
+    """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
+
+    A memory without a time of its own is a spring or a damper; what has run into a bound is not what it is
+    called. Where an effect is there beyond chance but nothing that it is proportional to is known, only a
+    product is, which another effect may be: a soft spring to a far point pulls like a constant force.
+
+    values, errors: those of its free parameters, by name, with standard errors.
+    """
+    own = [p for p in effect.parameters if p.name in values]
+    words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
+    known = {p.name for p in own if abs(values[p.name]) > settings.known_times * errors[p.name]}
+    for p in own:
+        if effect.states and p.unit == "s" and not (p.name in known and values[p.name] > 0.0):
+            return f"its time constant {words[p.name]} is not known from these logs"
+        if np.isclose(values[p.name], p.bounds[1], rtol=1e-6):
+            return f"{p.name} = {values[p.name]:.3g} lies on its bound"
+    sizes = [p.name for p in own if p.linear]
+    if sizes and len(own) > len(sizes) and not known & {*sizes}:
+        size = ", ".join(words[name] for name in sizes)
+        return f"its size {size} is not known from these logs, only its product with other parameters"
+    return ""
+
+
+def left_open(finding: FoundEffect, settings: Settings) -> str:
+    fit = finding.trial.fit
+    free = {n: fit.values[n] for n in fit.model.free}
+    return undetermined(finding.trial.candidate.effect(()), free, fit.standard_errors, settings)
+
+
+def is_spring(finding: FoundEffect) -> bool:
+    """Whether a memory of the flow would take more inertia from slow motion than the water has.
+
+    A memory of waves cannot do that, and a stiffness does; drag that lags the motion can.
+    """
+    fit = finding.trial.fit
+    slow = added_mass_at_zero_frequency(fit.model.functions, fit.p[: fit.model.values.size])
+    return slow is not None and bool(np.any(np.diag(slow) < 0.0))
+
+
+SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
+
+
+def never_turned(finding: FoundEffect, bench: Bench) -> str:
+    """Why these logs do not tell a current from a force that goes with the vehicle; empty where they do."""
+    if not issubclass(finding.trial.candidate.effect, Flow):
+        return ""
+    runs = [r for data in (bench.train, bench.test) for r in data.runs]
+    turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))
+    if turned >= bench.settings.turning:
+        return ""
+    return f"the heading turns by {turned:.2g} rad only: a force that goes with the vehicle may do the same"
+
+
+def _turned(heading: Array) -> float:
+    """Range of directions, rad."""
+    direction = np.exp(1j * heading[np.isfinite(heading)])
+    return float(np.ptp(np.angle(direction / np.sum(direction))))
+
+
+# --- whether a function of its own variables would do much better ----------------------------------
+def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
+    """Velocities, pose and commands that what an effect adds to the equations depends on.
+
+    Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
+    force depends on none.
+    """
+    symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
+    names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
+    there = (*base.velocity_names, *base.pose_names, *base.command_names)
+    if found := tuple(n for n in there if n in names):
+        return found
+    if issubclass(candidate.effect, Measurement):
+        return base.velocity_names
+    return base.command_names if candidate.effect.family == "actuation" else ()
