@@ -87,15 +87,11 @@ def test_what_is_worth_nothing_beside_a_better_effect_in_doubt_is_not_establishe
     assert bool(dominated(best, [other], lambda *_: clearly, lambda *_: _gain(worth))) is doubted
 
 
-@pytest.mark.parametrize(("beside_it", "it_beside"), [(0.4, 0.3), (0.4, 0.02), (0.02, 0.02)])
-def test_what_is_worth_adding_beside_an_effect_is_no_alternative_of_it(
-    beside_it: float, it_beside: float
-) -> None:
-    """Unless the effect is worth nothing beside that: then one of the two is too many."""
-    chosen, rival = map(_effect, ("chosen", "rival"))
-    worth = {"chosen": _gain(beside_it), "rival": _gain(it_beside)}
-    both_there = min(beside_it, it_beside) >= DEFAULT.worth
-    assert alternatives(chosen, [rival], lambda first, _: worth[first.id]) == ([] if both_there else [rival])
+def test_beside_an_alternative_an_effect_is_not_worth_adding() -> None:
+    """One beside which it still is explains something else, or only part of the same."""
+    chosen, *rivals = map(_effect, ("chosen", "same", "part"))
+    chosen_beside = {"same": _gain(0.02), "part": _gain(0.3)}
+    assert alternatives(chosen, rivals, lambda first, _: chosen_beside[first.id]) == rivals[:1]
 
 
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:

@@ -208,13 +208,8 @@ Beside = Callable[[FoundEffect, FoundEffect], Worth]
 def alternatives(
     chosen: FoundEffect, rivals: Sequence[FoundEffect], beside: Beside, settings: Settings = DEFAULT
 ) -> list[FoundEffect]:
-    """The rivals that explain what the chosen effect explains: not both of them are worth adding."""
-
-    def another(rival: FoundEffect) -> bool:
-        pairs = (chosen, rival), (rival, chosen)
-        return all(beside(*pair).enough(settings.worth) for pair in pairs)
-
-    return [r for r in rivals if not another(r)]
+    """The rivals with which the chosen effect is not worth adding any more: they explain what it explains."""
+    return [r for r in rivals if not beside(r, chosen).enough(settings.worth)]
 
 
 def dominated(
