@@ -327,16 +327,14 @@ class _Selector:
         if not worthy:
             return None
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
-        rivals = [
-            f
-            for f in found.values()
-            if f is not chosen
-            and worth[f.id].enough(least)
-            and (_is_series_of(chosen, f) or (f.id in doubts and _stands(f, doubts[f.id], bench)))
-        ]
         doubt = doubts[chosen.id]
-        alike = [] if doubt else alternatives(chosen, rivals, self._beside(ahead, bench), self._settings)
-        return Graded(chosen, alike, worth[chosen.id], doubt)
+        if doubt:
+            return Graded(chosen, [], worth[chosen.id], doubt)
+        others = [f for i, f in found.items() if f is not chosen and worth[i].enough(least)]
+        series = [f for f in others if _is_series_of(chosen, f)]
+        rivals = [f for f in others if f not in series and f.id in doubts and _stands(f, doubts[f.id], bench)]
+        alike = alternatives(chosen, rivals, self._beside(ahead, bench), self._settings)
+        return Graded(chosen, [*series, *alike], worth[chosen.id], doubt)
 
     def _dominated(
         self,
