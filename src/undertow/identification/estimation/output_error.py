@@ -238,11 +238,14 @@ class Descent:
     def _stepped(self, state: State) -> tuple[State, float]:
         """The next state and the fall of the cost; the same state and zero where no step helps."""
         damping, before = state.damping, self._space.cost(state.p, state.at.cost)
+        by_window = False
         while damping < SETTINGS.most_damping:
             step = self._space.step(_damped(state.at, damping), state.p)
             p = self._space.moved(state.p, step)
-            starts = state.starts + state.at.start_step + state.at.start_slope @ step
+            starts = state.starts + state.at.start_slope @ step
+            further = starts + state.at.start_step
             # Most steps help: to simulate with derivatives at once is cheaper than to look first.
+            starts = self._shooting.better_starts(p, starts, further) if by_window else further
             at = self._shooting.linearise(p, starts)
             after = self._space.cost(p, at.cost)
             if after < before:
@@ -250,7 +253,8 @@ class Descent:
             promised = self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
             if before - promised < _negligible_fall(state.at):
                 break
-            damping *= 10
+            # Nothing holds the steps of the starts back: in a few windows one may be what fails.
+            damping, by_window = damping * 10 if by_window else damping, True
         return state, 0.0
 
 
