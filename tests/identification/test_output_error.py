@@ -22,7 +22,7 @@ from undertow.identification.estimation.output_error import OutputErrorFit, chan
 # Private: sums as large as these come from no simulation that is worth a test.
 # Private: sums with a column of rounding, which no log here has.
 from undertow.identification.estimation.shooting import Shooting, _condensed, eliminated
-from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.estimation.weak_form import fit_weak, free_parameters
 from undertow.identification.estimation.windows import cut
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
@@ -270,6 +270,26 @@ def test_a_lag_is_found_though_nobody_knows_the_thrust_at_the_beginning() -> Non
     true = case.truth["values"]["thruster_lag"]["T"]
     assert fit.values["T_lag"] == pytest.approx(true, abs=4 * fit.standard_errors["T_lag"])
     assert np.nanmax(fit.mean_square()) < 1.3
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_windows_in_which_a_step_fails_do_not_hold_the_parameters(share: float) -> None:
+    """In a current that the model lacks, long windows run away: the descent still ends where it does from
+    elsewhere.
+    """
+    case = make_case(
+        "catamaran",
+        ("ocean_current",),
+        5,
+        noise=0.02,
+        strength=3.0,
+        duration=40.0,
+        runs=("steps", "multisine"),
+    )
+    vehicle = vehicle_of(case)
+    start = {n: share * vehicle.value_of(n).value for n in free_parameters(vehicle)}
+    fit = fit_output_error(vehicle, runs_of(case), horizon=15.0, start=start)
+    assert np.log(fit.dispersion[fit.at.counts > 0]).sum() < 90.0
 
 
 def test_a_lever_arm_is_found_by_what_the_sensor_reports() -> None:
