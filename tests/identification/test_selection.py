@@ -87,11 +87,13 @@ def test_what_is_worth_nothing_beside_a_better_effect_in_doubt_is_not_establishe
     assert bool(dominated(best, [other], lambda *_: clearly, lambda *_: _gain(worth))) is doubted
 
 
-def test_beside_an_alternative_an_effect_is_not_worth_adding() -> None:
-    """One beside which it still is explains something else, or only part of the same."""
-    chosen, *rivals = map(_effect, ("chosen", "same", "part"))
-    chosen_beside = {"same": _gain(0.02), "part": _gain(0.3)}
-    assert alternatives(chosen, rivals, lambda first, _: chosen_beside[first.id]) == rivals[:1]
+def test_an_alternative_takes_over_what_an_effect_gains() -> None:
+    """One beside which it gains as much as alone explains something else."""
+    chosen, *rivals = map(_effect, ("chosen", "same", "other"))
+    beside = {"same": _gain(0.2), "other": _gain(0.7)}
+    found = alternatives(chosen, _gain(0.8), rivals, lambda first, _: beside[first.id])
+    assert found == rivals[:1]
+    assert _gain(0.5).gain == pytest.approx(np.log(2.0))
 
 
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:

@@ -48,6 +48,12 @@ class Worth:
     better: tuple[float, float] = (1.0, 0.0)
 
     @property
+    def gain(self) -> float:
+        """Mean fall of the logarithm of the error over all horizons: gains one after the other add up."""
+        left = np.maximum(1.0 - np.array([*self.falls.values()]), 1e-12)
+        return -float(np.mean(np.log(left)))
+
+    @property
     def by_horizon(self) -> dict[str, float]:
         """The falls by horizon in words, as they are written to JSON."""
         return {f"{h:g} s": fall for h, fall in self.falls.items()}
@@ -206,10 +212,17 @@ Beside = Callable[[FoundEffect, FoundEffect], Worth]
 
 
 def alternatives(
-    chosen: FoundEffect, rivals: Sequence[FoundEffect], beside: Beside, settings: Settings = DEFAULT
+    chosen: FoundEffect,
+    alone: Worth,
+    rivals: Sequence[FoundEffect],
+    beside: Beside,
+    settings: Settings = DEFAULT,
 ) -> list[FoundEffect]:
-    """The rivals with which the chosen effect is not worth adding any more: they explain what it explains."""
-    return [r for r in rivals if not beside(r, chosen).enough(settings.worth)]
+    """The rivals that take over what the chosen effect explains: beside them little of its gain is left.
+
+    Beside others it gains as much as `alone`: they explain something else.
+    """
+    return [r for r in rivals if beside(r, chosen).gain < settings.kept_gain * alone.gain]
 
 
 def dominated(
@@ -333,7 +346,7 @@ class _Selector:
         others = [f for i, f in found.items() if f is not chosen and worth[i].enough(least)]
         series = [f for f in others if _is_series_of(chosen, f)]
         rivals = [f for f in others if f not in series and f.id in doubts and _stands(f, doubts[f.id], bench)]
-        alike = alternatives(chosen, rivals, self._beside(ahead, bench), self._settings)
+        alike = alternatives(chosen, worth[chosen.id], rivals, self._beside(ahead, bench), self._settings)
         return Graded(chosen, [*series, *alike], worth[chosen.id], doubt)
 
     def _dominated(

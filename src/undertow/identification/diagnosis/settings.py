@@ -253,6 +253,12 @@ class Settings:
         _LEVEL,
         off=0.0,
     )
+    kept_gain: float = _number(
+        0.5,
+        "share of its gain that an effect keeps beside another, up to which that one is an alternative",
+        "half: nearer to all that it gains, or to nothing",
+        off=_NEVER,
+    )
     own_share: float = _number(
         0.5,
         "share of what a flexible function of its own variables explains that an effect explains",
