@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from undertow.identification.compare.comparison import Comparison, Profile
     from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.validation import SimulationValidator
+    from undertow.identification.estimation.fitted import Fitted
     from undertow.identification.report.data import RunTraces
     from undertow.model.effect import Effect
 
@@ -110,6 +111,17 @@ class Job:
         train, test = training_and_validation(given, *self.to_fit, trust_log=self.trust)
         return SimulationValidator(given, train, test, prepare(train, given).sigma)
 
+    def errors(self, *models: Fitted | Vehicle) -> list[dict[str, float]]:
+        """Errors of models on validation data by measure; the noise of the force is that of the last one."""
+        from undertow.identification.diagnosis.addition import force_errors
+
+        judges = self.judges
+        try:
+            force = force_errors(models, judges.test, self.vehicle_of(0), judges.sigma)
+        except UndertowError:  # runs that can be simulated may be too short for test functions
+            force = [math.nan] * len(models)
+        return [_finite({FORCE: f, **judges.ahead(m)}) for f, m in zip(force, models, strict=True)]
+
 
 def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list[Run]:
     """All logs of a session; without `mended` as they were read before the last remedy of the doctor."""
@@ -143,7 +155,7 @@ def compare(job: Job) -> Result:
 def _predicted(job: Job) -> dict[str, float]:
     """Errors of the present model on validation data; none where these are too short, which a map may be."""
     try:
-        return _finite(job.judges.ahead(job.vehicle))
+        return job.errors(job.vehicle)[0]
     except UndertowError:
         return {}
 
@@ -314,12 +326,12 @@ def fit(job: Job) -> Result:
     done = run(job.vehicle, train, judge, report=_share(job.report, 0.0, 0.9), trust_log=job.trust)
     out = job.place.new_file("model")
     done.save(job.place.vehicle_file(), out)
-    errors = _finite(job.judges.ahead(done.fit))
+    given, errors = job.errors(job.vehicle, done.fit)
     combined = [str(c) for c in base_parameters(done.fit.gram, done.fit.model.free)]
     step = ModelStep(what="refitted", file=out.name, command="fit", errors=errors)
     return {
         "step": step.model_dump(),
-        "given": _finite(job.judges.ahead(job.vehicle)),
+        "given": given,
         "sentence": done.result().sentence(),
         "parameters": [_finite(row) for row in done.parameters.iter_rows(named=True)],
         "names": list(done.fit.model.free),

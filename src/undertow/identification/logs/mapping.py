@@ -167,10 +167,15 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 def mapping_beside(log: Path) -> LogMapping | None:
     """The mapping of a log that has a mapping file of its name beside it, run1.toml of run1.csv."""
-    path = log.parent / f"{log.name.split('.')[0]}.toml"
+    path = place_beside(log)
     if not path.is_file() or read_toml(path, "file").get("schema") != SCHEMA:
         return None
     return read_mapping(path)
+
+
+def place_beside(log: Path) -> Path:
+    """Where the mapping file of a log would be that is not given."""
+    return log.parent / f"{log.name.split('.')[0]}.toml"
 
 
 def mapping_text(mapping: LogMapping) -> str:
