@@ -218,7 +218,7 @@ def test_an_effect_is_made_of_what_remains(place: Workspace, job: Make) -> None:
     place.keep("diagnose", place.key, found)
     made = tasks.invent(job(effect="my_force"))
     assert "per |u| u" in made["terms"][0]
-    place.session.effects.append(made["file"])
+    place.take_effect(made["file"])
     known = Job(place, {}, lambda done, words: None).known
     assert known["my_force"].family
     with pytest.raises(UndertowError, match="is there already"):

@@ -19,7 +19,7 @@ from undertow.model.units import short_unit
 from undertow.model.vehicle import Vehicle
 
 from . import figures
-from .session import FORCE, ModelStep, Workspace, near
+from .session import FORCE, REFITTED, ModelStep, Workspace, near
 from .view import View, action, equation, heading, lines, measures, shown, stale, words_of
 
 _VERDICTS = {
@@ -255,10 +255,12 @@ def _waterfall(view: View) -> None:
 
 def falling(steps: Sequence[ModelStep], measure: str) -> Iterator[tuple[str, float | None]]:
     """Name and error of every model, with the refit between two where it was worked out."""
+    last = ""
     for step in steps:
-        if measure in step.refitted:
-            yield "refitted", step.refitted[measure]
+        if measure in step.refitted and last != REFITTED:  # a refit of a refit is the same
+            yield REFITTED, step.refitted[measure]
         yield step.what, step.errors.get(measure)
+        last = step.what
 
 
 def _simulation(view: View, found: Mapping[str, Any]) -> None:
@@ -427,9 +429,9 @@ def _fitted(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], current
         ui.label(f"Only these combinations show in the logs: {'; '.join(found['combinations'])}.").classes(
             "text-sm text-amber-900"
         )
-    ui.label(f"How the errors hang together (condition number {found['condition']:.3g})").classes(
-        "font-medium"
-    )
+    ui.label(
+        f"Correlation of the errors of the estimates (condition number {found['condition']:.3g})"
+    ).classes("font-medium")
     names = [parameter_text(n) for n in found["names"]]
     ui.plotly(figures.correlations(names, found["correlation"])).classes("w-full").mark("correlations")
 

@@ -27,6 +27,7 @@ SCHEMA: Literal["undertow/workbench/1"] = "undertow/workbench/1"
 Role = Literal["train", "judge", "out"]
 ROLES: tuple[Role, ...] = get_args(Role)
 FORCE = "force"  # the measure of an error that is not one of a prediction
+REFITTED = "refitted"  # what a model is called that has other values only
 _FILE = "session.json"
 
 
@@ -94,8 +95,14 @@ class LogChoice(_Table):
             yield span.role, _part(run.slice(span.start, end), run, span)
 
 
+def seconds(t: float) -> str:
+    """A time in a log, as "49999.9" where four digits would be 5e+04."""
+    return f"{t:.4g}" if abs(t) < 1e4 else f"{t:.1f}"
+
+
 def _part(piece: Run, run: Run, span: Stretch) -> Run:
-    return replace(piece, name=f"{run.name} [{span.start:.4g}-{span.end:.4g} s]", part_of=run.origin)
+    name = f"{run.name} [{seconds(span.start)}-{seconds(span.end)} s]"
+    return replace(piece, name=name, part_of=run.origin)
 
 
 class Remedy(_Table):

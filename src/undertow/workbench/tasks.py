@@ -16,7 +16,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .figures import thinned
-from .session import FORCE, ModelStep, Workspace
+from .session import FORCE, REFITTED, ModelStep, Workspace
 
 if TYPE_CHECKING:
     from undertow.identification.compare.comparison import Comparison, Profile
@@ -328,7 +328,7 @@ def fit(job: Job) -> Result:
     done.save(job.place.vehicle_file(), out)
     given, errors = job.errors(job.vehicle, done.fit)
     combined = [str(c) for c in base_parameters(done.fit.gram, done.fit.model.free)]
-    step = ModelStep(what="refitted", file=out.name, command="fit", errors=errors)
+    step = ModelStep(what=REFITTED, file=out.name, command="fit", errors=errors)
     return {
         "step": step.model_dump(),
         "given": given,
