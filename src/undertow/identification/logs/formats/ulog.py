@@ -64,7 +64,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     }
     notes = [f"damaged: {line}" for line in said.getvalue().splitlines()[:1]]
     lost = sum(dropout.duration for dropout in log.dropouts) / 1000
-    notes += [f"{len(log.dropouts)} dropouts of the logger, {lost:.3g} s in all"] if log.dropouts else []
+    notes += (
+        [f"the logger dropped out {len(log.dropouts)} times, for {lost:.3g} s in all"] if log.dropouts else []
+    )
     actuators = _actuators(series)
     pieces, cuts = _stretches(series, actuators)
     return FieldLog(
