@@ -425,7 +425,7 @@ def waterfall(bars: Sequence[tuple[str, float | None]], unit: str, *, floor: flo
     }
     line = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": floor, "y1": floor}
     shapes = [] if floor is None else [{**line, "line": {"dash": "dot", "color": "#2e7d32"}}]
-    scale = {"type": "log", "dtick": 1} if far else {"rangemode": "tozero"}
+    scale = {"type": "log", "dtick": 1, "exponentformat": "none"} if far else {"rangemode": "tozero"}
     ticks: Figure = {"tickmode": "array", "tickvals": bar["x"], "ticktext": [_folded(n) for n, _ in shown]}
     return _figure(
         [bar],

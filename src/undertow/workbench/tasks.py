@@ -238,19 +238,22 @@ def _does_something(candidate: Result, without: Mapping[str, float]) -> bool:
 def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool) -> Result:
     from undertow.identification.compare.comparison import supplied
     from undertow.identification.report.page import estimate_text
-    from undertow.model.describe import describe
+    from undertow.model.describe import describe, equations_on
 
     diagnosis, fit = found.diagnosis, found.tried[name]
     ranked = next(r for r in diagnosis.ranking if r.effect == name)
     alike = next((s for s in diagnosis.indistinguishable if name in s.effects), None)
     used = [run for role, run in job.chosen if role != "out"]
-    description = describe(job.known[name], job.known)
+    # In the motions of this vehicle; of all where no parameter of it was kept.
+    added = next((e for e in fit.vehicle.all_effects if e.id == name), None)
+    whole = describe(job.known[name], job.known).equations
+    equations = whole if added is None else equations_on(fit.vehicle.composition, added)
     return {
         "effect": name,
         "about": ranked.about,
         "family": ranked.family,
-        "equations": [f"{e.left} = {e.plain}" for e in description.equations],
-        "typeset": [e.latex for e in description.equations],
+        "equations": [f"{e.left} = {e.plain}" for e in equations],
+        "typeset": [e.latex for e in equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],
         "errors": {FORCE: ranked.error_after, **_finite(job.judges.ahead(fit))},
         "explained": ranked.explained,
