@@ -149,8 +149,8 @@ def channels(
     apart = [name for name in names if before is not None and _of_another_size(before, run, name)]
     for row, name in enumerate(names, start=1):
         if before is not None and before.has(name):
-            axis = row + len(names) * (name in apart)
-            data.append(_channel(before, name, axis, (low, high), _BEFORE, "before"))
+            own = row + len(names) * (name in apart)
+            data.append(_channel(before, name, own, (low, high), _BEFORE, "before"))
         data.append(_channel(run, name, row, (low, high), _MEASURED, name))
     # Plotly offers its box for choosing a stretch only where some trace has markers.
     data.append({"type": "scatter", "mode": "markers", "x": [None], "y": [None], "hoverinfo": "skip"})

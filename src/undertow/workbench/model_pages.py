@@ -143,16 +143,23 @@ def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | N
             ui.label(f"{shown(measure, before)} → {shown(measure, after)}").classes(
                 "text-sm whitespace-nowrap"
             )
-            if c["effect"] in since:
-                ui.badge("in the model").props("color=green-9")
-            else:
-                action("Add", view, "add", effect=c["effect"]).mark(f"add-{c['effect']}")
+            _add(view, c["effect"], since)
         share = 1.0 if after is None or not before else min(after / before, 1.0)
         ui.linear_progress(share, show_value=False, size="5px").props(
             "color=purple-9 track-color=grey-4 instant-feedback"
         )
         ui.label(", ".join(c["parameters"])).classes("text-sm")
         _details(view, c)
+
+
+def _add(view: View, effect: str, there: Set[str]) -> None:
+    """The button that adds an effect, or a word that it is there."""
+    from nicegui import ui
+
+    if effect in there:
+        ui.badge("in the model").props("color=green-9")
+    else:
+        action("Add", view, "add", effect=effect).mark(f"add-{effect}")
 
 
 def _details(view: View, c: Mapping[str, Any]) -> None:
@@ -220,7 +227,7 @@ def _remaining(view: View, found: Mapping[str, Any]) -> None:
         for effect in own:
             with ui.row().classes("items-center gap-2"):
                 ui.label(f"effect of your own: {effect}").classes("text-sm")
-                action("Add", view, "add", effect=effect).mark(f"add-{effect}")
+                _add(view, effect, {step.effect for step in view.bench.session.steps})
         if view.bench.refused:
             action(
                 f"Add {view.bench.refused} all the same",
