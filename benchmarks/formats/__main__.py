@@ -94,13 +94,18 @@ REAL = (
     ("small.tlog", "import LOG --list"),
     ("small.tlog", "vehicle new --log LOG --out real.toml --force"),
     ("small.tlog", "doctor real.toml LOG"),
+    ("small.tlog", "compare real.toml LOG"),
+    ("small.tlog", "fit real.toml LOG"),
+    ("small.tlog", "plan real.toml --limit 1 --duration 20 --tries 2"),
     ("px4/sample_log_small.ulg", "import LOG --list"),
     ("px4/sample_log_small.ulg", "import LOG --out real.parquet --force"),
     ("ros2/wbag", "import LOG --list"),
     ("ros2/cdr_test", "import LOG --list"),
     ("glider/amadeus-2014-204-05-000.dbd", "import LOG --out real.parquet --force"),
     ("glider/amadeus-2014-204-05-000.dbd", "doctor glider LOG"),
+    ("glider/amadeus-2014-204-05-000.dbd", "compare glider LOG"),
     ("glider/amadeus-2014-204-05-000.ebd", "import LOG --out real.parquet --force"),
+    ("glider/01600001.dcd", "import LOG --out real.parquet --force"),
 )
 """Files of public repositories, under the folder of `FIELD`, and the words that a command gets."""
 

@@ -101,13 +101,14 @@ def test_a_flag_tells_a_sensor_that_is_slower_than_its_log(case: Path) -> None:
 
 def test_what_cannot_be_known_is_asked(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plain = {name: pl.col(name) for name in ("t", "psi", "u")}
-    _renamed(case, **plain, pwm_bow=1500 + 300 * pl.col("u").sin())
+    off = pl.when(pl.col("t") < 1.0).then(0.0)  # no pulse before the vehicle is armed
+    _renamed(case, **plain, pwm_bow=off.otherwise(1500 + 300 * pl.col("u").sin()))
     (case / "own.csv").write_text((case / "own.csv").read_text().replace(",", ";"))
     assert main(["map", "new", "own.csv", "--out", "log.toml"]) == 0
     text = (case / "log.toml").read_text()
     assert 'delimiter = ";"' in text
     assert "# ? pulses from" in text
-    assert "scale = 0.0025, offset = -3.75" in text
+    assert "scale = 0.0025, offset = -3.75, off = 0.0" in text
     assert "are not both logged" in text
     read_mapping(case / "log.toml")
     assert main(["map", "new", "own.csv", "--out", "log.toml"]) == 2

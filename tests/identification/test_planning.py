@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.identification.surge import surge_vehicle
+from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import fit_weak, free_parameters
 from undertow.identification.logs.run import Run
-from undertow.identification.planning.manoeuvres import Design, MotionLimits, extremes
+from undertow.identification.planning.manoeuvres import (
+    Design,
+    MotionLimits,
+    extremes,
+    motion_axes,
+    pushes,
+    trim,
+)
 from undertow.identification.planning.parameters import Planned, plan_parameters
 from undertow.identification.planning.picture import command_csv
 from undertow.identification.planning.problem import (
@@ -27,12 +36,25 @@ from undertow.identification.planning.problem import (
 from undertow.identification.planning.rivals import RivalSpec, rival_models
 from undertow.identification.planning.separation import Separations, plan_separation, suggest
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
+from undertow.model.loading import VehicleTable, load_vehicle, resolve_vehicle, vehicle_from_table
 from undertow.model.vehicle import Vehicle
 
 SIGMA = 0.01
 SHORT = PlanRequest(duration=40.0, rate=10.0, limits={"": 1.0}, noise={"u": SIGMA, "x": np.inf}, tries=40)
 LINEAR_OR_QUADRATIC = [RivalSpec("linear_damping", {}), RivalSpec("quadratic_damping", {})]
+
+
+def test_thrusters_with_a_curve_are_planned_with() -> None:
+    """A T200 does nothing about zero: it balances the weight all the same, and every motion can be driven."""
+    table = tomllib.loads(resolve_vehicle("bluerov2").read_text(encoding="utf-8"))
+    table["thrusters"] = [{**one, "curve": "t200-16v"} for one in table["thrusters"]]
+    vehicle = vehicle_from_table(VehicleTable.model_validate(table), catalogue())
+    functions, limits = Functions(vehicle), np.full(8, 1.0)
+    push = pushes(functions, limits)
+    held = trim(functions, limits, push)
+    assert held.left == {}
+    assert np.all(np.abs(held.commands[4:]) > 0.07)  # out of the dead band of each vertical thruster
+    assert [axis.name for axis in motion_axes(vehicle, push, limits)] == list(vehicle.degrees_of_freedom)
 
 
 def _vehicle(dofs: list[str], effects: dict[str, dict[str, object]], forces: list[str]) -> Vehicle:

@@ -69,7 +69,9 @@ class Browser:
 
     def button(self, text: str) -> WebElement:
         path = f"//button[.//*[normalize-space(text())='{text}']]"
-        return self.until(lambda: next(b for b in self._all(path) if b.is_displayed() and b.is_enabled()))
+        return self.until(
+            lambda: next((b for b in self._all(path) if b.is_displayed() and b.is_enabled()), None)
+        )
 
     def _all(self, path: str) -> list[WebElement]:
         return list(self.driver.find_elements(By.XPATH, path)) or [self.driver.find_element(By.XPATH, path)]
@@ -258,7 +260,7 @@ def test_the_story_from_the_start(tmp_path: Path) -> None:
         _falls_and_is_saved(user, tmp_path)
         user.turn_to("Parameters")
         user.click("Refit")
-        user.sees("How the errors hang together")
+        user.sees("Correlation of the errors")
         user.until(lambda: len(user.plots()) == 2)
         user.picture("parameters")
         _asked_nobody_else(user)

@@ -108,6 +108,19 @@ def test_results_belong_to_what_the_mapping_file_says(tmp_path: Path) -> None:
     assert place.last_result("compare") == ({"headline": "fails"}, False)
 
 
+def test_results_belong_to_what_the_users_effects_say(tmp_path: Path) -> None:
+    """A file with another force makes results old; one that is new leaves those of the present model."""
+    effect = tmp_path / "own.py"
+    effect.write_text("# one force\n")
+    place = Workspace.open(tmp_path / "kept", session_of(tmp_path))
+    place.session.effects.append(str(effect))
+    place.keep("compare", place.key, {"headline": "found"})
+    place.take_effect(str(DEMO / "vehicle.toml"))  # any file: it is not run here
+    assert place.last_result("compare") == ({"headline": "found"}, True)
+    effect.write_text("# another force\n")
+    assert place.last_result("compare") == ({"headline": "found"}, False)
+
+
 def test_remedies_go_into_a_mapping_file_of_the_session(tmp_path: Path) -> None:
     given = tmp_path / "log.toml"
     text = 'schema = "undertow/mapping/1"\n# by hand\n[columns]\nspeed = "u"\n'

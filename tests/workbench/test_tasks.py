@@ -139,6 +139,7 @@ def test_a_refit_says_what_the_logs_determine(place: Workspace, job: Make) -> No
     assert np.allclose(np.diag(table), 1.0)
     assert np.allclose(table, table.T)
     assert [row["parameter"] for row in found["parameters"]] == found["names"]
+    assert found["step"]["errors"]["force"] < found["given"]["force"]  # two bars of the waterfall
     fitted = load_vehicle(place.folder / found["step"]["file"])
     heave = next(row for row in found["parameters"] if row["parameter"] == "Z_w")
     assert fitted.value_of("Z_w").value == pytest.approx(heave["value"], rel=1e-6)
@@ -201,7 +202,7 @@ def test_report_and_code_are_written(place: Workspace, job: Make, tmp_path: Path
     tasks.write_report(job(out=str(tmp_path / "report.html")))
     assert "ocean_current" in (tmp_path / "report.html").read_text()
     (folder,) = tasks.write_code(job(out=str(tmp_path / "code")))["written"]
-    assert list(Path(folder).glob("*.c"))
+    assert list(Path(folder).rglob("*_vehicle.c"))
 
 
 def test_an_effect_is_made_of_what_remains(place: Workspace, job: Make) -> None:
@@ -217,7 +218,7 @@ def test_an_effect_is_made_of_what_remains(place: Workspace, job: Make) -> None:
     place.keep("diagnose", place.key, found)
     made = tasks.invent(job(effect="my_force"))
     assert "per |u| u" in made["terms"][0]
-    place.session.effects.append(made["file"])
+    place.take_effect(made["file"])
     known = Job(place, {}, lambda done, words: None).known
     assert known["my_force"].family
     with pytest.raises(UndertowError, match="is there already"):

@@ -268,7 +268,7 @@ class Bench:
         if work.task == "fit":
             self.place.keep("fit", self.place.key, result)
         if work.task == "invent":
-            self.session.effects.append(result["file"])
+            self.place.take_effect(result["file"])
             self._asked(f"invent {result['effect']}")
             self.place.keep("invent", self.place.key, result)
         if "logs" in result:

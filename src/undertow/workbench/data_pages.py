@@ -12,7 +12,7 @@ from undertow.identification.logs.run import UNITS, Run
 from undertow.typing import Array
 
 from . import figures
-from .session import ROLES, LogChoice, Remedy, Role
+from .session import ROLES, LogChoice, Remedy, Role, seconds
 from .view import View, action, heading, lines, stale
 
 _USUAL = 12  # channels that are shown at first: more do not fit on a screen
@@ -65,11 +65,11 @@ def _logs(view: View) -> None:
 
 def _about(run: Run, choice: LogChoice) -> str:
     length = float(run.t[-1] - run.t[0])
-    text = f"{len(run.t)} samples, {length:.4g} s"
+    text = f"{len(run.t)} samples, {seconds(length)} s"
     if not choice.stretches:
         return text
     spans = choice.spans(float(run.t[0]), float(run.t[-1]))
-    parts = (f"{s.start:.4g}-{s.end:.4g} s {figures.ROLE_WORDS[s.role]}" for s in spans)
+    parts = (f"{seconds(s.start)}-{seconds(s.end)} s {figures.ROLE_WORDS[s.role]}" for s in spans)
     return f"{text}: {', '.join(parts)}"
 
 
@@ -104,7 +104,7 @@ def _channels(view: View) -> None:
     def say() -> None:
         span = view.selected
         hint = "Drag over a plot to choose a stretch; the magnifier above it zooms."
-        chosen.set_text(hint if span is None else f"chosen: {span[0]:.4g} to {span[1]:.4g} s")
+        chosen.set_text(hint if span is None else f"chosen: {seconds(span[0])} to {seconds(span[1])} s")
 
     def zoomed(window: tuple[float, float] | None) -> None:
         view.zoom = window

@@ -29,13 +29,14 @@ class FigureSettings:
     pixels: int = 1000  # of a channel, with a least and a greatest value each
     row: int = 92  # height of a channel, pixels
     gap: float = 0.12  # share of a row between two
+    apart: float = 5.0  # ratio from which what a channel was before has an axis of its own
     darkest: float = 3.0  # decades of residual force over noise from white to the darkest red
 
 
 SETTINGS = FigureSettings()
 COLOURS = {"train": "#1565c0", "judge": "#2e7d32", "out": "#9e9e9e"}
 ROLE_WORDS = {"train": "training", "judge": "judging", "out": "left out"}
-_MEASURED, _MODEL, _BETTER, _MARK = "#212121", "#e07b00", "#6a1b9a", "#ffca28"
+_MEASURED, _MODEL, _BETTER, _MARK, _BEFORE = "#212121", "#e07b00", "#6a1b9a", "#ffca28", "#9e9e9e"
 _FONT = {"family": "Roboto, sans-serif", "size": 12, "color": "#333333"}
 _BARE = {"displayModeBar": False, "responsive": True}
 _WITH_ZOOM = {
@@ -117,7 +118,8 @@ def _figure(data: list[Figure], height: int, **layout: Any) -> Figure:
 
 def _axis(title: str = "", **more: Any) -> Figure:
     lines = {"gridcolor": "#eeeeee", "zerolinecolor": "#cccccc", "linecolor": "#cccccc", "automargin": True}
-    return {"title": {"text": title, "standoff": 6}, **lines, **more}
+    digits = {"exponentformat": "power", "minexponent": 6}  # "20k" beside a unit would be read as one of it
+    return {"title": {"text": title, "standoff": 6}, **lines, **digits, **more}
 
 
 # --- logs ---------------------------------------------------------------------------------------
@@ -144,9 +146,11 @@ def channels(
     """
     low, high = window or (float(run.t[0]), float(run.t[-1]))
     data: list[Figure] = []
+    apart = [name for name in names if before is not None and _of_another_size(before, run, name)]
     for row, name in enumerate(names, start=1):
         if before is not None and before.has(name):
-            data.append(_channel(before, name, row, (low, high), "#bdbdbd", "before"))
+            own = row + len(names) * (name in apart)
+            data.append(_channel(before, name, own, (low, high), _BEFORE, "before"))
         data.append(_channel(run, name, row, (low, high), _MEASURED, name))
     # Plotly offers its box for choosing a stretch only where some trace has markers.
     data.append({"type": "scatter", "mode": "markers", "x": [None], "y": [None], "hoverinfo": "skip"})
@@ -170,9 +174,21 @@ def channels(
         if doubtful and name in doubtful:
             axis["title"]["font"] = {"color": doubtful[name]}
         layout[f"yaxis{row if row > 1 else ''}"] = axis
+        if name in apart:
+            beside: Figure = {"overlaying": f"y{row if row > 1 else ''}", "side": "right", "showgrid": False}
+            ticks = {"nticks": 4, "zeroline": False, "tickfont": {"color": _BEFORE}}
+            layout[f"yaxis{row + rows}"] = _axis("", **beside, **ticks)
     figure = _figure(data, height, **layout)
     figure["config"] = _WITH_ZOOM
     return figure
+
+
+def _of_another_size(before: Run, run: Run, name: str) -> bool:
+    """Whether a channel was so much larger or smaller that one axis would show only one of the two."""
+    if not before.has(name):
+        return False
+    old, new = (float(np.nanmax(np.abs(r.channels[name]), initial=0.0)) for r in (before, run))
+    return max(old, new) > SETTINGS.apart * min(old, new)
 
 
 def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour: str, said: str) -> Figure:
@@ -409,7 +425,7 @@ def waterfall(bars: Sequence[tuple[str, float | None]], unit: str, *, floor: flo
     }
     line = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": floor, "y1": floor}
     shapes = [] if floor is None else [{**line, "line": {"dash": "dot", "color": "#2e7d32"}}]
-    scale = {"type": "log", "dtick": 1} if far else {"rangemode": "tozero"}
+    scale = {"type": "log", "dtick": 1, "exponentformat": "none"} if far else {"rangemode": "tozero"}
     ticks: Figure = {"tickmode": "array", "tickvals": bar["x"], "ticktext": [_folded(n) for n, _ in shown]}
     return _figure(
         [bar],

@@ -19,7 +19,7 @@ from undertow.model.units import short_unit
 from undertow.model.vehicle import Vehicle
 
 from . import figures
-from .session import FORCE, ModelStep, Workspace, near
+from .session import FORCE, REFITTED, ModelStep, Workspace, near
 from .view import View, action, equation, heading, lines, measures, shown, stale, words_of
 
 _VERDICTS = {
@@ -143,16 +143,23 @@ def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | N
             ui.label(f"{shown(measure, before)} → {shown(measure, after)}").classes(
                 "text-sm whitespace-nowrap"
             )
-            if c["effect"] in since:
-                ui.badge("in the model").props("color=green-9")
-            else:
-                action("Add", view, "add", effect=c["effect"]).mark(f"add-{c['effect']}")
+            _add(view, c["effect"], since)
         share = 1.0 if after is None or not before else min(after / before, 1.0)
         ui.linear_progress(share, show_value=False, size="5px").props(
             "color=purple-9 track-color=grey-4 instant-feedback"
         )
         ui.label(", ".join(c["parameters"])).classes("text-sm")
         _details(view, c)
+
+
+def _add(view: View, effect: str, there: Set[str]) -> None:
+    """The button that adds an effect, or a word that it is there."""
+    from nicegui import ui
+
+    if effect in there:
+        ui.badge("in the model").props("color=green-9")
+    else:
+        action("Add", view, "add", effect=effect).mark(f"add-{effect}")
 
 
 def _details(view: View, c: Mapping[str, Any]) -> None:
@@ -220,7 +227,7 @@ def _remaining(view: View, found: Mapping[str, Any]) -> None:
         for effect in own:
             with ui.row().classes("items-center gap-2"):
                 ui.label(f"effect of your own: {effect}").classes("text-sm")
-                action("Add", view, "add", effect=effect).mark(f"add-{effect}")
+                _add(view, effect, {step.effect for step in view.bench.session.steps})
         if view.bench.refused:
             action(
                 f"Add {view.bench.refused} all the same",
@@ -255,10 +262,12 @@ def _waterfall(view: View) -> None:
 
 def falling(steps: Sequence[ModelStep], measure: str) -> Iterator[tuple[str, float | None]]:
     """Name and error of every model, with the refit between two where it was worked out."""
+    last = ""
     for step in steps:
-        if measure in step.refitted:
-            yield "refitted", step.refitted[measure]
+        if measure in step.refitted and last != REFITTED:  # a refit of a refit is the same
+            yield REFITTED, step.refitted[measure]
         yield step.what, step.errors.get(measure)
+        last = step.what
 
 
 def _simulation(view: View, found: Mapping[str, Any]) -> None:
@@ -427,9 +436,9 @@ def _fitted(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], current
         ui.label(f"Only these combinations show in the logs: {'; '.join(found['combinations'])}.").classes(
             "text-sm text-amber-900"
         )
-    ui.label(f"How the errors hang together (condition number {found['condition']:.3g})").classes(
-        "font-medium"
-    )
+    ui.label(
+        f"Correlation of the errors of the estimates (condition number {found['condition']:.3g})"
+    ).classes("font-medium")
     names = [parameter_text(n) for n in found["names"]]
     ui.plotly(figures.correlations(names, found["correlation"])).classes("w-full").mark("correlations")
 

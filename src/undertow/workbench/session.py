@@ -18,7 +18,7 @@ from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_text, write_whole
 from undertow.identification.doctor.findings import Edit, as_toml, into_file, read_edits
 from undertow.identification.logs.checks import MEASURABLE
-from undertow.identification.logs.mapping import CommandPolicy, LogMapping, read_mapping
+from undertow.identification.logs.mapping import CommandPolicy, LogMapping, place_beside, read_mapping
 from undertow.identification.logs.run import Run
 from undertow.identification.report.sentences import CommandLine
 from undertow.model.loading import load_vehicle, resolve_vehicle
@@ -27,6 +27,7 @@ SCHEMA: Literal["undertow/workbench/1"] = "undertow/workbench/1"
 Role = Literal["train", "judge", "out"]
 ROLES: tuple[Role, ...] = get_args(Role)
 FORCE = "force"  # the measure of an error that is not one of a prediction
+REFITTED = "refitted"  # what a model is called that has other values only
 _FILE = "session.json"
 
 
@@ -94,8 +95,14 @@ class LogChoice(_Table):
             yield span.role, _part(run.slice(span.start, end), run, span)
 
 
+def seconds(t: float) -> str:
+    """A time in a log, as "49999.9" where four digits would be 5e+04."""
+    return f"{t:.4g}" if abs(t) < 1e4 else f"{t:.1f}"
+
+
 def _part(piece: Run, run: Run, span: Stretch) -> Run:
-    return replace(piece, name=f"{run.name} [{span.start:.4g}-{span.end:.4g} s]", part_of=run.origin)
+    name = f"{run.name} [{seconds(span.start)}-{seconds(span.end)} s]"
+    return replace(piece, name=name, part_of=run.origin)
 
 
 class Remedy(_Table):
@@ -273,9 +280,10 @@ class Workspace:
     def key(self) -> str:
         """What results are worked out for: the present model, the logs and how they are read."""
         s = self.session
-        # Name and size, since logs of gigabytes cannot be hashed at every look.
+        # Name, size and time, since logs of gigabytes cannot be hashed at every look.
         chosen = [{**log.model_dump(), "path": _seen(Path(log.path))} for log in s.logs]
-        small = [self.vehicle_file(), *([Path(s.mapping)] if s.mapping else [])]
+        mappings = [Path(s.mapping)] if s.mapping else map(place_beside, s.paths)
+        small = [self.vehicle_file(), *map(Path, s.effects), *mappings]
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in small if path.exists()]
         said = json.dumps([files, chosen, [r.lines for r in s.remedies], s.fill, s.trust_log])
         return hashlib.sha256(said.encode()).hexdigest()[:12]
@@ -293,6 +301,15 @@ class Workspace:
             return None
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return found
+
+    def take_effect(self, path: str) -> None:
+        """Use one more file with effects; what was found for the present model holds as before."""
+        before, kinds = self.key, ("examine", "compare", "diagnose", "fit")
+        found = {kind: self.result(kind) for kind in kinds if self.session.latest.get(kind) == before}
+        self.session.effects.append(path)
+        for kind, result in found.items():
+            if result is not None:
+                self.keep(kind, self.key, result)
 
     def last_result(self, kind: str) -> tuple[dict[str, Any] | None, bool]:
         """The newest result of a kind, and whether it is about the present model and logs."""
@@ -332,7 +349,7 @@ class Workspace:
 
 
 def _seen(path: Path) -> list[str | int]:
-    return [path.name, path.stat().st_size if path.exists() else 0]
+    return [path.name, path.stat().st_size, path.stat().st_mtime_ns] if path.exists() else [path.name]
 
 
 def near(path: str | Path) -> str:

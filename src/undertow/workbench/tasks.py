@@ -16,12 +16,13 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .figures import thinned
-from .session import FORCE, ModelStep, Workspace
+from .session import FORCE, REFITTED, ModelStep, Workspace
 
 if TYPE_CHECKING:
     from undertow.identification.compare.comparison import Comparison, Profile
     from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.validation import SimulationValidator
+    from undertow.identification.estimation.fitted import Fitted
     from undertow.identification.report.data import RunTraces
     from undertow.model.effect import Effect
 
@@ -110,6 +111,17 @@ class Job:
         train, test = training_and_validation(given, *self.to_fit, trust_log=self.trust)
         return SimulationValidator(given, train, test, prepare(train, given).sigma)
 
+    def errors(self, *models: Fitted | Vehicle) -> list[dict[str, float]]:
+        """Errors of models on validation data by measure; the noise of the force is that of the last one."""
+        from undertow.identification.diagnosis.addition import force_errors
+
+        judges = self.judges
+        try:
+            force = force_errors(models, judges.test, self.vehicle_of(0), judges.sigma)
+        except UndertowError:  # runs that can be simulated may be too short for test functions
+            force = [math.nan] * len(models)
+        return [_finite({FORCE: f, **judges.ahead(m)}) for f, m in zip(force, models, strict=True)]
+
 
 def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list[Run]:
     """All logs of a session; without `mended` as they were read before the last remedy of the doctor."""
@@ -143,7 +155,7 @@ def compare(job: Job) -> Result:
 def _predicted(job: Job) -> dict[str, float]:
     """Errors of the present model on validation data; none where these are too short, which a map may be."""
     try:
-        return _finite(job.judges.ahead(job.vehicle))
+        return job.errors(job.vehicle)[0]
     except UndertowError:
         return {}
 
@@ -226,19 +238,22 @@ def _does_something(candidate: Result, without: Mapping[str, float]) -> bool:
 def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool) -> Result:
     from undertow.identification.compare.comparison import supplied
     from undertow.identification.report.page import estimate_text
-    from undertow.model.describe import describe
+    from undertow.model.describe import describe, equations_on
 
     diagnosis, fit = found.diagnosis, found.tried[name]
     ranked = next(r for r in diagnosis.ranking if r.effect == name)
     alike = next((s for s in diagnosis.indistinguishable if name in s.effects), None)
     used = [run for role, run in job.chosen if role != "out"]
-    description = describe(job.known[name], job.known)
+    # In the motions of this vehicle; of all where no parameter of it was kept.
+    added = next((e for e in fit.vehicle.all_effects if e.id == name), None)
+    whole = describe(job.known[name], job.known).equations
+    equations = whole if added is None else equations_on(fit.vehicle.composition, added)
     return {
         "effect": name,
         "about": ranked.about,
         "family": ranked.family,
-        "equations": [f"{e.left} = {e.plain}" for e in description.equations],
-        "typeset": [e.latex for e in description.equations],
+        "equations": [f"{e.left} = {e.plain}" for e in equations],
+        "typeset": [e.latex for e in equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],
         "errors": {FORCE: ranked.error_after, **_finite(job.judges.ahead(fit))},
         "explained": ranked.explained,
@@ -314,12 +329,12 @@ def fit(job: Job) -> Result:
     done = run(job.vehicle, train, judge, report=_share(job.report, 0.0, 0.9), trust_log=job.trust)
     out = job.place.new_file("model")
     done.save(job.place.vehicle_file(), out)
-    errors = _finite(job.judges.ahead(done.fit))
+    given, errors = job.errors(job.vehicle, done.fit)
     combined = [str(c) for c in base_parameters(done.fit.gram, done.fit.model.free)]
-    step = ModelStep(what="refitted", file=out.name, command="fit", errors=errors)
+    step = ModelStep(what=REFITTED, file=out.name, command="fit", errors=errors)
     return {
         "step": step.model_dump(),
-        "given": _finite(job.judges.ahead(job.vehicle)),
+        "given": given,
         "sentence": done.result().sentence(),
         "parameters": [_finite(row) for row in done.parameters.iter_rows(named=True)],
         "names": list(done.fit.model.free),

@@ -28,11 +28,13 @@ from tests.identification.logs.ardusub import (
 from tests.identification.logs.dive import FULL, dive
 from tests.identification.logs.field import FIELD
 from tests.quick import first_quick
+from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.ardupilot import vehicle_text
 from undertow.identification.logs.formats.fieldlog import FieldLog
 from undertow.identification.logs.formats.frames import FRAMES
 from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.identification.logs.run import Run
 from undertow.model.actuators import bundled_curves
@@ -228,6 +230,29 @@ def test_the_trim_of_an_output_is_where_its_motor_rests(tmp_path: Path) -> None:
     (run,) = read_logs([write_bin(tmp_path / "trim.bin", changes)], vehicle)
     np.testing.assert_allclose(run.channels["f1"][:-1] * FULL, dive().thrust[:-1, 0], atol=1e-9)
     assert f"motor 1 rests at 1520 µs, the trim of output {output}" in run.reader_notes
+
+
+def test_an_output_that_is_switched_off_gives_no_thrust(tmp_path: Path) -> None:
+    """0 µs is no pulse: neither a command of -3.75 nor a motor that has left its rest."""
+
+    def cut(now: float, cells: list[Any]) -> list[Any]:
+        return [0] * len(cells) if now < DIVES or 30.0 <= now < 31.0 else cells
+
+    path, vehicle = write_bin(tmp_path / "off.bin", {"RCOU": cut}), vehicle_for(tmp_path)[1]
+    (run,) = read_logs([path], vehicle)
+    assert run.t[0] == pytest.approx(DIVES, abs=0.1)  # the motors move from then on
+    assert all(np.all(run.channels[n][_off(run)] == 0.0) for n in vehicle.command_names)
+    early = run.t < 29.9
+    np.testing.assert_allclose(run.channels["f1"][early] * FULL, dive().thrust[: early.sum(), 0], atol=1e-9)
+    assert any("give no pulse (0 µs)" in note for note in run.reader_notes)
+    table = tmp_path / "table.parquet"
+    assert main(["import", str(path), "--vehicle", str(tmp_path / "rov.toml"), "--out", str(table)]) == 0
+    (again,) = read_logs([table], vehicle, read_mapping(tmp_path / "table.toml"))
+    assert np.all(again.channels["f1"][_off(again)] == 0.0)
+
+
+def _off(run: Run) -> Any:
+    return (run.t > 30.1) & (run.t < 30.9)
 
 
 def test_a_reversal_is_heeded_where_the_autopilot_heeds_it(tmp_path: Path) -> None:

@@ -54,6 +54,33 @@ def test_tables_and_timetables_are_series(tmp_path: Path, version: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_tables_in_structs_are_series(tmp_path: Path, version: str) -> None:
+    matio, pandas = pytest.importorskip("matio"), pytest.importorskip("pandas")
+    t, path = 0.1 * np.arange(50), tmp_path / "log.mat"
+    frame = pandas.DataFrame({"time": t, "u": np.sin(t)})
+    content = {"dive": {"deep": {"dvl": frame}, "ctd": {"t": t, "z": t}, "name": "first"}}
+    matio.save_to_mat(str(path), content, version=version)
+    log = read_field_log(path)
+    assert {name: list(s.columns) for name, s in log.series.items()} == {
+        "dive.deep.dvl": ["u"],
+        "dive.ctd": ["z"],
+    }
+    np.testing.assert_array_equal(log.series["dive.deep.dvl"].columns["u"], np.sin(t))
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_an_object_in_a_struct_is_named(
+    tmp_path: Path, version: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matio, pandas = pytest.importorskip("matio"), pytest.importorskip("pandas")
+    t, path = 0.1 * np.arange(50), tmp_path / "log.mat"
+    content = {"dive": {"dvl": pandas.DataFrame({"time": t, "u": t}), "ctd": {"t": t, "z": t}}}
+    matio.save_to_mat(str(path), content, version=version)
+    monkeypatch.setattr(matlab, "find_spec", lambda name: None)
+    assert read_field_log(path).notes[0].startswith("dive.dvl is an object of MATLAB: save it as a struct")
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
 def test_dates_of_a_table_are_its_time_and_texts_are_passed_over(tmp_path: Path, version: str) -> None:
     matio, pandas = pytest.importorskip("matio"), pytest.importorskip("pandas")
     when = np.datetime64("2024-05-01T12:00:00.000") + 250 * np.arange(20).astype("timedelta64[ms]")

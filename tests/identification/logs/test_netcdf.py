@@ -129,6 +129,18 @@ def test_a_glider_without_dbdreader_is_one_line(tmp_path: Path, monkeypatch: pyt
         read_log(path)
 
 
+@pytest.mark.parametrize("name", ["unit.dcd", "unit.ECD"])
+def test_compressed_files_of_gliders_are_given_to_dbdreader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"\x30\xbf\xf1\x27dbd_label:")  # a block of LZ4
+    monkeypatch.setattr(glider, "find_spec", lambda name: True)
+    found = np.arange(4.0), {"m_depth": np.arange(4.0)}, {"m_depth": "m"}
+    monkeypatch.setattr(glider, "_sensors", lambda path, messages: found)
+    assert read_log(path).channels["z"] == pytest.approx(np.arange(4.0))
+
+
 def test_the_depth_of_a_science_file_is_that_of_its_pressure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,6 +180,9 @@ def test_the_sample_of_dbdreader_is_read(tmp_path: Path) -> None:
         read_log(alone)
     deep = [read_log(_REAL.with_suffix(end)).channels["z"] for end in (".dbd", ".ebd")]
     assert np.nanmax(deep[1]) == pytest.approx(np.nanmax(deep[0]), rel=0.03)  # CTD and glider's own sensor
+    plain, packed = (read_field_log(_REAL.with_name(f"01600001.{end}")) for end in ("dbd", "dcd"))
+    assert packed.series["dcd"].columns.keys() == plain.series["dbd"].columns.keys()
+    assert np.array_equal(packed.series["dcd"].t, plain.series["dbd"].t)
     cut = read_field_log(alone, _REAL.parent / "cac")
     assert np.array_equal(cut.series["dbd"].t, log.series["dbd"].t)
     for share in (0.001, 0.3, 0.9):

@@ -66,7 +66,8 @@ def compare(
 def _show(result: ComparisonResult) -> None:
     section("Simulated against measured", _channels(result))
     section("Force that the model lacks", _forces(result))
-    section("Residual force, times noise", _error_map(result))
+    if any(cell.normalised is not None for cell in result.cells):
+        section("Residual force, times noise", _error_map(result))
     section("Force budget, % of all rms", _budget(result))
     error = "diverged" if result.prediction_error is None else f"{100 * result.prediction_error:.3g} %"
     say(f"velocity error {result.horizon:g} s ahead: {error} (geometric mean)")

@@ -20,15 +20,16 @@ from undertow.identification.diagnosis.trial import (
     try_candidate,
 )
 from undertow.identification.estimation.by_run import origins, plain
-from undertow.identification.estimation.data import Whitening, prepare
+from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
-from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
+from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .search import last_fit
 from .settings import DEFAULT
@@ -172,38 +173,50 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.values.names)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
-    given = Functions(setup.vehicle)
-    p = np.array(given.values(), dtype=float)
     return Addition(
         candidate.id,
         fit,
         kept,
         tuple(n for n in own if n not in kept),
-        _step(setup, [], setup.vehicle, WeakModel(given, ()).linearise(bench.test, p), noise),
-        _fitted(setup, [], base, noise),
-        _fitted(setup, [candidate.id], fit, noise),
+        _step(setup, [], setup.vehicle, noise),
+        _step(setup, [], base, noise),
+        _step(setup, [candidate.id], fit, noise),
         compare_scores(bench.base_score, bench.judge(weak), bench.test),
         (without, with_it),
     )
 
 
-def _fitted(setup: AdditionSetup, added: list[str], fit: Fitted, noise: list[Whitening]) -> Step:
-    at = fit.model.linearise(setup.bench.test, np.asarray(fit.p))
-    return _step(setup, added, fit, at, noise)
-
-
-def _step(
-    setup: AdditionSetup,
-    added: list[str],
-    model: Fitted | Vehicle,
-    at: list[Linearised],
-    noise: list[Whitening],
-) -> Step:
+def _step(setup: AdditionSetup, added: list[str], model: Fitted | Vehicle, noise: list[Whitening]) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
     ahead = setup.validator.ahead(model)
     return Step(
         added=added,
-        error=error_of(mean_square(whitened(at, noise).r, setup.bench.test)),
+        error=_force_error(model, setup.bench.test, noise),
         prediction=setup.validator.prediction(model),
         ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )
+
+
+def force_errors(
+    models: Sequence[Fitted | Vehicle], runs: Sequence[Run], vehicle: Vehicle, sigma: Array
+) -> list[float]:
+    """Errors of the force of several models on the same runs, over the noise that the last one makes of it.
+
+    sigma: (2n,), noise of the channels of `vehicle`.
+    """
+    data = prepare(runs, vehicle, sigma=sigma)
+    weak, p = _weak(models[-1])
+    noise = weak.whitening(data, p)
+    return [_force_error(model, data, noise) for model in models]
+
+
+def _force_error(model: Fitted | Vehicle, data: WeakData, noise: list[Whitening]) -> float:
+    weak, p = _weak(model)
+    return error_of(mean_square(whitened(weak.linearise(data, p), noise).r, data))
+
+
+def _weak(model: Fitted | Vehicle) -> tuple[WeakModel, Array]:
+    if isinstance(model, Vehicle):
+        functions = Functions(model)
+        return WeakModel(functions, ()), np.array(functions.values(), dtype=float)
+    return model.model, np.asarray(model.p)

@@ -181,7 +181,7 @@ class SimulationValidator:
         sigma: Array,
         settings: Settings = DEFAULT,
     ) -> None:
-        self._vehicle, self.train, self.test, self._sigma = vehicle, train, test, sigma
+        self._vehicle, self.train, self.test, self.sigma = vehicle, train, test, sigma
         self.settings = settings
         self._known: dict[tuple[str, int], tuple[Fitted, Any]] = {}
 
@@ -201,7 +201,7 @@ class SimulationValidator:
 
     def _cut(self, horizon: float) -> Windows:
         length = min(horizon, self.shortest)
-        return cut(self.test, self._vehicle, length, sigma=self._sigma, skip=self._unknown)
+        return cut(self.test, self._vehicle, length, sigma=self.sigma, skip=self._unknown)
 
     @property
     def _unknown(self) -> float:
@@ -246,7 +246,7 @@ class SimulationValidator:
     @cached_property
     def _ahead(self) -> dict[float | None, Windows]:
         lengths = (*self.horizons, None)
-        return {h: cut(self.test, self._vehicle, h, sigma=self._sigma) for h in lengths}
+        return {h: cut(self.test, self._vehicle, h, sigma=self.sigma) for h in lengths}
 
     def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
         """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""

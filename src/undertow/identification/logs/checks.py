@@ -201,13 +201,25 @@ def check_fit(runs: Sequence[Run], validation: Sequence[Run], velocities: Sequen
 
 
 def with_distinct_names(runs: list[Run]) -> list[Run]:
-    """Runs with names that tell them apart: the folder is added where file names are the same."""
+    """Runs with names that tell them apart: ending or folder are added where file names are the same."""
     count = Counter(run.name for run in runs)
-    longer = [_with_folder(run) if count[run.name] > 1 else run for run in runs]
+    ended = Counter((run.name, _ending(run)) for run in runs)
+    longer = [
+        run
+        if count[run.name] == 1
+        else replace(run, name=f"{run.name} ({_ending(run)})")
+        if ended[run.name, _ending(run)] == 1
+        else _with_folder(run)
+        for run in runs
+    ]
     again = Counter(run.name for run in longer)
     return [
         replace(r, name=f"{r.name} ({i})") if again[r.name] > 1 else r for i, r in enumerate(longer, start=1)
     ]
+
+
+def _ending(run: Run) -> str:
+    return "".join(Path(run.source).suffixes)
 
 
 def _with_folder(run: Run) -> Run:

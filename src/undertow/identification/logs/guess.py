@@ -539,6 +539,7 @@ def _command(command: str, name: Name, values: Array) -> Guess:
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     doubt, asked = "", f"is it command '{command}'? " if name.drives(command) >= 2.0 else ""
     low, high = SETTINGS.pulse
+    pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off
     if command in FORCES:
         entry["unit"] = UNITS[command]
     elif name.unit in ("N", "deg", "rad", "V"):
@@ -548,9 +549,9 @@ def _command(command: str, name: Name, values: Array) -> Guess:
         doubt = (
             "revolutions: thrust goes with n |n|; what is the force of one turn a minute squared (scale, N)?"
         )
-    elif low <= np.nanmin(values) and most <= high:
-        entry |= {"scale": 0.0025, "offset": -3.75}
-        doubt = f"pulses from {np.nanmin(values):.4g} to {most:.4g} us, as -1 ... 1 about 1500: is it so?"
+    elif len(pulses) and low <= np.min(pulses) and most <= high:
+        entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})
+        doubt = f"pulses from {np.min(pulses):.4g} to {most:.4g} us, as -1 ... 1 about 1500: is it so?"
     elif max(most, -least) > SETTINGS.full:
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
     return Guess(name.column, entry, f"{asked}{doubt}".strip())

@@ -39,6 +39,9 @@ class Column(_Strict):
     offset: float = 0.0
     # Exponent of the magnitude of the cell; the sign stays (rpm |rpm| for 2).
     power: float = Field(default=1.0, gt=0)
+    # Cell that means no output at all: the value is zero there, whatever the offset (a pulse of 0 us of an
+    # output that is switched off); None: there is none.
+    off: float | None = None
     wrapped: bool | None = None  # whether the angle jumps by a turn and is to be unwrapped; None: only psi is
     optional: bool = False  # whether a log may lack this column
     # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log that
@@ -50,6 +53,12 @@ class Column(_Strict):
     delay: str | float = 0.0
     # Standard deviation of the noise of the sensor, "2 cm" or a number in `unit`; None: it is estimated.
     noise: str | float | None = None
+
+    def scaled(self, cells: Array, scale: float, offset: float) -> Array:
+        """Values of cells, with the scale and offset of this column in some unit."""
+        size = cells if self.power == 1.0 else np.sign(cells) * np.abs(cells) ** self.power
+        values = scale * size + offset
+        return values if self.off is None else np.where(cells == self.off, 0.0, values)
 
 
 class Channel(_Strict):
@@ -167,10 +176,15 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 def mapping_beside(log: Path) -> LogMapping | None:
     """The mapping of a log that has a mapping file of its name beside it, run1.toml of run1.csv."""
-    path = log.parent / f"{log.name.split('.')[0]}.toml"
+    path = place_beside(log)
     if not path.is_file() or read_toml(path, "file").get("schema") != SCHEMA:
         return None
     return read_mapping(path)
+
+
+def place_beside(log: Path) -> Path:
+    """Where the mapping file of a log would be that is not given."""
+    return log.parent / f"{log.name.split('.')[0]}.toml"
 
 
 def mapping_text(mapping: LogMapping) -> str:

@@ -414,11 +414,16 @@ def _pose_needed(run: Run, asked: list[str]) -> list[str]:
         needed |= {"x", "y", "psi"}
     missing = [name for name in POSE if name in needed and not run.has(name)]
     if missing:
+        blind = {
+            *missing,
+            *(("x", "y") if {"x", "y"} & {*missing} else ()),
+        }  # one is of no use without the other
+        lacking = [name for name in asked if POSE[_DOF.index(name)] in blind]
         raise UndertowError(
             f"run {run.name!r} has neither the velocities nor the pose {', '.join(missing)} for "
-            f"{', '.join(asked)}: "
-            "map these columns, leave the degrees of freedom out of the vehicle, or say which motions a rig "
-            'holds (held = ["sway"] in a mapping file)'
+            f"{', '.join(lacking)}: map these columns, leave {'it' if len(lacking) == 1 else 'them'} out of "
+            "degrees_of_freedom in the vehicle file, or say which motions a rig holds (held = "
+            '["sway"] in a mapping file)'
         )
     return [name for name in POSE if name in needed]
 

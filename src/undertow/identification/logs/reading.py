@@ -329,8 +329,6 @@ def _values(
     """Values of a channel; `begins`: whether its first row is that of the log, with none before it."""
     scale, offset = _to_si(name, column, where)
     cells = numbers(table, name, mapping, where)
-    if column.power != 1.0:
-        cells = np.sign(cells) * np.abs(cells) ** column.power
     if column.fresh is not None:
         if column.fresh == name:  # a value that differs from that of the row before is new
             new = np.concatenate([[begins], cells[1:] != cells[:-1]])
@@ -338,7 +336,7 @@ def _values(
             flag = numbers(table, column.fresh, mapping, where)
             new = np.isfinite(flag) & (flag != 0)
         cells = np.where(new, cells, np.nan)
-    return scale * cells + offset
+    return column.scaled(cells, scale, offset)
 
 
 def _on_rows(

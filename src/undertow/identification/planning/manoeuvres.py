@@ -30,7 +30,9 @@ class ManoeuvreSettings:
     ends: float = 2.0  # length of the smooth beginning and end, s
     share_of_ends: float = 0.1  # the most that each may take of the manoeuvre
     pure: float = 1e-6  # share of a wrench that a pure motion may leave
-    trim_rounds: int = 8
+    # Steps towards the commands that balance the weight: a thruster with a dead band leaves it step by step.
+    trim_rounds: int = 60
+    balanced: float = 1e-6  # N or N m: less is rounding
     trim_share: float = 0.95  # of the limit of an actuator that balancing the weight may take
 
 
@@ -129,9 +131,24 @@ class Axis:
     pattern: Array  # (k,) commands at full deflection
 
 
-def motion_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
+def pushes(functions: Functions, limits: Array, depth: float = 0.0) -> Array:
+    """Force or moment of one unit of every command in every motion, (n, k), at rest.
+
+    That of a thruster with a curve or a propeller law is the mean slope from full reverse to full ahead:
+    about zero many do nothing.
+    """
+    table, at_rest = allocation(functions.vehicle), _at_rest(functions, depth)
+    for i, thruster in enumerate(functions.vehicle.thrusters):
+        if thruster.law is not None and limits[i] > 0:
+            full = np.zeros(len(limits))
+            full[i] = limits[i]
+            table[:, i] = (at_rest(full) - at_rest(-full)) / (2 * limits[i])
+    return table
+
+
+def motion_axes(vehicle: Vehicle, push: Array, room: Array) -> list[Axis]:
     """For every degree of freedom that the actuators can push alone: the commands that do so."""
-    table = allocation(vehicle) * room
+    table = push * room
     scale = np.max(np.abs(table), axis=1)
     found = []
     for i, name in enumerate(vehicle.degrees_of_freedom):
@@ -154,9 +171,9 @@ def _alone(table: Array, scale: Array, i: int) -> Array | None:
     return np.asarray(pattern / np.max(np.abs(pattern)))
 
 
-def actuator_axes(vehicle: Vehicle, room: Array) -> list[Axis]:
+def actuator_axes(vehicle: Vehicle, push: Array, room: Array) -> list[Axis]:
     """Every command that acts on a motion of the vehicle, on its own."""
-    moves = np.any(allocation(vehicle) != 0, axis=0)
+    moves = np.any(push != 0, axis=0)
     units = np.diag(room)
     return [Axis(n, units[i]) for i, n in enumerate(vehicle.command_names) if moves[i]]
 
@@ -170,14 +187,14 @@ class Trim:
     left: dict[str, float]
 
 
-def trim(functions: Functions, limits: Array, depth: float = 0.0) -> Trim:
+def trim(functions: Functions, limits: Array, table: Array, depth: float = 0.0) -> Trim:
     """Balance heave, roll and pitch at rest and level, without pushing any other way."""
     vehicle = functions.vehicle
     rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in ("heave", "roll", "pitch")]
     commands = np.zeros(len(limits))
     if not rows or not len(limits):
         return Trim(commands, {})
-    at_rest, table = _at_rest(functions, depth), allocation(vehicle)
+    at_rest = _at_rest(functions, depth)
     size = np.maximum(np.abs(table) @ limits, 1e-12)
     scaled = table * limits / size[:, None]
     for _ in range(SETTINGS.trim_rounds):
@@ -186,8 +203,9 @@ def trim(functions: Functions, limits: Array, depth: float = 0.0) -> Trim:
         commands = lsq_linear(scaled, wanted, (-SETTINGS.trim_share, SETTINGS.trim_share)).x * limits
     commands[np.abs(commands) < 1e-6 * limits] = 0.0
     rest = at_rest(commands)
-    free = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > 1e-3 * size[i]}
-    return Trim(commands, free)
+    least = np.maximum(1e-3 * size, SETTINGS.balanced)
+    left = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > least[i]}
+    return Trim(commands, left)
 
 
 def _at_rest(functions: Functions, depth: float) -> Callable[[Array], Array]:
@@ -254,9 +272,9 @@ class Design:
     numbers: Array
 
 
-def every_axis(vehicle: Vehicle, room: Array) -> tuple[list[Axis], list[Axis]]:
+def every_axis(vehicle: Vehicle, push: Array, room: Array) -> tuple[list[Axis], list[Axis]]:
     """Axes of motions, and of single actuators where these differ; commands may go `room` (k,) from rest."""
-    motions, actuators = motion_axes(vehicle, room), actuator_axes(vehicle, room)
+    motions, actuators = motion_axes(vehicle, push, room), actuator_axes(vehicle, push, room)
     if len(motions) == len(actuators) and all(np.count_nonzero(a.pattern) == 1 for a in motions):
         return motions, []
     return motions, actuators

@@ -32,6 +32,7 @@ from .manoeuvres import (
     exceeded,
     families,
     planned_noise,
+    pushes,
     trim,
 )
 
@@ -305,7 +306,8 @@ class PlanningProblem:
                 f"'{vehicle.name}' has no thruster and no known force: nothing can be planned"
             )
         self.noise = planned_noise(vehicle, request.noise, runs)
-        self.trim = trim(plants[0].functions, self.limits.value, self.depth)
+        self.push = pushes(plants[0].functions, self.limits.value, self.depth)
+        self.trim = trim(plants[0].functions, self.limits.value, self.push, self.depth)
         self.t = np.arange(round(request.duration * request.rate)) / request.rate
         self.names = (*vehicle.pose_names, *vehicle.velocity_names)
         self._start = np.array([self.depth if n == "z" else 0.0 for n in self.names])
@@ -327,7 +329,9 @@ class PlanningProblem:
     @cached_property
     def families(self) -> list[Family]:
         """All manoeuvres that can be carried out."""
-        motions, actuators = every_axis(self.vehicle, self.limits.value - np.abs(self.trim.commands))
+        motions, actuators = every_axis(
+            self.vehicle, self.push, self.limits.value - np.abs(self.trim.commands)
+        )
         return families([(axes, self.reach(axes)) for axes in (motions, actuators) if axes])
 
     def tries(self, columns: int, calls: int = 1) -> int:

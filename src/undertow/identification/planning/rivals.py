@@ -14,7 +14,6 @@ from undertow.errors import UndertowError
 from undertow.files import read_json
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.trial import Bench, open_bench, screen
-from undertow.identification.doctor.impossible import allocation
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
@@ -109,7 +108,7 @@ class _TypicalSizes:
     def _drive(self) -> Array:
         """Force and moment of the actuators, rms; where there are none, the largest of the same kind."""
         u = self._manoeuvre.u
-        push = (u - u.mean(axis=0)) @ allocation(self._problem.vehicle).T
+        push = (u - u.mean(axis=0)) @ self._problem.push.T
         drive = np.sqrt(np.mean(push**2, axis=0))
         for kind in (self._linear, ~self._linear):
             largest = np.max(drive[kind], initial=0.0) or np.max(drive)

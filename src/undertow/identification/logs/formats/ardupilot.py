@@ -16,7 +16,7 @@ from undertow.model.actuators import bundled_curves
 from undertow.model.loading import resolve_vehicle
 from undertow.typing import Array
 
-from .fieldlog import FieldLog
+from .fieldlog import OFF, FieldLog, switched_off
 from .frames import ARMS, CUSTOM, FRAMES, Frame, Vector
 
 Parameters = Mapping[str, float | str]
@@ -99,9 +99,10 @@ def actuators(
             travel *= -1.0 if heeded else 1.0
             told = "the command is turned" if heeded else "ArduSub does not heed it for motors"
             notes.append(f"SERVO{output}_REVERSED is set for motor {motor}: {told}")
-        column = Column(channel=f"motor{motor}", scale=1.0 / travel, offset=-rest / travel)
+        off = OFF if np.any(pulses == OFF) else None
+        column = Column(channel=f"motor{motor}", scale=1.0 / travel, offset=-rest / travel, off=off)
         found.append((name, column))
-    return tuple(found), notes
+    return tuple(found), [*notes, *switched_off(outputs[output][1] for output in by_motor.values())]
 
 
 def _rest(trim: float | str | None, pulses: Array) -> float:

@@ -267,8 +267,19 @@ def outputs_of(
     if home not in series:
         return None
     here = [(name.rpartition(".")[2], c) for name, c in actuators if name.startswith(f"{home}.")]
-    cells = [c.scale * series[home].columns[name] + c.offset for name, c in here]
+    cells = [c.scaled(series[home].columns[name], c.scale, c.offset) for name, c in here]
     return series[home].t, np.column_stack(cells)
+
+
+OFF = 0.0  # width of the pulse of an output that is switched off, microseconds
+
+
+def switched_off(pulses: Iterable[Array]) -> list[str]:
+    """What is said of outputs that give no pulse at times."""
+    most = max((float(np.mean(p == OFF)) for p in pulses), default=0.0)
+    return [f"outputs of motors give no pulse (0 µs) in up to {most:.1%} of their samples: no thrust"] * (
+        most > 0
+    )
 
 
 @dataclass(frozen=True)

@@ -93,10 +93,10 @@ def _sensors(path: Path, messages: Path | None) -> tuple[Array, dict[str, Array]
         done = subprocess.run(command, capture_output=True, text=True, timeout=_SECONDS, check=False)
         if not found.exists():
             said = (done.stderr or done.stdout).strip().split("\n")[-1][:300] or "no reason given"
-            raise UndertowError(
-                f"log {path} cannot be read by dbdreader: {said}. If its list of sensors (.cac) lies "
-                "elsewhere, give that folder: --messages FOLDER"
+            remedy = (
+                "copy it again" if "ache" not in said else "give the folder of its .cac: --messages FOLDER"
             )
+            raise UndertowError(f"log {path} cannot be read by dbdreader: {said.rstrip('. ')}: {remedy}")
         with np.load(found) as kept:
             names, units = kept["names"].tolist(), kept["units"].tolist()
             values = np.asarray(kept["values"], dtype=float)
@@ -116,4 +116,6 @@ def _accepts(path: Path, head: bytes) -> bool:
     return head.startswith(b"dbd_label:") or (path.suffix.lower() in FORMAT.suffixes and bool(head))
 
 
-FORMAT = Format("Slocum glider", (".dbd", ".ebd", ".sbd", ".tbd", ".mbd", ".nbd"), _accepts, _read)
+_PLAIN = (".dbd", ".ebd", ".sbd", ".tbd", ".mbd", ".nbd")
+_COMPRESSED = tuple(f"{end[:2]}cd" for end in _PLAIN)  # the same, by LZ4
+FORMAT = Format("Slocum glider", (*_PLAIN, *_COMPRESSED), _accepts, _read)

@@ -55,14 +55,18 @@ SETTINGS = MatlabSettings()
 def _read(path: Path, messages: Path | None) -> FieldLog:
     with path.open("rb") as stream:
         hdf5 = _HDF5 in stream.read(1024)[:520]
-    content, hidden = _with_h5py(path) if hdf5 else _with_scipy(path)
-    tables = _tables(path) if hidden else {}
-    content |= tables
+    content = _with_h5py(path) if hdf5 else _with_scipy(path)
+    objects = list(_objects(content))
+    tables = _tables(path) if objects else {}
+    for name, struct, field in objects:
+        struct[field] = tables.get(name)
+    # SciPy keeps the last of several objects only.
+    content |= {name: table for name, table in tables.items() if "." not in name}
     how = "" if find_spec("matio") else ', or pip install "undertow[field]", whose mat-io reads these'
     notes = [
         f"{name} is an object of MATLAB: save it as a struct, for a table or timetable by S = "
         f"table2struct(timetable2table({name}), 'ToScalar', true){how}"
-        for name in hidden
+        for name, _, _ in objects
         if name not in tables
     ]
     found = list(_series(_WORKSPACE, content, {}))
@@ -82,7 +86,20 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 
 # --- from the file to names and arrays ------------------------------------------------------------
-def _with_scipy(path: Path) -> tuple[dict[str, Any], list[str]]:
+class _Object:
+    """What stands for an object of MATLAB, whose content neither SciPy nor h5py knows."""
+
+
+def _objects(members: dict[str, Any], where: str = "") -> Iterator[tuple[str, dict[str, Any], str]]:
+    """Objects of a struct and of those in it: the whole name, the struct, and the name in it."""
+    for name, value in members.items():
+        if isinstance(value, _Object):
+            yield f"{where}{name}", members, name
+        for label, struct in _structs(name, value):
+            yield from _objects(struct, f"{where}{label}.")
+
+
+def _with_scipy(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabOpaque, MatReadWarning
 
@@ -90,30 +107,47 @@ def _with_scipy(path: Path) -> tuple[dict[str, Any], list[str]]:
         warnings.simplefilter("ignore", MatReadWarning)
         raw = loadmat(str(path), simplify_cells=True)
     content = {name: value for name, value in raw.items() if not name.startswith("__") and name != "None"}
-    hidden = [name for name, value in content.items() if isinstance(value, MatlabOpaque)]
     opaque = raw.get("None")
     if isinstance(opaque, MatlabOpaque):
-        hidden += [bytes(name).decode() for name in np.atleast_1d(opaque["s0"])]
-    return {name: value for name, value in content.items() if name not in hidden}, hidden
+        content |= {bytes(name).decode(): opaque for name in np.atleast_1d(opaque["s0"])}
+    return _marked(content, MatlabOpaque)
 
 
-def _with_h5py(path: Path) -> tuple[dict[str, Any], list[str]]:
+def _marked(members: dict[str, Any], kind: type) -> dict[str, Any]:
+    """Members of a struct in which an `_Object` stands for every object."""
+    for name, value in members.items():
+        members[name] = _Object() if isinstance(value, kind) else value
+        for _, struct in _structs(name, members[name]):
+            _marked(struct, kind)
+    return members
+
+
+def _with_h5py(path: Path) -> dict[str, Any]:
     h5py = library("h5py", "a file of MATLAB 7.3")
     with h5py.File(path, "r") as file:
-        names = [name for name in file if not name.startswith("#")]
-        hidden = [name for name in names if "MATLAB_object_decode" in file[name].attrs]
-        return {name: _plain(file[name], file) for name in names if name not in hidden}, hidden
+        return {name: _plain(file[name], file) for name in file if not name.startswith("#")}
 
 
 def _tables(path: Path) -> dict[str, dict[str, Any]]:
-    """Tables and timetables as structs; none without mat-io, or where it cannot read them either."""
+    """Tables and timetables by their whole names; none without mat-io, or where it cannot read them."""
     if find_spec("matio") is None:
         return {}
     with warnings.catch_warnings(), suppress(Exception):  # what it cannot read is told as hidden
         warnings.simplefilter("ignore")
         found = import_module("matio").load_from_mat(str(path))
-        return {name: _members(value) for name, value in found.items() if hasattr(value, "columns")}
+        return dict(_frames(found))
     return {}
+
+
+def _frames(members: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Tables of a struct and of those in it, as mat-io has them: arrays with a field for every member."""
+    for name, value in members.items():
+        if hasattr(value, "columns"):
+            yield f"{where}{name}", _members(value)
+        elif isinstance(value, np.ndarray) and value.dtype.names:
+            for k, one in enumerate(value.ravel(order="F"), 1):
+                label = name if value.size == 1 else f"{name}({k})"
+                yield from _frames(dict(zip(value.dtype.names, one, strict=True)), f"{where}{label}.")
 
 
 def _members(frame: Any) -> dict[str, Any]:
@@ -148,7 +182,7 @@ def _in_seconds(times: Any) -> Array:
 def _plain(item: Any, file: Any) -> Any:
     """Groups as dictionaries, arrays of references as lists, arrays turned as MATLAB has them."""
     if "MATLAB_object_decode" in item.attrs:
-        return None
+        return _Object()
     if hasattr(item, "keys"):
         return {name: _plain(item[name], file) for name in item}
     if item.dtype.kind == "O":
@@ -179,12 +213,12 @@ def _series(name: str, members: Mapping[str, Any], clocks: Mapping[int, Array]) 
             yield from _series(f"{inside}.{label}" if inside else label, struct, known)
 
 
-def _structs(name: str, value: Any) -> list[tuple[str, Mapping[str, Any]]]:
+def _structs(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
     """Structs in a member: itself, or the elements of an array of structs, counted from one."""
-    if isinstance(value, Mapping):
+    if isinstance(value, dict):
         return [(name, value)]
     if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
-        return [(f"{name}({k})", one) for k, one in enumerate(value, 1) if isinstance(one, Mapping)]
+        return [(f"{name}({k})", one) for k, one in enumerate(value, 1) if isinstance(one, dict)]
     return []
 
 

@@ -21,7 +21,7 @@ from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
 from .attitude import ANGLES, angles
-from .fieldlog import FieldLog, Format, Series, library, outputs_of
+from .fieldlog import OFF, FieldLog, Format, Series, library, outputs_of, switched_off
 from .stretches import armed_stretches, used_stretches
 
 _SIGNATURE = b"ULog\x01\x12\x35"
@@ -64,7 +64,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     }
     notes = [f"damaged: {line}" for line in said.getvalue().splitlines()[:1]]
     lost = sum(dropout.duration for dropout in log.dropouts) / 1000
-    notes += [f"{len(log.dropouts)} dropouts of the logger, {lost:.3g} s in all"] if log.dropouts else []
+    notes += (
+        [f"the logger dropped out {len(log.dropouts)} times, for {lost:.3g} s in all"] if log.dropouts else []
+    )
     actuators = _actuators(series)
     pieces, cuts = _stretches(series, actuators)
     return FieldLog(
@@ -75,7 +77,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         actuators,
         {name: value for name, value in log.initial_parameters.items() if isinstance(value, (int, float))},
         pieces,
-        (*notes, *cuts),
+        (*notes, *_about_pulses(series, actuators), *cuts),
     )
 
 
@@ -86,6 +88,7 @@ def _opened(path: Path) -> Any:
 
 
 _NOTHING = Series("", np.zeros(0), {})
+_PULSES = "actuator_outputs"
 
 
 def _name(data: Any) -> str:
@@ -123,13 +126,28 @@ def _some(column: Array) -> bool:
 
 def _actuators(series: Mapping[str, Series]) -> tuple[tuple[str, Column], ...]:
     """Outputs of the motors that the vehicle has: of the allocation, or as pulses of the first output."""
-    for name, column in (("actuator_motors", "control[{}]"), ("actuator_outputs", "output[{}]")):
+    for name, column in (("actuator_motors", "control[{}]"), (_PULSES, "output[{}]")):
         data = series.get(name, _NOTHING).columns
         count = int(np.max(data["noutputs"])) if "noutputs" in data else 16
         there = [n for k in range(count) if (n := column.format(k)) in data and _some(data[n])]
         if there:
-            return tuple((f"{name}.{n}", Column(channel=f"motor{k}")) for k, n in enumerate(there, 1))
+            off = OFF if name == _PULSES else None
+            return tuple(
+                (f"{name}.{n}", Column(channel=f"motor{k}", off=off)) for k, n in enumerate(there, 1)
+            )
     return ()
+
+
+def _about_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]) -> list[str]:
+    """What is said of outputs that are pulses, whose rest is known to the vehicle's builder only."""
+    names = [name.removeprefix(f"{_PULSES}.") for name, _ in actuators if name.startswith(f"{_PULSES}.")]
+    if not names:
+        return []
+    told = (
+        f"commands are those of {_PULSES} as logged: for pulses that rest at 1500 µs, give each scale = "
+        "0.0025 and offset = -3.75 in the mapping file that undertow import writes"
+    )
+    return [told, *switched_off(series[_PULSES].columns[name] for name in names)]
 
 
 def _stretches(
