@@ -1,9 +1,9 @@
 """A floating circular cylinder as WAMIT computed it.
 
 Source: examples/BEMIO/WAMIT/Cylinder/cyl.out of WEC-Sim (Copyright 2014 National Renewable Energy Laboratory
-and Sandia Corporation, Apache License 2.0): WAMIT 7.2, 1008 panels and 336 on the lid, water 3 m deep, which these waves hardly feel. About the
-centre of the waterline, heading 0; added mass over density, damping over density and frequency, amplitude of the
-excitation over density and gravity.
+and Sandia Corporation, Apache License 2.0): WAMIT 7.2, 1008 panels and 336 on the lid, in water of 3 m, which
+these waves hardly feel. About the centre of the waterline, heading 0; added mass over density, damping over
+density and frequency, amplitude of the excitation over density and gravity.
 """
 
 from __future__ import annotations

@@ -23,6 +23,11 @@ from undertow.tank.vehicle import tank_vehicle
 SPACING = 0.2  # s, between samples, as in the paper
 START, WIDE = 0.5, 3.0  # fits begin at half the truth, and hardly hold on to it: sigma over the truth
 METHODS = {"weak": "weak form", "default": "weak form, then output error"}
+AT = {
+    "surge": 0.15,
+    "heave": 0.15,
+    "yaw": 0.5,
+}  # m/s, rad/s: half the highest speed, at which drag is compared
 
 
 def compare(forced: Path, free: Path) -> list[dict[str, Any]]:
@@ -91,14 +96,15 @@ def _thinned(root: Path, case: Case, folder: Path) -> Run:
 
 
 # --- the table ------------------------------------------------------------------------------------
-def table(rows: list[dict[str, Any]], speed: float) -> Iterator[str]:
-    """Added mass and drag at a speed by every estimator, and how far they are from forced motion."""
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Added mass and drag by every estimator, and how far they are from forced motion."""
     yield "| motion | by | added mass | inertia off by | linear | quadratic | drag off by | physical |"
     yield "|---|---|---|---|---|---|---|---|"
     for row in rows:
         truth = next(r for r in rows if r["by"] == "forced motion" and _key(r) == _key(row))
         a, d, q = (np.nan if v is None else v for v in row["values"])
         a0, d0, q0 = truth["values"]
+        speed = AT[row["motion"]]
         off = (a - a0) / (truth["inertia"] + a0)
         drag = (d * speed + q * speed**2) / (d0 * speed + q0 * speed**2) - 1
         way = {1: "ahead", -1: "back"}[row["direction"]]

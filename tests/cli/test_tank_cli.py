@@ -80,7 +80,9 @@ def test_a_hole_is_refused(hull: Path, capsys: Capture) -> None:
 
 def test_refusals_are_one_line(hull: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     assert "profile paper is a series of forces" in refusal([*NEW, "--profile", "paper"], capsys, hull)
-    assert "neither paper, step, sine, push nor a CSV file" in refusal([*NEW, "--profile", "stairs"], capsys, hull)
+    assert "neither paper, step, sine, push nor a CSV file" in refusal(
+        [*NEW, "--profile", "stairs"], capsys, hull
+    )
     assert "choose from surge" in refusal([*NEW, "--motion", "sideways"], capsys, hull)
     assert "speed = -1 m/s: give a positive number" in refusal([*NEW, "--speed", "-1"], capsys, hull)
     assert "no towing tank" in refusal(["tank", "run", "tank"], capsys, hull)

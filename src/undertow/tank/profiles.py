@@ -76,8 +76,8 @@ def read_signal(path: Path) -> tuple[Array, Array]:
         rows = np.genfromtxt(path, delimiter=",", comments="#", invalid_raise=True)
     except (OSError, ValueError) as error:
         raise UndertowError(
-            f"profile {path}: neither {', '.join(PROFILES)} nor a CSV file that can be read: give one with two "
-            "columns, time and speed or force"
+            f"profile {path}: neither {', '.join(PROFILES)} nor a CSV file that can be read: give one with "
+            "two columns, time and speed or force"
         ) from error
     rows = np.atleast_2d(rows)
     rows = rows[1:] if np.isnan(rows[0]).all() else rows
