@@ -398,8 +398,7 @@ def _tank(output: _Output) -> Iterator[Piece]:
         f"Before there is a vehicle there is a mesh of its hull: an AUV of {tank.mass:g} kg, {tank.size:g} m "
         "long. OpenFOAM pushed it (added mass) and towed it forward (damping); the logs give:",
     )
-    ways = {0: "both", 1: "forward", -1: "backward"}
-    rows = [(f"-{c.name}", ways[c.direction], f"{c.value:.4g}", f"{c.sigma:.2g}") for c in found]
-    yield "table", (("coefficient, SI", "direction", "value", "sigma"), rows)
+    rows = [(f"-{c.name}", c.way, f"{c.value:.4g}", f"{c.sigma:.2g}", c.unit) for c in found]
+    yield "table", (("coefficient", "direction", "value", "sigma", "unit"), rows)
     what = "a vehicle file made of them; undertow tank new, run and vehicle new do this for your hull"
     yield output.text("tank/vehicle.toml", tank_vehicle(tank, found, "auv"), what)

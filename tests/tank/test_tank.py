@@ -337,12 +337,23 @@ def test_a_rotation_is_read_from_its_matrix(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
 @pytest.mark.parametrize("prescribed", [True, False])
-def test_added_mass_of_a_sphere(tmp_path: Path, prescribed: bool) -> None:
+def test_added_mass_of_a_sphere_though_interrupted(tmp_path: Path, prescribed: bool) -> None:
     hull = spheroid_mesh(0.5, 0.5, 4)
     orders = Orders(1000 * hull.volume, profiles=("push",), prescribed=prescribed, grids=1)
     tank, centred = make_tank(hull, orders, "sphere.stl", "0" * 64)
     write_tank(tmp_path, tank, centred)
+
+    def interrupt(done: float, words: str) -> None:
+        if done > 0.6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_tank(tmp_path, tank, progress=interrupt)
+    log = log_of(tmp_path, tank.cases[0], 1)
+    assert not log.exists()
     run_tank(tmp_path, tank)
+    rows = read_record(log, 1)
+    assert np.allclose(np.diff(rows.time), tank.step_of(tank.cases[0], 1))  # nothing twice, nothing missing
     (found,) = coefficients(tmp_path, tank)
     assert found.value == pytest.approx(sphere(0.25).matrix[0, 0], rel=0.03)
 

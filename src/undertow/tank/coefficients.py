@@ -33,6 +33,14 @@ class FitRules:
 _RULES = FitRules()
 
 
+# Effects of a vehicle file by what marks their names, and the units of force and of moment coefficients.
+EFFECTS = {
+    "added_mass": ("dot", "kg", "kg m^2"),
+    "quadratic_damping": ("abs", "kg/m", "kg m^2"),
+    "linear_damping": ("", "kg/s", "kg m^2/s"),
+}
+
+
 @dataclass(frozen=True)
 class Coefficient:
     """An added mass or damping coefficient, positive as it resists."""
@@ -46,8 +54,23 @@ class Coefficient:
 
     @property
     def value(self) -> float:
-        """On the finest grid: kg, kg/s, kg/m, or kg m^2, kg m^2/s, kg m^2."""
+        """On the finest grid, in SI units."""
         return self.grid.value
+
+    @property
+    def effect(self) -> str:
+        """Its effect in a vehicle file."""
+        return next(effect for effect, (mark, *_) in EFFECTS.items() if mark in self.name)
+
+    @property
+    def unit(self) -> str:
+        """Of its value."""
+        return EFFECTS[self.effect][1 + (DOFS.index(self.motion) > 2)]
+
+    @property
+    def way(self) -> str:
+        """Its direction in words."""
+        return {0: "both", 1: "forward", -1: "backward"}[self.direction]
 
     @property
     def sigma(self) -> float:

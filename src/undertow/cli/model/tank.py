@@ -190,19 +190,10 @@ def _plain(c: Coefficient) -> dict[str, Any]:
     return {**asdict(c), "value": c.value, "sigma": c.sigma}
 
 
-_WAYS = {0: "both", 1: "forward", -1: "backward"}
-
-
 def show(found: list[Coefficient]) -> None:
     """Print coefficients with their errors."""
-    from undertow.model.symbols import DOFS
-
-    units = ({"dot": "kg", "abs": "kg/m"}, {"dot": "kg m^2", "abs": "kg m^2"})
-    plain = ("kg/s", "kg m^2/s")
     rows = []
     for c in found:
-        turns = DOFS.index(c.motion) > 2
-        unit = next((u for mark, u in units[turns].items() if mark in c.name), plain[turns])
         numbers = (
             f"{c.value:.4g}",
             f"{c.sigma:.2g}",
@@ -210,7 +201,7 @@ def show(found: list[Coefficient]) -> None:
             f"{c.grid.index:.2g}",
             f"{c.grid.extrapolated:.4g}",
         )
-        rows.append((f"-{c.name}", _WAYS[c.direction], *numbers, c.grid.kind, unit))
+        rows.append((f"-{c.name}", c.way, *numbers, c.grid.kind, c.unit))
     heads = ("", "", "value", "sigma", "of the fit", "grid index", "extrapolated", "grids", "")
     console().print(table(heads, rows, indent=0))
 
