@@ -31,6 +31,7 @@ from .auv import MASS, auv_hull
 BOX = (0.60, 0.42, 0.24)
 RADIUS = 0.25
 SHELF = Path(__file__).parent / "logs"
+CYLINDER = str(Path(__file__).with_name("cylinder.csv"))
 AUV_STL = SHELF / "auv.stl"
 SHIPPED = Path("src/undertow/demo_data/cfd-surge/surge_step_coarse.csv.gz")
 
@@ -150,7 +151,7 @@ BODIES = {
     "cylinder-drag": Body(
         "the same cylinder, Reynolds 20 and 40",
         _cylinder,
-        Orders(393.0, profiles=("step",), prescribed=True, viscosity=0.00375, span="y", step=2.0),
+        Orders(393.0, profiles=(CYLINDER,), prescribed=True, viscosity=0.00375, span="y", step=4.0),
         3,
         {},
         "",
@@ -276,7 +277,7 @@ def _coefficients(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
             **_effort(root, tank, c.motion, body.grids),
         }
         for c in coefficients(root, tank)
-        if name != "re100"  # its two speeds say no coefficients: the drag is neither linear nor quadratic
+        if name not in ("re100", "cylinder-drag")  # drag that is neither linear nor quadratic
     ]
 
 
@@ -301,7 +302,9 @@ def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
     """Drag coefficients on the silhouette at the end of each speed of the steps, on all grids."""
     body, rows = BODIES[name], []
     hull = mended(body.hull(), name)[0]
-    steps = [c for c in tank.cases if c.profile == "step" and c.prescribed and c.motion in DOFS[:3]]
+    steps = [
+        c for c in tank.cases if c.profile in ("step", "table") and c.prescribed and c.motion in DOFS[:3]
+    ]
     for case in steps:
         place = DOFS.index(case.motion)
         grids = [g for g in range(body.grids, 0, -1) if log_of(root, case, g).is_file()]

@@ -241,7 +241,7 @@ def _check_one_body(mesh: Mesh, pairs: NDArray[np.int64], name: str) -> None:
         volumes = sorted(abs(Mesh(mesh.vertices, mesh.faces[part == i]).volume) for i in range(count))[::-1]
         shown = ", ".join(f"{v:.3g}" for v in volumes[:4]) + (", ..." if count > 4 else "")
         raise UndertowError(
-            f"{name}: {count} separate bodies ({shown} m^3): unite them where they were drawn, fill "
+            f"{name}: {count} separate bodies ({shown} m^3): unite them in the CAD program, fill "
             "cavities, or export the hull alone"
         )
 

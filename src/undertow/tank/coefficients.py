@@ -15,7 +15,7 @@ from undertow.typing import Array, Flags
 
 from .convergence import Convergence, convergence
 from .records import Record, read_record
-from .settings import Case, Tank, log_of
+from .settings import RULES, Case, Tank, log_of
 
 
 @dataclass(frozen=True)
@@ -136,11 +136,11 @@ def _fit(tank: Tank, records: Sequence[tuple[Case, Record]], direction: int) -> 
     """Value and standard error of a (added mass), d and q (linear and quadratic damping) on one grid."""
     result: Fit = {}
     pushes = [r for c, r in records if c.profile == "push"]
-    others = [r for c, r in records if c.profile != "push"]
+    others = [(r, _length(tank, c)) for c, r in records if c.profile != "push"]
     if pushes:
         result["a"] = _by_pushes(pushes)
     if others:
-        result |= _by_balance(tank, others, direction, result.get("a"))
+        result |= _by_balance(others, direction, result.get("a"))
     return result
 
 
@@ -160,12 +160,12 @@ def _by_pushes(pushes: Sequence[Record]) -> tuple[float, float]:
 
 
 def _by_balance(
-    tank: Tank, records: Sequence[Record], direction: int, known: tuple[float, float] | None
+    records: Sequence[tuple[Record, float]], direction: int, known: tuple[float, float] | None
 ) -> Fit:
     """Damping, and added mass where no push says it, from the balance of forces at every time step."""
     columns, forces = [], []
-    for r in records:
-        settled = _settled(r, tank.size)
+    for r, length in records:
+        settled = _settled(r, length)
         kept = settled if known and settled.sum() >= _RULES.rows else np.ones_like(settled)
         kept = kept & (r.speed * direction > 0) if direction else kept
         u = r.speed[kept]
@@ -183,12 +183,19 @@ def _by_balance(
     return dict(zip("adq", zip(values.tolist(), errors.tolist(), strict=True), strict=True))
 
 
-def _settled(record: Record, size: float) -> Flags:
+def _length(tank: Tank, case: Case) -> float:
+    """Of the hull along a motion, m: steps of speed go so many of them."""
+    return case.end * case.speed / RULES.travel if case.prescribed and case.profile == "step" else tank.size
+
+
+def _settled(record: Record, length: float) -> Flags:
     """Rows at which the hull has gone `FitRules.settled` lengths at one speed, shape (n,)."""
     speed = np.abs(record.speed)
     way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(record.time))])
-    before = np.interp(way - _RULES.settled * size, way, record.speed)
-    return np.asarray((np.abs(record.speed - before) <= _RULES.even * speed) & (way >= _RULES.settled * size))
+    before = np.interp(way - _RULES.settled * length, way, record.speed)
+    return np.asarray(
+        (np.abs(record.speed - before) <= _RULES.even * speed) & (way >= _RULES.settled * length)
+    )
 
 
 def least_squares(table: Array, values: Array, *, positive: bool = False) -> tuple[Array, Array]:
