@@ -85,11 +85,11 @@ def _vehicle(tank: Tank, found: list[Coefficient], names: tuple[str, ...], folde
 
 
 def _thinned(root: Path, case: Case, folder: Path) -> Run:
-    """A log of the tank with samples about as far apart as those of the paper."""
+    """A log of the tank with samples at most as far apart as those of the paper."""
     log = log_of(root, case, 1)
     head, *rows = log.read_text(encoding="utf-8").splitlines()
     step = float(rows[1].split(",")[0]) - float(rows[0].split(",")[0])
-    every = max(1, round(SPACING / step))
+    every = max(1, int(SPACING / step))
     thin = folder / log.name
     thin.write_text("\n".join([head, *rows[every - 1 :: every]]) + "\n", encoding="utf-8")
     return ut.read_log(thin, log.with_suffix(".toml"))

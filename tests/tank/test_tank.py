@@ -262,6 +262,8 @@ def test_a_direction_counts_when_its_own_cases_are_done(tmp_path: Path) -> None:
     assert {c.direction for c in found} == {1}
     text = tank_vehicle(tank, found, "my")
     assert "forward only" in re.findall("X_uabsu = .*", text)[0]
+    back = tank.model_copy(update={"cases": tuple(c for c in tank.cases if c.name == "surge-push-backward")})
+    assert [(c.name, c.way) for c in coefficients(tmp_path / "tank", back)] == [("X_udot", "backward")]
 
 
 @pytest.mark.usefixtures("solver")

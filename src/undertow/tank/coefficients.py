@@ -103,7 +103,7 @@ def _tells(case: Case, direction: int) -> bool:
 
 def _of_motion(root: Path, tank: Tank, cases: Sequence[Case], direction: int) -> list[Coefficient]:
     done = [g for g in range(tank.grids, 0, -1) if all(log_of(root, c, g).is_file() for c in cases)]
-    if not done:
+    if not cases or not done:
         return []
     fits = []
     for grid in done:
