@@ -25,6 +25,7 @@ from ..progress import clear, teller
 from .hulls import ball
 from .hulme import ADDED, DAMPING
 from .usv import CG, MASS, usv_hull
+from .wamit import VOLUME, WAMIT, cylinder_hull
 
 RESULTS = Path(__file__).parent / "floating.json"
 TEXT = Path(__file__).parent / "floating.md"
@@ -43,7 +44,9 @@ def measure(finest: int, progress: Progress) -> dict[str, Any]:
         for ka in ADDED[motion]:
             found = round_.at(float(np.sqrt(G * ka)))[i, i] / HALF
             rows.append({"motion": motion, "ka": ka, "A": found.real, "B": found.imag / np.sqrt(G * ka)})
-    progress(0.3, "a small surface vehicle")
+    progress(0.3, "cylinder")
+    cylinder, cylinder_panels = against_wamit(finest)
+    progress(0.4, "a small surface vehicle")
     body = FloatingBody(usv_hull(), MASS, CG, RHO, finest)
     inertia = np.diag([MASS] * 3 + [3.1, 26.0, 27.0])
     hull = body.radiation()
@@ -52,6 +55,8 @@ def measure(finest: int, progress: Progress) -> dict[str, Any]:
     return {
         "sphere": rows,
         "sphere_panels": round_.panels,
+        "cylinder": cylinder,
+        "cylinder_panels": cylinder_panels,
         "usv": {
             "draught": hull.draught, "length": hull.length, "panels": hull.panels,
             "omega": hull.omega.tolist(), "infinity": hull.at_infinity.matrix.tolist(),
@@ -66,6 +71,20 @@ def measure(finest: int, progress: Progress) -> dict[str, Any]:
             for w in waves
         ],
     }  # fmt: skip
+
+
+def against_wamit(finest: int) -> tuple[list[dict[str, Any]], int]:
+    """Added mass, damping and excitation of a cylinder, in the units of WAMIT, and the panels under water."""
+    body = FloatingBody(cylinder_hull(), VOLUME * RHO, 0.4, RHO, finest)
+    rows = []
+    for omega, known in WAMIT.items():
+        matrix = body.at(omega)
+        wave = body.regular_wave(omega, np.diag([VOLUME * RHO] * 3 + [20.0] * 3))
+        for i, (motion, table) in enumerate(zip(("surge", "heave", "pitch"), known, strict=True)):
+            own = matrix[2 * i, 2 * i]
+            values = (own.real / RHO, own.imag / RHO / omega, abs(wave.excitation[0, 2 * i]) / RHO / G)
+            rows.append({"motion": motion, "omega": omega, "values": values, "wamit": table})
+    return rows, body.panels
 
 
 def afloat(stored: dict[str, Any]) -> Afloat:
@@ -118,7 +137,9 @@ def _draw_waves(axes: Any, waves: list[dict[str, Any]]) -> None:
         degrees = np.degrees(wave["headings"])
         axes.plot(degrees, np.array(wave["motion"])[:, 2], color=colour, label=f"{wave['omega']:g} rad/s")
         axes.plot(degrees, np.array(wave["motion"])[:, 4], "--", color=colour)
-    axes.set(title="Heave, m/m, and pitch (dashed), rad/m", xlabel="from bow to where the wave goes, degrees")
+    axes.set(
+        title="Heave, m/m, and pitch (dashed), rad/m", xlabel="heading of the wave from the bow, degrees"
+    )
     axes.set_xticks(range(0, 181, 45))
     axes.legend(fontsize=8)
 
@@ -130,7 +151,7 @@ def _draw_drift(axes: Any, waves: list[dict[str, Any]]) -> None:
         axes.plot(degrees, np.array(wave["drift"])[:, 0], color=colour, label=f"{wave['omega']:g} rad/s")
         axes.plot(degrees, np.array(wave["drift"])[:, 1], "--", color=colour)
     axes.set(title="Mean drift ahead and to starboard (dashed), N/m²", yscale="symlog")
-    axes.set(xlabel="from bow to where the wave goes, degrees")
+    axes.set(xlabel="heading of the wave from the bow, degrees")
     axes.set_xticks(range(0, 181, 45))
     axes.legend(fontsize=8)
 
@@ -138,12 +159,19 @@ def _draw_drift(axes: Any, waves: list[dict[str, Any]]) -> None:
 def page(stored: dict[str, Any]) -> str:
     """The whole page."""
     text = TEXT.read_text(encoding="utf-8")
-    for mark, lines in (("{sphere}", _sphere_table(stored["sphere"])), ("{memory}", _memory_table(stored))):
+    tables = {
+        "{sphere}": _sphere_table(stored["sphere"]),
+        "{cylinder}": _cylinder_table(stored["cylinder"]),
+        "{memory}": _memory_table(stored),
+    }
+    for mark, lines in tables.items():
         text = text.replace(mark, "\n".join(lines))
     usv = stored["usv"]
     missed = ", ".join(f"{100 * w['missed']:.1f} %" for w in stored["waves"])
-    numbers = {"{panels}": usv["panels"], "{sphere_panels}": stored["sphere_panels"], "{missed}": missed}
-    for mark, value in (numbers | {"{draught}": f"{usv['draught']:.3f}"}).items():
+    numbers = {f"{{{n}}}": stored[n] for n in ("sphere_panels", "cylinder_panels")} | {
+        "{panels}": usv["panels"]
+    }
+    for mark, value in (numbers | {"{draught}": f"{usv['draught']:.3f}", "{missed}": missed}).items():
         text = text.replace(mark, str(value))
     return text
 
@@ -160,10 +188,18 @@ def _sphere_table(rows: list[dict[str, Any]]) -> Iterator[str]:
         )
 
 
+def _cylinder_table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    yield "| motion | rad/s | added mass | WAMIT | damping | WAMIT | excitation | WAMIT |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for r in rows:
+        pairs = " | ".join(f"{v:.3g} | {w:.3g}" for v, w in zip(r["values"], r["wamit"], strict=True))
+        yield f"| {r['motion']} | {r['omega']:g} | {pairs} |"
+
+
 def _memory_table(stored: dict[str, Any]) -> Iterator[str]:
     hull = afloat(stored["usv"])
     first, second = (fit_memory(hull, range(6), order) for order in (1, 2))  # type: ignore[arg-type]
-    yield "| motion | one state, left of the kernel | two states | frequency | time |"
+    yield "| motion | one state: unexplained | two states: unexplained | frequency | time |"
     yield "|---|---|---|---|---|"
     for i in second.stiffness:
         yield (

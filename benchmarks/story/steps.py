@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..shell import Said, Shell
-from ..tank.bodies import SHELF
+from ..tank.bodies import AUV_STL, shelf
 
 HERE = Path(__file__).parent
 LAG = 0.6
@@ -26,8 +26,8 @@ class Story(Shell):
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda words: None) -> None:
         super().__init__(folder, tell)
-        shutil.copy(SHELF / "auv" / "hull.stl", folder)
-        shutil.copytree(SHELF / "auv", folder / "tank", ignore=shutil.ignore_patterns("*.stl"))
+        shutil.copy(AUV_STL, folder / "hull.stl")
+        shutil.copytree(shelf("auv"), folder / "tank")
         shutil.copy(HERE / "survey.toml", folder)
 
     def panels(self) -> Said:

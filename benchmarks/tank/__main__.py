@@ -13,7 +13,7 @@ from undertow.figures import save_png
 from undertow.files import write_whole
 
 from ..progress import clear, teller
-from .bodies import BODIES, SHELF, drawing, run, ship
+from .bodies import BODIES, drawing, results, run, shelf, ship
 from .chain import compare
 from .page import CHAIN, page
 
@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "what",
         choices=("run", "ship", "chain", "page"),
-        help="run the solver, put logs beside the benchmark, fit those of the AUV, or make the page",
+        help="run the solver, keep logs and what they say, fit those of the AUV, or make the page",
     )
     parser.add_argument("bodies", nargs="*", default=[], help=f"some of {', '.join(BODIES)}; default: all")
     parser.add_argument("--work", type=Path, default=Path("build/tank"), help="default: %(default)s")
@@ -41,9 +41,12 @@ def main(arguments: list[str] | None = None) -> int:
     if options.what == "ship":
         for name in options.bodies:
             ship(name, options.work)
+            _store(name, results(name, shelf(name)))
         return 0
     if options.what == "chain":
-        write_whole(CHAIN, json.dumps(compare(SHELF / "auv", SHELF / "auv-paper"), indent=1) + "\n")
+        pairs = [(shelf(name), shelf(f"{name}-paper")) for name in ("auv", "auv-coarse")]
+        found = [row for forced, free in pairs for row in compare(forced, free)]
+        write_whole(CHAIN, json.dumps(found, indent=1) + "\n")
         return 0
     for name in options.bodies or BODIES:
         try:
@@ -54,10 +57,14 @@ def main(arguments: list[str] | None = None) -> int:
         clear()
         if name in PICTURES:
             save_png(drawing(name, options.work), PICTURES[name])
-        rows = [row for row in _rows() if row["body"] != name] + found
-        rows.sort(key=lambda row: list(BODIES).index(row["body"]))
-        write_whole(RESULTS, json.dumps(rows, indent=1) + "\n")
+        _store(name, found)
     return 0
+
+
+def _store(name: str, found: list[dict[str, Any]]) -> None:
+    rows = [row for row in _rows() if row["body"] != name] + found
+    rows.sort(key=lambda row: list(BODIES).index(row["body"]))
+    write_whole(RESULTS, json.dumps(rows, indent=1) + "\n")
 
 
 def _rows() -> list[dict[str, Any]]:

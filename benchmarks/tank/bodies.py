@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,16 @@ from matplotlib.figure import Figure
 
 from benchmarks.shape.hulls import box_mesh, cylinder_mesh, revolved
 from undertow.files import make_folder, together, write_whole
+from undertow.model.symbols import DOFS
 from undertow.shape.bodies import box, prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, mended, stl_bytes
 from undertow.tank.case import Orders, make_tank, write_tank
 from undertow.tank.coefficients import coefficients
+from undertow.tank.convergence import convergence
 from undertow.tank.pictures import picture
 from undertow.tank.records import read_record
-from undertow.tank.run import processor_seconds, run_tank
-from undertow.tank.settings import FILE, Tank, folder_of, log_of, read_tank
+from undertow.tank.run import run_tank
+from undertow.tank.settings import FILE, Tank, log_of, read_tank
 from undertow.typing import Progress
 
 from .auv import MASS, auv_hull
@@ -28,6 +31,8 @@ from .auv import MASS, auv_hull
 BOX = (0.60, 0.42, 0.24)
 RADIUS = 0.25
 SHELF = Path(__file__).parent / "logs"
+CYLINDER = str(Path(__file__).with_name("cylinder.csv"))
+AUV_STL = SHELF / "auv.stl"
 SHIPPED = Path("src/undertow/demo_data/cfd-surge/surge_step_coarse.csv.gz")
 
 
@@ -59,7 +64,8 @@ class Body:
     grids: int
     truth: dict[str, float]
     source: str
-    longer: tuple[str, ...] = ()  # cases that are run with time steps of twice the length, to save time
+    longer: dict[str, float] = field(default_factory=dict)  # factor on the time step of a case, to save time
+    coarser: bool = False  # whether the first grid is one step coarser than by the rules, to save time
 
 
 def _lamb(matrix: Any) -> dict[str, float]:
@@ -74,11 +80,24 @@ def _push(mass: float, motions: tuple[str, ...] = ("surge",), prescribed: bool =
 
 _SPHERE = _lamb(sphere(RADIUS).matrix)
 _BOX = _lamb(box(*BOX).matrix)
-_AUV = ("surge", "heave", "yaw")
+_PANELS = {"X_udot": 0.6496, "Z_wdot": 9.63, "N_rdot": 0.06598}  # of the AUV: docs/story.md
 _STEP = Orders(60.48, profiles=("step",), prescribed=True)
 _VISCOUS = Orders(
     65.4, profiles=("step",), prescribed=True, viscosity=0.0015
 )  # Reynolds 50 and 100 at 0.3 m/s
+
+
+def _auv(*profiles: str) -> Orders:
+    """Surge, heave and yaw of the AUV: forces of the paper, or motions that are prescribed."""
+    free = profiles == ("paper",)
+    return Orders(
+        MASS,
+        motions=("surge", "heave", "yaw"),
+        profiles=profiles,
+        prescribed=not free,
+        step=1.0 + free,
+    )
+
 
 BODIES = {
     "sphere": Body(
@@ -118,7 +137,9 @@ BODIES = {
         _BOX,
         "panels",
     ),
-    "re100": Body("sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 1, {}, ""),
+    "re100": Body(
+        "sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 3, {}, "", coarser=True
+    ),
     "cylinder": Body(
         "cylinder across, without ends",
         _cylinder,
@@ -130,10 +151,11 @@ BODIES = {
     "cylinder-drag": Body(
         "the same cylinder, Reynolds 20 and 40",
         _cylinder,
-        Orders(393.0, profiles=("step",), prescribed=True, viscosity=0.00375, span="y", step=2.0),
-        1,
+        Orders(393.0, profiles=(CYLINDER,), prescribed=True, viscosity=0.00375, span="y", step=4.0),
+        3,
         {},
         "",
+        coarser=True,
     ),
     "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
     "bullet": Body(
@@ -146,22 +168,29 @@ BODIES = {
         },  # 1504 panels (undertow added-mass mesh --panels 1600), which say +- 0.7 of themselves
         "panels",
     ),
-    "auv": Body(
-        "small AUV, 0.60 m, 7.5 kg",
+    "auv": Body("small AUV, 0.60 m, 7.5 kg", auv_hull, _auv("push", "step"), 1, _PANELS, "panels"),
+    "auv-paper": Body("the same AUV, pushed by the forces of the paper", auv_hull, _auv("paper"), 1, {}, ""),
+    "auv-coarse": Body(
+        "the same AUV, coarse grid",
         auv_hull,
-        Orders(MASS, motions=_AUV, profiles=("push", "step"), prescribed=True),
+        _auv("push", "step"),
         1,
-        {},
+        _PANELS,
         "panels",
-        longer=("surge-step-backward", "yaw-step"),
+        longer={"surge-step-backward": 2.0, "yaw-step": 4.0},
+        coarser=True,
     ),
-    "auv-paper": Body(
-        "the same AUV, pushed by the forces of the paper",
+    "auv-coarse-paper": Body(
+        "the same, pushed by the forces of the paper",
         auv_hull,
-        Orders(MASS, motions=_AUV, profiles=("paper",), step=2.0),
+        _auv("paper"),
         1,
         {},
         "",
+        longer=dict.fromkeys(
+            ("surge-paper-backward", "heave-paper-forward", "heave-paper-backward", "yaw-paper"), 2.0
+        ),
+        coarser=True,
     ),
 }
 
@@ -173,10 +202,11 @@ def made(name: str, work: Path) -> Tank:
         surface = mended(body.hull(), name)[0]
         written = sha256(stl_bytes(surface)).hexdigest()
         tank, hull = make_tank(surface, body.orders, f"{name}.stl", written)
+        ratio = tank.refinement if body.coarser else 1.0
         kept = tuple(
-            c.model_copy(update={"step": c.step * (1 + (c.name in body.longer))}) for c in tank.cases
+            c.model_copy(update={"step": c.step * ratio * body.longer.get(c.name, 1.0)}) for c in tank.cases
         )
-        write_tank(root, tank.model_copy(update={"cases": kept}), hull)
+        write_tank(root, tank.model_copy(update={"cases": kept, "cell": tank.cell * ratio}), hull)
     return read_tank(root)
 
 
@@ -185,6 +215,12 @@ def run(name: str, work: Path, progress: Progress) -> list[dict[str, Any]]:
     body, root = BODIES[name], work / name
     tank = made(name, work)
     run_tank(root, tank, grids=body.grids, progress=progress)
+    return results(name, root)
+
+
+def results(name: str, root: Path) -> list[dict[str, Any]]:
+    """What the logs of a body in a folder say."""
+    tank = read_tank(root)
     found = [*_coefficients(name, root, tank), *_drag(name, root, tank)]
     return [*found, _against_demo(root, tank)] if name == "box-forced" else found
 
@@ -198,16 +234,21 @@ def _against_demo(root: Path, tank: Tank) -> dict[str, Any]:
     return {"body": "box-forced", "name": "rms", "direction": 0, **rms}
 
 
+def shelf(name: str) -> Path:
+    """Where the logs of a body are kept; those of the AUV are part of the demo."""
+    return Path("src/undertow/demo_data/tank") if name == "auv" else SHELF / name
+
+
 def ship(name: str, work: Path) -> None:
     """Put what is small of a tank that was run beside the benchmark: hull, tank.toml, logs."""
-    target, root = SHELF / name, work / name
+    target, root = shelf(name), work / name
     tank = made(name, work)
     done = {c.name: log_of(root, c, 1) for c in tank.cases if log_of(root, c, 1).is_file()}
     kept = tank.model_copy(update={"cases": tuple(c for c in tank.cases if c.name in done), "grids": 1})
     with together():
         make_folder(target / "logs")
-        if name == "auv":  # the other tanks have the same hull
-            write_whole(target / "hull.stl", stl_bytes(mended(BODIES[name].hull(), name)[0]))
+        if name == "auv":  # the other tanks of the benchmark have the same hull
+            write_whole(AUV_STL, stl_bytes(mended(BODIES[name].hull(), name)[0]))
         write_whole(target / FILE, kept.text())
         for log in done.values():
             for path in (log, log.with_suffix(".toml")):
@@ -236,39 +277,55 @@ def _coefficients(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
             **_effort(root, tank, c.motion, body.grids),
         }
         for c in coefficients(root, tank)
-        if name != "re100"  # its two speeds say no coefficients: the drag is neither linear nor quadratic
+        if name not in ("re100", "cylinder-drag")  # drag that is neither linear nor quadratic
     ]
 
 
 def _effort(root: Path, tank: Tank, motion: str, grids: int) -> dict[str, Any]:
-    """Cells and processor seconds of the grids."""
+    """Cells and processor seconds of the grids, coarsest first, out of what the logs say of themselves."""
     cells, seconds = [], []
     for grid in range(1, grids + 1):
-        cases = [c for c in tank.cases if c.motion == motion]
-        cells.append(read_record(log_of(root, cases[0], grid), grid).cells)
-        seconds.append(sum(processor_seconds(folder_of(root, c, grid)) for c in cases))
+        logs = [log_of(root, c, grid) for c in tank.cases if c.motion == motion]
+        done = [log for log in logs if log.is_file()]
+        if done:
+            cells.append(read_record(done[0], grid).cells)
+            seconds.append(sum(_seconds(log) for log in done))
     return {"cells": cells, "seconds": seconds}
 
 
+def _seconds(log: Path) -> int:
+    text = log.with_suffix(".toml").read_text(encoding="utf-8")
+    return int(re.findall(r"(\d+) s of a processor", text)[0])
+
+
 def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
-    """Drag coefficients on the silhouette at the end of each speed of the steps."""
+    """Drag coefficients on the silhouette at the end of each speed of the steps, on all grids."""
     body, rows = BODIES[name], []
-    area = mended(body.hull(), name)[0].projected_area(0)
-    steps = [c for c in tank.cases if c.profile == "step" and c.prescribed]
+    hull = mended(body.hull(), name)[0]
+    steps = [
+        c for c in tank.cases if c.profile in ("step", "table") and c.prescribed and c.motion in DOFS[:3]
+    ]
     for case in steps:
-        record = read_record(log_of(root, case, body.grids), body.grids)
-        for end in (2 / 3 * case.end, case.end):
-            now = np.searchsorted(record.time, end * (1 - 1e-6), side="right") - 1
-            u = record.speed[now]
+        place = DOFS.index(case.motion)
+        grids = [g for g in range(body.grids, 0, -1) if log_of(root, case, g).is_file()]
+        records = [read_record(log_of(root, case, g), g) for g in grids]
+        for end in (2 / 3 * case.end, case.end) if grids else ():
+            now = [np.searchsorted(r.time, end * (1 - 1e-6), side="right") - 1 for r in records]
+            u = float(records[0].speed[now[0]])
+            pressed = tank.density / 2 * hull.projected_area(place) * u**2
+            values = [float(-r.water[i] * np.sign(u) / pressed) for r, i in zip(records, now, strict=True)]
             rows.append(
                 {
                     "body": name,
                     "name": "Cd",
-                    "direction": case.direction * (len(steps) > 1),
-                    "speed": float(u),
+                    "motion": case.motion,
+                    "direction": case.direction * ("ward" in case.name),
+                    "speed": u,
                     "reynolds": float(abs(u) * tank.size / tank.viscosity),
-                    "value": float(-record.water[now] * np.sign(u) / (tank.density / 2 * area * u**2)),
-                    **_effort(root, tank, case.motion, body.grids),
+                    "value": values[0],
+                    "grid": asdict(convergence(values, [tank.cell_of(g) for g in grids])),
+                    "cells": [r.cells for r in reversed(records)],
+                    "seconds": [_seconds(log_of(root, case, g)) for g in reversed(grids)],
                 }
             )
     return rows

@@ -23,6 +23,11 @@ from undertow.tank.vehicle import tank_vehicle
 SPACING = 0.2  # s, between samples, as in the paper
 START, WIDE = 0.5, 3.0  # fits begin at half the truth, and hardly hold on to it: sigma over the truth
 METHODS = {"weak": "weak form", "default": "weak form, then output error"}
+AT = {
+    "surge": 0.15,
+    "heave": 0.15,
+    "yaw": 0.5,
+}  # m/s, rad/s: half the highest speed, at which drag is compared
 
 
 def compare(forced: Path, free: Path) -> list[dict[str, Any]]:
@@ -80,25 +85,26 @@ def _vehicle(tank: Tank, found: list[Coefficient], names: tuple[str, ...], folde
 
 
 def _thinned(root: Path, case: Case, folder: Path) -> Run:
-    """A log of the tank with samples about as far apart as those of the paper."""
+    """A log of the tank with samples at most as far apart as those of the paper."""
     log = log_of(root, case, 1)
     head, *rows = log.read_text(encoding="utf-8").splitlines()
     step = float(rows[1].split(",")[0]) - float(rows[0].split(",")[0])
-    every = max(1, round(SPACING / step))
+    every = max(1, int(SPACING / step))
     thin = folder / log.name
     thin.write_text("\n".join([head, *rows[every - 1 :: every]]) + "\n", encoding="utf-8")
     return ut.read_log(thin, log.with_suffix(".toml"))
 
 
 # --- the table ------------------------------------------------------------------------------------
-def table(rows: list[dict[str, Any]], speed: float) -> Iterator[str]:
-    """Added mass and drag at a speed by every estimator, and how far they are from forced motion."""
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Added mass and drag by every estimator, and how far they are from forced motion."""
     yield "| motion | by | added mass | inertia off by | linear | quadratic | drag off by | physical |"
     yield "|---|---|---|---|---|---|---|---|"
     for row in rows:
         truth = next(r for r in rows if r["by"] == "forced motion" and _key(r) == _key(row))
         a, d, q = (np.nan if v is None else v for v in row["values"])
         a0, d0, q0 = truth["values"]
+        speed = AT[row["motion"]]
         off = (a - a0) / (truth["inertia"] + a0)
         drag = (d * speed + q * speed**2) / (d0 * speed + q0 * speed**2) - 1
         way = {1: "ahead", -1: "back"}[row["direction"]]

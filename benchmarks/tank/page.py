@@ -19,17 +19,35 @@ _UNITS = {"X": "kg", "Y": "kg", "Z": "kg", "K": "kg m²", "M": "kg m²", "N": "k
 def page(rows: Sequence[dict[str, Any]]) -> str:
     """The whole page; `rows` are those of results.json."""
     text = _TEXT.read_text(encoding="utf-8")
-    added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps"]
+    hull = [r for r in rows if r["body"].startswith("auv")]
+    added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps" and r not in hull]
     drag = [r for r in rows if r["name"] == "Cd"]
     (rms,) = (r for r in rows if r["name"] == "rms")
     text = text.replace("{off}", f"{1000 * rms['off']:.1f}").replace("{speed}", f"{1000 * rms['speed']:.0f}")
     compared = json.loads(CHAIN.read_text(encoding="utf-8"))
-    text = text.replace("{chain}", "\n".join(table(compared, 0.15)))
+    text = text.replace("{chain}", "\n".join(table(compared))).replace("{auv}", "\n".join(_auv(hull)))
     return text.replace("{added}", "\n".join(_added(added))).replace("{drag}", "\n".join(_drag(drag)))
 
 
 def _title(row: dict[str, Any]) -> str:
-    return BODIES[row["body"]].title + _WAYS[row["direction"]]
+    motion = f", {row['motion']}" if row["body"].startswith("auv") and "motion" in row else ""
+    return BODIES[row["body"]].title + motion + _WAYS[row["direction"]]
+
+
+def _auv(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """What the AUV has in each motion and direction, by prescribed motion."""
+    yield "| motion | added mass | panels | linear damping | quadratic damping | cells | processor seconds |"
+    yield "|---|---|---|---|---|---|---|"
+    motions = {"X": "surge", "Z": "heave", "N": "yaw"}
+    for r in (r for r in rows if r["name"].endswith("dot")):
+        own = {o["name"]: o for o in rows if (o["body"], o["direction"]) == (r["body"], r["direction"])}
+        letter, speed = r["name"][0], r["name"][2]
+        names = (r["name"], f"{letter}_{speed}", f"{letter}_{speed}abs{speed}")
+        found = [f"{own[n]['value']:.4g} ± {own[n]['sigma']:.2g}" if n in own else "–" for n in names]
+        start = (
+            f"| {motions[letter]}{_WAYS[r['direction']]} | {found[0]} {_UNITS[letter]} | {r['truth']:.4g} | "
+        )
+        yield f"{start}{found[1]} | {found[2]} | {_effort(r)} |"
 
 
 def _effort(row: dict[str, Any]) -> str:
@@ -55,11 +73,24 @@ def published(reynolds: float) -> float:
     return 24 / reynolds * (1 + 0.1935 * reynolds**0.6305)
 
 
+# Drag coefficients of a circular cylinder by Reynolds number: Dennis and Chang (1970), Numerical solutions
+# for steady flow past a circular cylinder at Reynolds numbers up to 100, J. Fluid Mech. 42, 471-489.
+CYLINDER = {20: 2.045, 40: 1.522}
+
+
+def known_drag(row: dict[str, Any]) -> float | None:
+    """What was published of a drag coefficient."""
+    if row["body"] == "re100":
+        return published(row["reynolds"])
+    return CYLINDER[round(row["reynolds"])] if row["body"] == "cylinder-drag" else None
+
+
 def _drag(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    yield "| body | speed | Reynolds number | C_d | published | off by | cells | processor seconds |"
-    yield "|---|---|---|---|---|---|---|---|"
+    yield "| body | speed | Reynolds | C_d | published | off by | grid index | cells | processor seconds |"
+    yield "|---|---|---|---|---|---|---|---|---|"
     for r in rows:
-        known = published(r["reynolds"]) if r["body"] == "re100" else None
+        known = known_drag(r)
         shown = f"{known:.3f} | {100 * (r['value'] / known - 1):+.1f} %" if known else "– | –"
-        speed = f"{r['speed']:.3g} m/s"
-        yield f"| {_title(r)} | {speed} | {r['reynolds']:.3g} | {r['value']:.3f} | {shown} | {_effort(r)} |"
+        index = f"{100 * r['grid']['index'] / r['value']:.1f} %"
+        start = f"| {_title(r)} | {r['speed']:.3g} m/s | {r['reynolds']:.3g} | {r['value']:.3f} | "
+        yield f"{start}{shown} | {index} | {_effort(r)} |"

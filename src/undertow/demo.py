@@ -1,4 +1,4 @@
-"""The two examples of `undertow demo`: where a model fails, what it lacks, and how the error falls."""
+"""The examples of `undertow demo`: where models fail, what they lack, how errors fall, and a towing tank."""
 
 from __future__ import annotations
 
@@ -42,6 +42,9 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
+from undertow.tank.coefficients import coefficients
+from undertow.tank.settings import read_tank
+from undertow.tank.vehicle import tank_vehicle
 from undertow.typing import Array, Progress
 
 DATA = Path(str(files("undertow") / "demo_data"))
@@ -66,10 +69,11 @@ SETTINGS = DemoSettings()
 
 
 def examples(folder: Path, bar: Bar) -> Iterator[Piece]:
-    """Work through both examples; files go into a folder that exists. `bar` shows the progress of a piece."""
+    """Work through all examples; files go into a folder that exists. `bar` shows the progress of a piece."""
     output = _Output(folder)
     yield from _auv(output, bar)
     yield from _hull(output, bar)
+    yield from _tank(output)
 
 
 def page(pieces: Sequence[Piece]) -> str:
@@ -381,3 +385,20 @@ def _files(output: _Output, ways: Ways) -> Iterator[Piece]:
         yield output.text(f"{name}.json", d.model_dump_json(indent=1) + "\n", "the same for programs")
         if d.effects:
             yield output.vehicle(f"{name}.toml", way.outcome, _VEHICLE, "the vehicle file with")
+
+
+# --- 3. a towing tank ---------------------------------------------------------------------------
+def _tank(output: _Output) -> Iterator[Piece]:
+    """What the logs of a virtual towing tank say of a hull."""
+    yield "title", "3. A hull in a virtual towing tank"
+    tank = read_tank(DATA / "tank")
+    found = coefficients(DATA / "tank", tank)
+    yield (
+        "text",
+        f"Before there is a vehicle there is a mesh of its hull: an AUV of {tank.mass:g} kg, {tank.size:g} m "
+        "long. OpenFOAM pushed it (added mass) and towed it forward (damping); the logs give:",
+    )
+    rows = [(f"-{c.name}", c.way, f"{c.value:.4g}", f"{c.sigma:.2g}", c.unit) for c in found]
+    yield "table", (("coefficient", "direction", "value", "sigma", "unit"), rows)
+    what = "a vehicle file made of them; undertow tank new, run and vehicle new do this for your hull"
+    yield output.text("tank/vehicle.toml", tank_vehicle(tank, found, "auv"), what)

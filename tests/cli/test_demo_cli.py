@@ -13,6 +13,7 @@ import pytest
 
 from undertow.cli.main import main
 from undertow.demo import DATA
+from undertow.model.loading import load_vehicle
 
 # `make demo` runs the same; both are in CONTRIBUTING.
 pytestmark = pytest.mark.slow
@@ -27,8 +28,9 @@ WRITTEN = {
         for kind in ("html", "json")
     ),
     *(f"hull/{name}.png" for name in ("effects", "step", "multistep")),
+    "tank/vehicle.toml",
 }
-FIRST, SECOND = "1. An AUV", "2. A box hull"
+FIRST, SECOND, THIRD = "1. An AUV", "2. A box hull", "3. A hull in"
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Told:
         return json.loads((self.folder / name).read_text(encoding="utf-8"))
 
     def hull(self) -> str:
-        return self.words[self.words.index(SECOND) :]
+        return self.words[self.words.index(SECOND) : self.words.index(THIRD)]
 
 
 @pytest.fixture(scope="module", params=["0", "1"], ids=["compiler", "no compiler"])
@@ -161,3 +163,9 @@ def test_fluid_memory_lowers_the_error_both_ways_round(told: Told) -> None:
     assert abs(a - b) > 5.0, "one hull, two added masses"
     assert abs(c - d) < 5.0
     assert c == pytest.approx(20.6, abs=5.0)
+
+
+def test_the_tank_says_what_the_panels_say(told: Told) -> None:
+    values = load_vehicle(told.folder / "tank" / "vehicle.toml").values
+    assert values["X_udot"].value == pytest.approx(-0.6496, rel=0.05)  # 1600 panels, docs/story.md
+    assert f"{-values['X_udot'].value:.4g}" in told.words

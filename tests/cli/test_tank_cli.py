@@ -35,7 +35,7 @@ def test_from_a_hull_to_a_vehicle_file(hull: Path, monkeypatch: pytest.MonkeyPat
     assert {c["name"] for c in answer["coefficients"]} == {"X_udot", "X_u", "X_uabsu"}
     assert main(["tank", "run", "tank"]) == 0
     out = capsys.readouterr().out
-    assert "all logs are there already" in out
+    assert "nothing left to compute" in out
     assert "-X_udot" in out
     assert main(["vehicle", "new", "--tank", "tank", "--out", "my.toml"]) == 0
     assert load_vehicle("my.toml").values["X_udot"].value == pytest.approx(-ADDED, rel=0.02)
@@ -68,7 +68,7 @@ def test_from_a_hull_to_a_vehicle_file(hull: Path, monkeypatch: pytest.MonkeyPat
     assert main([str(w) for w in words]) == 0
     assert "X_uabsu" in capsys.readouterr().out
     line = refusal(NEW, capsys, hull)
-    assert "tank with logs: name another folder" in line
+    assert "tank with logs: choose another folder" in line
 
 
 def test_a_hole_is_refused(hull: Path, capsys: Capture) -> None:
@@ -79,16 +79,18 @@ def test_a_hole_is_refused(hull: Path, capsys: Capture) -> None:
 
 
 def test_refusals_are_one_line(hull: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    assert "profile paper is one of forces" in refusal([*NEW, "--profile", "paper"], capsys, hull)
-    assert "cannot be read as a table" in refusal([*NEW, "--profile", "stairs"], capsys, hull)
+    assert "profile paper is a series of forces" in refusal([*NEW, "--profile", "paper"], capsys, hull)
+    assert "neither paper, step, sine, push nor a CSV file" in refusal(
+        [*NEW, "--profile", "stairs"], capsys, hull
+    )
     assert "choose from surge" in refusal([*NEW, "--motion", "sideways"], capsys, hull)
-    assert "speed = -1 m/s cannot be" in refusal([*NEW, "--speed", "-1"], capsys, hull)
+    assert "speed = -1 m/s: give a positive number" in refusal([*NEW, "--speed", "-1"], capsys, hull)
     assert "no towing tank" in refusal(["tank", "run", "tank"], capsys, hull)
     assert main(NEW) == 0
     assert "is a tank already" in refusal(NEW, capsys, hull)
     assert main([*NEW, "--force"]) == 0
     assert "tank has 2" in refusal(["tank", "run", "tank", "--grids", "3"], capsys, hull)
-    assert "nothing to look at yet" in refusal(["tank", "look", "tank"], capsys, hull)
+    assert "nothing to draw yet" in refusal(["tank", "look", "tank"], capsys, hull)
     assert "did you mean 'surge-push'" in refusal(
         ["tank", "look", "tank", "--case", "surge-pusk"], capsys, hull
     )

@@ -136,8 +136,8 @@ def test_axes_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.stl", b"", "no STL file, or cut off"),
-        ("a.stl", bytes(80) + (5).to_bytes(4, "little") + bytes(60), "no STL file, or cut off"),
+        ("a.stl", b"", "not an STL file, or cut off"),
+        ("a.stl", bytes(80) + (5).to_bytes(4, "little") + bytes(60), "not an STL file, or cut off"),
         ("a.stl", bytes(84), "no triangles in it"),
         ("a.stl", b"solid x\nvertex 0 0\nendsolid", "1 vertices do not make triangles"),
         ("a.stl", b"solid x\nvertex 0 0 q\nendsolid", "a vertex is not three numbers"),
@@ -145,8 +145,8 @@ def test_axes_of_a_file(tmp_path: Path) -> None:
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "names a vertex that is not there"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf -1 -2 -3\nv 2 0 0\n", "names a vertex that is not there"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf 0 1 2\nv 2 0 0\n", "names a vertex that is not there"),
-        ("a.obj", b"v 0 0 0\nf 1 1 99999999999999999999\n", "a line of it is not as OBJ has it"),
-        ("a.obj", b"v 0 0\n", "a line of it is not as OBJ has it"),
+        ("a.obj", b"v 0 0 0\nf 1 1 99999999999999999999\n", "a line is not valid OBJ"),
+        ("a.obj", b"v 0 0\n", "a line is not valid OBJ"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 2\n", "every triangle has no area"),
         ("a.step", b"", r"hulls are read from .stl, .obj and .msh files"),
     ],

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.shape.hulls import box_mesh, cylinder_mesh, spheroid_mesh
 from benchmarks.tank.__main__ import RESULTS
-from benchmarks.tank.page import page, published
+from benchmarks.tank.page import known_drag, page
 from tests.tank.stand_ins import ADDED, LINEAR, QUADRATIC, stand_ins
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -111,9 +111,9 @@ def test_a_hull_without_ends_has_walls_along_its_span() -> None:
     walls = re.search(r"cut\s*\{[^}]*faces \(([^;]*)\);", block)
     assert walls is not None
     assert set(re.findall(r"\d \d \d \d", walls[1])) == {"0 1 5 4", "3 7 6 2", "0 3 2 1"}
-    with pytest.raises(UndertowError, match="sway leaves the plane"):
+    with pytest.raises(UndertowError, match="sway is not in the plane normal to --span y"):
         _tank(replace(PUSHED, motions=("sway",), span="y"), hull)
-    with pytest.raises(UndertowError, match="'q' is no axis"):
+    with pytest.raises(UndertowError, match="--span q is not an axis"):
         _tank(replace(PUSHED, span="q"), hull)
 
 
@@ -180,7 +180,7 @@ def test_a_users_profile(tmp_path: Path) -> None:
     assert (tank.cases[0].name, tank.cases[0].end, tank.cases[0].peak) == ("surge-my", 3.0, 2.0)
     assert tank.cases[0].signal == (0.0, 1.0, -0.5)
     path.write_text("0,0\n2,1\n1,1\n")
-    with pytest.raises(UndertowError, match="times must rise"):
+    with pytest.raises(UndertowError, match="times must increase"):
         read_signal(path)
 
 
@@ -262,6 +262,8 @@ def test_a_direction_counts_when_its_own_cases_are_done(tmp_path: Path) -> None:
     assert {c.direction for c in found} == {1}
     text = tank_vehicle(tank, found, "my")
     assert "forward only" in re.findall("X_uabsu = .*", text)[0]
+    back = tank.model_copy(update={"cases": tuple(c for c in tank.cases if c.name == "surge-push-backward")})
+    assert [(c.name, c.way) for c in coefficients(tmp_path / "tank", back)] == [("X_udot", "backward")]
 
 
 @pytest.mark.usefixtures("solver")
@@ -337,12 +339,23 @@ def test_a_rotation_is_read_from_its_matrix(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
 @pytest.mark.parametrize("prescribed", [True, False])
-def test_added_mass_of_a_sphere(tmp_path: Path, prescribed: bool) -> None:
+def test_added_mass_of_a_sphere_though_interrupted(tmp_path: Path, prescribed: bool) -> None:
     hull = spheroid_mesh(0.5, 0.5, 4)
     orders = Orders(1000 * hull.volume, profiles=("push",), prescribed=prescribed, grids=1)
     tank, centred = make_tank(hull, orders, "sphere.stl", "0" * 64)
     write_tank(tmp_path, tank, centred)
+
+    def interrupt(done: float, words: str) -> None:
+        if done > 0.6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_tank(tmp_path, tank, progress=interrupt)
+    log = log_of(tmp_path, tank.cases[0], 1)
+    assert not log.exists()
     run_tank(tmp_path, tank)
+    rows = read_record(log, 1)
+    assert np.allclose(np.diff(rows.time), tank.step_of(tank.cases[0], 1))  # nothing twice, nothing missing
     (found,) = coefficients(tmp_path, tank)
     assert found.value == pytest.approx(sphere(0.25).matrix[0, 0], rel=0.03)
 
@@ -406,6 +419,13 @@ def test_the_page_says_what_was_measured() -> None:
     assert page(rows) == Path("docs/tank.md").read_text(encoding="utf-8")
     known = {(r["body"], r["name"]): r["value"] / r["truth"] - 1 for r in rows if r.get("truth")}
     del known["box-forced", "X_udot"]  # the page says why
-    assert max(map(abs, known.values())) < 0.03, known
-    drag = [r["value"] / published(r["reynolds"]) - 1 for r in rows if r["body"] == "re100"]
-    assert np.abs(drag).max() < 0.03
+    for (body, name), off in known.items():
+        # The AUV's panels are known to 2 %, and its grid is coarse.
+        assert abs(off) < (0.1 if body.startswith("auv") else 0.03), (body, name)
+    drag = {
+        (r["body"], r["speed"]): r["value"] / k - 1
+        for r in rows
+        if r["name"] == "Cd" and (k := known_drag(r))
+    }
+    assert len(drag) >= 2
+    assert max(map(abs, drag.values())) < 0.05, drag

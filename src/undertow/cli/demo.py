@@ -1,6 +1,7 @@
-"""Work through two shipped examples: where models fail, what is missing, and how the error falls.
+"""Work through shipped examples: where models fail, what is missing, and how the error falls.
 
-First an AUV whose model lacks something, then a box hull in a flow solver that no simple model explains.
+First an AUV whose model lacks something, then a box hull in a flow solver that no simple model explains, then
+an AUV in a virtual towing tank.
 Pictures, reports and vehicle files go into a folder; index.html there shows it all.
 """
 

@@ -204,7 +204,7 @@ def _neighbours(mesh: Mesh, name: str) -> Faces:
             x, y, z = mesh.vertices[edges[np.flatnonzero(wrong[place])[0]]].mean(axis=0)
             raise UndertowError(
                 f"{name}: the hull is {what}: {wrong.sum()} edges belong to {count[wrong].min()} triangle(s) "
-                f"instead of 2, one near ({x:.4g}, {y:.4g}, {z:.4g}) m: repair it where it was drawn"
+                f"instead of 2, one near ({x:.4g}, {y:.4g}, {z:.4g}) m: close it in the CAD program"
             )
     order = np.argsort(place, kind="stable").reshape(-1, 2)
     triangles = order % len(mesh.faces)
@@ -241,7 +241,7 @@ def _check_one_body(mesh: Mesh, pairs: NDArray[np.int64], name: str) -> None:
         volumes = sorted(abs(Mesh(mesh.vertices, mesh.faces[part == i]).volume) for i in range(count))[::-1]
         shown = ", ".join(f"{v:.3g}" for v in volumes[:4]) + (", ..." if count > 4 else "")
         raise UndertowError(
-            f"{name}: {count} separate bodies ({shown} m^3): unite them where they were drawn, fill "
+            f"{name}: {count} separate bodies ({shown} m^3): unite them in the CAD program, fill "
             "cavities, or export the hull alone"
         )
 
@@ -299,7 +299,7 @@ def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") 
             "coarsely"
         )
     if not np.isfinite(vertices).all():
-        raise UndertowError(f"{path}: a coordinate is not a finite number: export the hull anew")
+        raise UndertowError(f"{path}: a coordinate is not a finite number: export the hull again")
     scaled = vertices * (1.0 if unit is None else _metres(unit))
     _check_size(path, scaled, unit)
     return Hull(*mended(Mesh(scaled @ _rotation(frame).T, faces), str(path)))
@@ -357,7 +357,7 @@ def _stl(path: Path) -> tuple[Array, Faces]:
     count = int.from_bytes(data[80:84], "little") if len(data) >= _STL_HEAD else -1
     binary = len(data) == _STL_HEAD + count * _STL_FACET.itemsize
     if not binary and not data[:512].lstrip().startswith(b"solid"):
-        raise UndertowError(f"{path}: no STL file, or cut off: export the hull anew")
+        raise UndertowError(f"{path}: not an STL file, or cut off: export the hull again")
     if binary:
         facets = np.frombuffer(data, dtype=_STL_FACET, offset=_STL_HEAD)
         points = facets["floats"][:, 3:].reshape(-1, 3).astype(float)
@@ -380,9 +380,9 @@ def _text_facets(path: Path, data: bytes) -> Array:
     try:
         found = np.array(points, dtype=float)
     except ValueError as error:
-        raise UndertowError(f"{path}: a vertex is not three numbers: export the hull anew") from error
+        raise UndertowError(f"{path}: a vertex is not three numbers: export the hull again") from error
     if len(points) % 3 or (points and found.shape[1:] != (3,)):
-        raise UndertowError(f"{path}: {len(points)} vertices do not make triangles: export the hull anew")
+        raise UndertowError(f"{path}: {len(points)} vertices do not make triangles: export the hull again")
     return found.reshape(-1, 3)
 
 
@@ -392,9 +392,9 @@ def _obj(path: Path) -> tuple[Array, Faces]:
     try:
         points, faces = _obj_content(lines)
     except (ValueError, OverflowError) as error:
-        raise UndertowError(f"{path}: a line of it is not as OBJ has it ({error}): export anew") from error
+        raise UndertowError(f"{path}: a line is not valid OBJ ({error}): export the hull again") from error
     if faces.size and not (faces.min() >= 0 and faces.max() < len(points)):
-        raise UndertowError(f"{path}: a face names a vertex that is not there: export the hull anew")
+        raise UndertowError(f"{path}: a face names a vertex that is not there: export the hull again")
     return points, faces
 
 

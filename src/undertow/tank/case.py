@@ -115,23 +115,23 @@ def _check(orders: Orders) -> None:
         "viscosity": (orders.viscosity, "m^2/s"),
         "force": (1.0 if orders.force is None else orders.force, "N or N m"),
         "inertia": (1.0 if orders.inertia is None else orders.inertia, "kg m^2"),
-        "time step": (orders.step, "of that of the rules"),
+        "time step": (orders.step, "of the usual one"),
     }
     for what, (value, unit) in numbers.items():
         if not (value > 0 and np.isfinite(value)):
-            raise UndertowError(f"{what} = {value:g} {unit} cannot be: give a positive number")
+            raise UndertowError(f"{what} = {value:g} {unit}: give a positive number")
     if not 1 <= orders.grids <= 4:
-        raise UndertowError(f"{orders.grids} grids cannot be: give 1 to 4")
+        raise UndertowError(f"--grids {orders.grids}: give 1 to 4")
     if orders.span is not None and orders.span not in _AXES:
-        raise UndertowError(f"span '{orders.span}' is no axis: choose x, y or z")
+        raise UndertowError(f"--span {orders.span} is not an axis: choose x, y or z")
     wrong = [m for m in orders.motions if orders.span and not _in_plane(m, orders.span)]
     if wrong:
         raise UndertowError(
-            f"{wrong[0]} leaves the plane of a hull without ends along {orders.span}: choose another motion"
+            f"{wrong[0]} is not in the plane normal to --span {orders.span}: choose another motion"
         )
     if orders.prescribed and "paper" in orders.profiles:
         raise UndertowError(
-            "profile paper is one of forces: leave out --prescribed, or choose push, step or sine"
+            "profile paper is a series of forces: leave out --prescribed, or choose push, step or sine"
         )
 
 

@@ -15,7 +15,7 @@ from undertow.typing import Array, Flags
 
 from .convergence import Convergence, convergence
 from .records import Record, read_record
-from .settings import Case, Tank, log_of
+from .settings import RULES, Case, Tank, log_of
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,14 @@ class FitRules:
 _RULES = FitRules()
 
 
+# Effects of a vehicle file by what marks their names, and the units of force and of moment coefficients.
+EFFECTS = {
+    "added_mass": ("dot", "kg", "kg m^2"),
+    "quadratic_damping": ("abs", "kg/m", "kg m^2"),
+    "linear_damping": ("", "kg/s", "kg m^2/s"),
+}
+
+
 @dataclass(frozen=True)
 class Coefficient:
     """An added mass or damping coefficient, positive as it resists."""
@@ -46,8 +54,23 @@ class Coefficient:
 
     @property
     def value(self) -> float:
-        """On the finest grid: kg, kg/s, kg/m, or kg m^2, kg m^2/s, kg m^2."""
+        """On the finest grid, in SI units."""
         return self.grid.value
+
+    @property
+    def effect(self) -> str:
+        """Its effect in a vehicle file."""
+        return next(effect for effect, (mark, *_) in EFFECTS.items() if mark in self.name)
+
+    @property
+    def unit(self) -> str:
+        """Of its value."""
+        return EFFECTS[self.effect][1 + (DOFS.index(self.motion) > 2)]
+
+    @property
+    def way(self) -> str:
+        """Its direction in words."""
+        return {0: "both", 1: "forward", -1: "backward"}[self.direction]
 
     @property
     def sigma(self) -> float:
@@ -80,7 +103,7 @@ def _tells(case: Case, direction: int) -> bool:
 
 def _of_motion(root: Path, tank: Tank, cases: Sequence[Case], direction: int) -> list[Coefficient]:
     done = [g for g in range(tank.grids, 0, -1) if all(log_of(root, c, g).is_file() for c in cases)]
-    if not done:
+    if not cases or not done:
         return []
     fits = []
     for grid in done:
@@ -113,11 +136,11 @@ def _fit(tank: Tank, records: Sequence[tuple[Case, Record]], direction: int) -> 
     """Value and standard error of a (added mass), d and q (linear and quadratic damping) on one grid."""
     result: Fit = {}
     pushes = [r for c, r in records if c.profile == "push"]
-    others = [r for c, r in records if c.profile != "push"]
+    others = [(r, _length(tank, c)) for c, r in records if c.profile != "push"]
     if pushes:
         result["a"] = _by_pushes(pushes)
     if others:
-        result |= _by_balance(tank, others, direction, result.get("a"))
+        result |= _by_balance(others, direction, result.get("a"))
     return result
 
 
@@ -137,12 +160,12 @@ def _by_pushes(pushes: Sequence[Record]) -> tuple[float, float]:
 
 
 def _by_balance(
-    tank: Tank, records: Sequence[Record], direction: int, known: tuple[float, float] | None
+    records: Sequence[tuple[Record, float]], direction: int, known: tuple[float, float] | None
 ) -> Fit:
     """Damping, and added mass where no push says it, from the balance of forces at every time step."""
     columns, forces = [], []
-    for r in records:
-        settled = _settled(r, tank.size)
+    for r, length in records:
+        settled = _settled(r, length)
         kept = settled if known and settled.sum() >= _RULES.rows else np.ones_like(settled)
         kept = kept & (r.speed * direction > 0) if direction else kept
         u = r.speed[kept]
@@ -160,12 +183,19 @@ def _by_balance(
     return dict(zip("adq", zip(values.tolist(), errors.tolist(), strict=True), strict=True))
 
 
-def _settled(record: Record, size: float) -> Flags:
+def _length(tank: Tank, case: Case) -> float:
+    """Of the hull along a motion, m: steps of speed go so many of them."""
+    return case.end * case.speed / RULES.travel if case.prescribed and case.profile == "step" else tank.size
+
+
+def _settled(record: Record, length: float) -> Flags:
     """Rows at which the hull has gone `FitRules.settled` lengths at one speed, shape (n,)."""
     speed = np.abs(record.speed)
     way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(record.time))])
-    before = np.interp(way - _RULES.settled * size, way, record.speed)
-    return np.asarray((np.abs(record.speed - before) <= _RULES.even * speed) & (way >= _RULES.settled * size))
+    before = np.interp(way - _RULES.settled * length, way, record.speed)
+    return np.asarray(
+        (np.abs(record.speed - before) <= _RULES.even * speed) & (way >= _RULES.settled * length)
+    )
 
 
 def least_squares(table: Array, values: Array, *, positive: bool = False) -> tuple[Array, Array]:

@@ -76,8 +76,8 @@ def read_signal(path: Path) -> tuple[Array, Array]:
         rows = np.genfromtxt(path, delimiter=",", comments="#", invalid_raise=True)
     except (OSError, ValueError) as error:
         raise UndertowError(
-            f"profile {path}: cannot be read as a table: choose {', '.join(PROFILES)}, or give a CSV file "
-            "with the columns time and speed or force"
+            f"profile {path}: neither {', '.join(PROFILES)} nor a CSV file that can be read: give one with "
+            "two columns, time and speed or force"
         ) from error
     rows = np.atleast_2d(rows)
     rows = rows[1:] if np.isnan(rows[0]).all() else rows
@@ -87,7 +87,7 @@ def read_signal(path: Path) -> tuple[Array, Array]:
         )
     times, values = rows.T
     if not (np.diff(times) > 0).all() or times[0] < 0 or not np.abs(values).max() > 0:
-        raise UndertowError(f"profile {path}: times must rise from 0 on, and some value must differ from 0")
+        raise UndertowError(f"profile {path}: times must increase from 0, and some value must differ from 0")
     return (times, values) if times[0] == 0 else (np.r_[0.0, times], np.r_[0.0, values])
 
 

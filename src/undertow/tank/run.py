@@ -89,7 +89,9 @@ def run_tank(
     can be made or a run diverges; logs written before stay.
     """
     if not 1 <= grids <= tank.grids:
-        raise UndertowError(f"--grids {grids}: {root} has {tank.grids}: undertow tank new --grids makes more")
+        raise UndertowError(
+            f"--grids {grids}: {root} has {tank.grids}: write more with undertow tank new --grids"
+        )
     tell = progress or (lambda done, words: None)
     todo = [(g, c) for g, c in product(range(1, grids + 1), tank.cases) if not log_of(root, c, g).exists()]
     if todo:
@@ -117,7 +119,7 @@ def run_tank(
 def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report: Progress) -> None:
     folder = folder_of(root, case, grid)
     if not (folder / "system" / "controlDict").is_file():
-        raise UndertowError(f"{folder}: no OpenFOAM case: make the tank anew with undertow tank new")
+        raise UndertowError(f"{folder}: no OpenFOAM case there: write the tank again with undertow tank new")
     cells = _grid(root, tank, case, folder, report)
     if not _reached(folder, case):  # it may have been cut off after the last step
         _distribute(tank, case, grid, folder, cores)
@@ -125,7 +127,9 @@ def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report:
         watch = Watch(case.end, report)
         _execute(folder, solver, watch)
         if not _reached(folder, case):
-            raise UndertowError(f"{folder}: the solver stopped at t = {watch.time:g} s: run it again")
+            raise UndertowError(
+                f"{folder}: the solver stopped at t = {watch.time:g} s: run the same command again to go on"
+            )
     record = read_results(tank, case, grid, folder, cells)
     write_record(log_of(root, case, grid), record, tank, case)
 
@@ -183,8 +187,8 @@ def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:
         return f"{folder}: {name} failed: {shown[:200]}: see {folder / f'log.{name}'}"
     what = watch.fatal or f"exit code {code}"
     return (
-        f"{folder}: diverged at t = {watch.time:.4g} s ({what}): make the tank anew with a smaller "
-        "--time-step, a slower --profile or a heavier hull"
+        f"{folder}: diverged at t = {watch.time:.4g} s ({what}): write the tank again with a smaller "
+        "--time-step, a lower --speed or a larger --mass"
     )
 
 
@@ -309,6 +313,6 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
         a = (push + water) / case.inertia
     if not all(np.isfinite(row).all() for row in (x, v, a, water)):
         raise UndertowError(
-            f"{folder}: diverged (a force is not a number): make the tank anew with a smaller --time-step"
+            f"{folder}: diverged (a force is not a number): write the tank again with a smaller --time-step"
         )
     return Record(times, push, x, v, a, water, grid, cells, processor_seconds(folder))

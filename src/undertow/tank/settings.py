@@ -126,7 +126,7 @@ class Tank(_Strict):
         document = tomlkit.document()
         document.add(
             tomlkit.comment(
-                "A virtual towing tank. Made by `undertow tank new`; `undertow tank run` runs it."
+                "A virtual towing tank, written by `undertow tank new`; `undertow tank run` computes it."
             )
         )
         document.update({"schema": content.pop("schema"), **content, "rules": asdict(RULES)})
@@ -155,10 +155,12 @@ def read_tank(root: str | Path) -> Tank:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
         raise UndertowError(
-            f"{path}: {where}: {first['msg']}: make it anew with undertow tank new"
+            f"{path}: {where}: {first['msg']}: write the tank again with undertow tank new"
         ) from error
     for case in tank.cases:
         later = all(b > a for a, b in pairwise(case.times))
         if len(case.times) != len(case.signal) or len(case.times) < 2 or not later:
-            raise UndertowError(f"{path}: case {case.name}: times must rise, one for each value of signal")
+            raise UndertowError(
+                f"{path}: case {case.name}: times must increase, one for each value of signal"
+            )
     return tank

@@ -7,11 +7,8 @@ from collections.abc import Iterator, Sequence
 from undertow.model.symbols import DOFS
 from undertow.shape.first import EffectTable, entry_line, vehicle_text
 
-from .coefficients import Coefficient
+from .coefficients import EFFECTS, Coefficient
 from .settings import Tank
-
-_WAYS = {1: "forward", -1: "backward"}
-_EFFECTS = {"added_mass": "dot", "quadratic_damping": "abs", "linear_damping": ""}
 
 
 def tank_vehicle(tank: Tank, found: Sequence[Coefficient], name: str) -> str:
@@ -27,7 +24,7 @@ def tank_vehicle(tank: Tank, found: Sequence[Coefficient], name: str) -> str:
         made_from=f"a virtual towing tank with {tank.hull} (sha256 {tank.sha256})",
         about=[
             "The hull was moved in one motion at a time: couplings between motions were not tested.",
-            "Weight and buoyancy are taken as equal; what moves the vehicle besides is not in it.",
+            "Weight and buoyancy are taken as equal; thrusters and all other forces are missing.",
         ],
         name=name,
         description=f"{name} as tested in a virtual towing tank, {', '.join(motions)}",
@@ -40,7 +37,7 @@ def tank_vehicle(tank: Tank, found: Sequence[Coefficient], name: str) -> str:
 
 def tested(found: Sequence[Coefficient]) -> list[EffectTable]:
     """Added mass and damping that were found, one table for each effect."""
-    return [EffectTable(effect, list(_entries(found, effect))) for effect in _EFFECTS]
+    return [EffectTable(effect, list(_entries(found, effect))) for effect in EFFECTS]
 
 
 def _rigid_body(tank: Tank, motions: Sequence[str]) -> Iterator[str]:
@@ -52,23 +49,15 @@ def _rigid_body(tank: Tank, motions: Sequence[str]) -> Iterator[str]:
 
 
 def _entries(found: Sequence[Coefficient], effect: str) -> Iterator[str]:
-    own = [c for c in found if _effect(c.name) == effect]
+    own = [c for c in found if c.effect == effect]
     for name in dict.fromkeys(c.name for c in own):
         first, *others = [c for c in own if c.name == name]
-        turns = DOFS.index(first.motion) > 2
-        units = {"added_mass": "kg", "linear_damping": "kg/s", "quadratic_damping": "kg/m"}
-        turning = {"added_mass": "kg m^2", "linear_damping": "kg m^2/s", "quadratic_damping": "kg m^2"}
         yield entry_line(
             name,
             -first.value,
-            (turning if turns else units)[effect],
+            first.unit,
             backward=-others[0].value if others else None,
             sigma=max(c.sigma for c in (first, *others)),
             estimate=True,
-            source=first.source
-            + (f"; {_WAYS[first.direction]} only" if first.direction and not others else ""),
+            source=first.source + (f"; {first.way} only" if first.direction and not others else ""),
         )
-
-
-def _effect(name: str) -> str:
-    return next(effect for effect, mark in _EFFECTS.items() if mark in name)

@@ -8,13 +8,14 @@
 
     undertow vehicle new --tank tank/ --out my.toml
 
-One motion is free or prescribed at a time; the hull is deeply submerged, in still water without bounds. A
-short push tells the added mass, steps of speed or force the drag. `run` goes on where it was cut off, and
-prints the coefficients with errors of the fit and of the grid. Its logs are logs as any other:
+The hull moves in one degree of freedom at a time, deeply submerged in still water. A short push gives the
+added mass, steps of speed or force give the drag. `run` resumes where it was interrupted, and prints the
+coefficients with standard errors of the fit and of the grid. Its logs can be used like any others:
 
     undertow fit my.toml tank/logs/surge-step-grid1.csv --map tank/logs/surge-step-grid1.toml
 
-OpenFOAM is a package of the system: apt-get install openfoam.
+There is no free surface (see `undertow vehicle new --floating` for hulls at the surface). OpenFOAM is a
+system package: apt-get install openfoam.
 """
 
 from __future__ import annotations
@@ -45,31 +46,37 @@ _PROFILE = typer.Option(
     help="push, step, sine, paper, or a CSV file of time and force or speed.",
 )
 _PRESCRIBED = typer.Option(
-    "--prescribed", help="Prescribe motions and measure forces; else forces are given."
+    "--prescribed", help="Prescribe the motion and measure the force, instead of the other way round."
 )
 _OUT = typer.Option("--out", metavar="FOLDER", help="Where to write the tank.")
-_SPEED = typer.Option("--speed", metavar="M/S", help="Highest speed; when turning, that of the hull's ends.")
+_SPEED = typer.Option(
+    "--speed", metavar="M/S", help="Highest speed; in rotation, that of the ends of the hull."
+)
 _FORCE = typer.Option(
-    "--force-peak", metavar="N", help="Highest force or moment.", show_default="what keeps up the speed"
+    "--force-peak", metavar="N", help="Highest force or moment.", show_default="what it takes to hold --speed"
 )
 _INERTIA = typer.Option(
-    "--inertia", metavar="KG M2", help="Of turning.", show_default="mass spread evenly over the hull"
+    "--inertia", metavar="KG M2", help="Moment of inertia.", show_default="mass spread evenly over the hull"
 )
 _DENSITY = typer.Option("--density", metavar="KG/M3", help="Of the water.")
 _VISCOSITY = typer.Option("--viscosity", metavar="M2/S", help="Kinematic, of the water.")
-_TURBULENCE = typer.Option("--turbulence", help="Of the water; auto: by the Reynolds number.")
+_TURBULENCE = typer.Option("--turbulence", help="Turbulence model; auto: by the Reynolds number.")
 _SPAN = typer.Option(
     "--span",
     metavar="x|y|z",
-    help="The hull is a piece of one without ends along this axis: plane flow between two walls.",
+    help="Two-dimensional flow: the hull is a slice of an infinitely long one along this axis.",
 )
-_MADE = typer.Option("--grids", metavar="N", help="Grids to write cases for, 1 to 4.")
-_STEP = typer.Option("--time-step", metavar="SHARE", help="Of the usual time step; less if a run diverges.")
+_MADE = typer.Option("--grids", metavar="N", help="Number of grids to write, 1 to 4.")
+_STEP = typer.Option(
+    "--time-step", metavar="SHARE", help="Share of the usual time step; smaller if a run diverges."
+)
 _REPLACE = typer.Option("--force", help="Replace a tank that has not been run.")
-_CORES = typer.Option("--cores", metavar="N", min=1, help="Processes of the solver.")
-_GRIDS = typer.Option("--grids", metavar="N", min=1, max=4, help="Grids to run, the coarsest first.")
-_CASE = typer.Option("--case", metavar="NAME", help="One case.", show_default="all that were run")
-_PICTURES = typer.Option("--out", metavar="FOLDER", help="Where to.", show_default="TANK/pictures")
+_CORES = typer.Option("--cores", metavar="N", min=1, help="Processes that the solver runs on.")
+_GRIDS = typer.Option("--grids", metavar="N", min=1, max=4, help="Number of grids to run, coarsest first.")
+_CASE = typer.Option("--case", metavar="NAME", help="Draw one case only.", show_default="all that were run")
+_PICTURES = typer.Option(
+    "--out", metavar="FOLDER", help="Where to write the pictures.", show_default="TANK/pictures"
+)
 
 
 @app.command()
@@ -95,8 +102,8 @@ def new(
 ) -> None:
     """Write OpenFOAM cases around a hull, for every motion and direction, on several grids.
 
-    The hull has to be closed. A direction that is the mirror image of the other has no case of its own, and
-    water is cut at planes of symmetry. Nothing has to be installed for this.
+    The hull has to be closed. Where both directions are mirror images there is one case for both, and the
+    water is halved at planes of symmetry. This command does not need OpenFOAM.
     """
     from undertow.files import check_folder, sha256_of
     from undertow.shape.first import motions
@@ -134,7 +141,7 @@ def new(
         )
         for c in made.cases
     ]
-    console().print(table(("case", "time", "steps, grid 1", "flow", "of the water"), rows, indent=0))
+    console().print(table(("case", "time", "steps, grid 1", "flow", "share of water"), rows, indent=0))
     say(f"{size} m of water; cells of {made.cell:.3g} m at the hull")
     say(f"wrote {out}; then: undertow tank run {out}")
 
@@ -144,9 +151,9 @@ def _refuse_old(out: Path, force: bool) -> None:
 
     if (out / FILE).exists():
         if any(out.glob("logs/*.csv")):
-            raise UndertowError(f"'{out}' is a tank with logs: name another folder with --out")
+            raise UndertowError(f"'{out}' is a tank with logs: choose another folder with --out")
         if not force or any(out.glob("cases/*/grid*/grid.json")):
-            raise UndertowError(f"'{out}' is a tank already: name another folder with --out")
+            raise UndertowError(f"'{out}' is a tank already: choose another folder with --out")
 
 
 @app.command()
@@ -156,10 +163,10 @@ def run(
     grids: Annotated[int, _GRIDS] = 1,
     json: JsonOption = False,
 ) -> None:
-    """Run all cases that have no log yet, and print what all logs say.
+    """Run every case that has no log yet, and print the coefficients.
 
-    Cut off (Ctrl-C, a machine that stops), it goes on from the last time that was written; a run that
-    diverges is refused with the time and the Courant number. Logs, with mapping files, are in TANK/logs.
+    After an interruption (Ctrl-C, power failure) the same command resumes from the last saved time. A run
+    that diverges is refused with the time and the Courant number. Logs and mapping files are in TANK/logs.
     """
     from undertow.tank.coefficients import coefficients
     from undertow.tank.run import run_tank
@@ -172,7 +179,7 @@ def run(
     if json:
         print_json({"coefficients": [_plain(c) for c in found], "written": written})
         return
-    say(f"{len(written)} logs written to {root / 'logs'}" if written else "all logs are there already")
+    say(f"{len(written)} logs written to {root / 'logs'}" if written else "nothing left to compute")
     show(found)
     say(f"then: undertow tank look {root}; undertow vehicle new --tank {root}")
 
@@ -183,19 +190,10 @@ def _plain(c: Coefficient) -> dict[str, Any]:
     return {**asdict(c), "value": c.value, "sigma": c.sigma}
 
 
-_WAYS = {0: "both", 1: "forward", -1: "backward"}
-
-
 def show(found: list[Coefficient]) -> None:
     """Print coefficients with their errors."""
-    from undertow.model.symbols import DOFS
-
-    units = ({"dot": "kg", "abs": "kg/m"}, {"dot": "kg m^2", "abs": "kg m^2"})
-    plain = ("kg/s", "kg m^2/s")
     rows = []
     for c in found:
-        turns = DOFS.index(c.motion) > 2
-        unit = next((u for mark, u in units[turns].items() if mark in c.name), plain[turns])
         numbers = (
             f"{c.value:.4g}",
             f"{c.sigma:.2g}",
@@ -203,7 +201,7 @@ def show(found: list[Coefficient]) -> None:
             f"{c.grid.index:.2g}",
             f"{c.grid.extrapolated:.4g}",
         )
-        rows.append((f"-{c.name}", _WAYS[c.direction], *numbers, c.grid.kind, unit))
+        rows.append((f"-{c.name}", c.way, *numbers, c.grid.kind, c.unit))
     heads = ("", "", "value", "sigma", "of the fit", "grid index", "extrapolated", "grids", "")
     console().print(table(heads, rows, indent=0))
 
@@ -214,7 +212,7 @@ def look(
     case: Annotated[str | None, _CASE] = None,
     out: Annotated[Path | None, _PICTURES] = None,
 ) -> None:
-    """Draw the grid around the hull, the speed of the water and the forces, one picture for each case."""
+    """Draw grid, flow speed and force histories, one picture for each case."""
     from contextlib import suppress
     from functools import partial
 
@@ -228,7 +226,9 @@ def look(
     made, folder = read_tank(root), out or root / "pictures"
     names = [c.name for c in made.cases]
     if case is not None and case not in names:
-        raise UndertowError(f"case '{case}' is not in {root}{nearest(case, names)}")
+        raise UndertowError(
+            f"case '{case}' is not in {root}{nearest(case, names) or ': choose from ' + ', '.join(names)}"
+        )
     found: list[Coefficient] = []
     with suppress(UndertowError):  # too few logs for coefficients are enough for pictures
         found = coefficients(root, made)
@@ -243,7 +243,7 @@ def look(
             done = [g for g in grids if log_of(root, c, g).is_file()]
             wanted.append((c, (done or grids)[0]))
     if not wanted:
-        raise UndertowError(f"{root}: nothing to look at yet: undertow tank run {root} computes it")
+        raise UndertowError(f"{root}: nothing to draw yet: compute it with undertow tank run {root}")
     check_folder(folder)
     make_folder(folder)
     for c, grid in wanted:
