@@ -250,7 +250,7 @@ class _Evaluation:
             return self.given
         if self.together is not None:
             return inside(self.together)
-        return inside(span) if span else peak_of(lambda i: self._margin(one, i))
+        return inside(span) if span else peak_of(self.problem.margin_by_iota([self.condition], [one], self.channel))
 
     def _margin(self, one: SignSet, iota: float | None) -> float:
         if self.channel is None:
