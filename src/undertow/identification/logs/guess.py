@@ -546,7 +546,7 @@ def _command(command: str, name: Name, values: Array) -> Guess:
     elif name.unit == "rpm" or {"rpm", "rev"} & set(name.words):
         entry["power"] = 2
         doubt = (
-            "revolutions: thrust goes with n |n|; what is the force of one turn a minute squared (scale, N)?"
+            "revolutions: thrust rises with n |n|; what is the force of one turn a minute squared (scale, N)?"
         )
     elif low <= np.nanmin(values) and most <= high:
         entry |= {"scale": 0.0025, "offset": -3.75}
