@@ -86,7 +86,7 @@ def typical(p: Parameter) -> float:
     if starts := [s for s in p.starts if s not in (0.0, p.neutral)]:
         return float(starts[len(starts) // 2])
     if p.neutral is None:
-        return float(p.starts[0]) if p.starts else p.unsaid
+        return float(p.starts[0]) if p.starts else p.effective_default
     ways = ((bound - p.neutral) / 2 for bound in reversed(p.bounds))
     way = next(w for w in ways if w)
     return p.neutral + math.copysign(min(1.0 if p.linear else 0.5, abs(way)), way)

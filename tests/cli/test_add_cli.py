@@ -69,6 +69,7 @@ def test_without_a_target_nothing_is_written(case: Path, capsys: Capture) -> Non
     assert contents(case) == before
 
 
+@pytest.mark.slow
 def test_in_place_changes_the_file_itself(case: Path) -> None:
     before = contents(case)
     assert add("ocean_current", "--in-place") == 0

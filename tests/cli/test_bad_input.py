@@ -408,8 +408,8 @@ class _Failing:
         raise self._failure
 
 
-# A file of text, a folder, a page, a vehicle, code; other commands write such files by the same functions.
-_KINDS = [OUTPUTS[k] for k in (0, 1, 3, 7, 8)]
+# A file of text, a folder, a vehicle, code; other commands write such files by the same functions.
+_KINDS = [OUTPUTS[k] for k in (0, 1, 7, 8)]
 FAILURES = [
     (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), 2, "no space left on device; nothing was written"),
     (OSError(errno.EROFS, os.strerror(errno.EROFS)), 2, "read-only file system; nothing was written"),

@@ -181,6 +181,7 @@ def test_every_log_after_holdout_is_kept_aside(words: str, meant: str) -> None:
     assert each_named(words.split()) == meant.split()
 
 
+@pytest.mark.slow
 def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
     rows = (case / "holdout.csv").read_text().splitlines(keepends=True)
     (case / "more.csv").write_text("".join(rows[:300]))

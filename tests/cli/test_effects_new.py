@@ -143,7 +143,9 @@ def test_the_file_says_where_its_terms_come_from(undertow: Undertow, found: Path
     assert cls.__name__ == "TurningDrag"
     assert cls.id == "turning_drag"
     words = " ".join(cls.__doc__.split())
-    assert words.startswith("Force that goes with |r| u. Suggested by 'undertow effects new' from found.json")
+    assert words.startswith(
+        "Force that varies with |r| u. Suggested by 'undertow effects new' from found.json"
+    )
     assert "vehicle usv, logs a, undertow 0.1.0" in words
     assert "surge: 0.8 N rms is left beyond the noise" in words
     assert "These are associations. Say here what makes the force" in words

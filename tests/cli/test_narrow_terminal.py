@@ -58,6 +58,7 @@ _MORE = bundled_vehicles().keys() - {"mini-auv"}
 _LIKE = (
     *("gains mini-auv paper-pd", "gains mini-auv paper-pid", "gains mini-auv paper-pid --repair literal"),
     *("linearize mini-auv", "audit mini-auv", "effects show lift"),
+    *("linearize mini-auv --gains paper-pd", "audit", f"compare {LOG}", f"doctor {LOG}"),
 )
 
 

@@ -45,6 +45,7 @@ def test_fit_takes_logs_of_one_motion_each(folder: Path, capsys: Capture) -> Non
     assert set(fitted.fitted_to) == set(TRUTH)
 
 
+@pytest.mark.slow
 def test_diagnose_finds_what_one_of_the_motions_lacks(folder: Path, capsys: Capture) -> None:
     file = folder / "small.toml"
     lines = [line for line in file.read_text().splitlines() if not line.startswith("Z_wabsw")]

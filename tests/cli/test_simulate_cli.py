@@ -77,6 +77,7 @@ K_V = 1
 """
 
 
+@pytest.mark.slow
 def test_a_run_that_diverges_ends_with_one_and_says_why(here: Path, capsys: Capture) -> None:
     """Also where the run stops while all numbers are finite."""
     (here / "late.toml").write_text(bundled_vehicles()["mini-auv"].read_text() + LATE)

@@ -187,19 +187,22 @@ _MODULES = {"yaml", "joblib", "code", "codeop", "runpy", "jsonpickle", "shelve",
 
 
 def _findings(tree: ast.Module, place: str) -> list[str]:
-    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    nodes = list(ast.walk(tree))
+    calls = [node for node in nodes if isinstance(node, ast.Call)]
     found = [call for call in calls if _named(call) in _READERS and _MAY.get(_named(call)) != place]
-    modules = [a.name for node in ast.walk(tree) if isinstance(node, ast.Import) for a in node.names]
-    modules += [
-        node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and not node.level
-    ]
+    modules = [a.name for node in nodes if isinstance(node, ast.Import) for a in node.names]
+    modules += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
     banned = [name for name in modules if name.partition(".")[0] in _MODULES]
     return [f"{place}:{call.lineno} {ast.unparse(call)[:60]}" for call in found] + banned
 
 
 def _named(call: ast.Call) -> str:
-    name = ast.unparse(call.func)
-    return name if name == "re.compile" else name.rpartition(".")[2]
+    match call.func:
+        case ast.Attribute(value=ast.Name(id="re"), attr="compile"):
+            return "re.compile"
+        case ast.Attribute(attr=name) | ast.Name(id=name):
+            return name
+    return ""
 
 
 def test_no_source_file_runs_text() -> None:

@@ -25,7 +25,7 @@ RUDDER = Surface("rudder", (-0.8, 0.1, -0.05), (0.0, 0.6, -0.8), 0.02, 0.6, "T1"
 # Of all degrees of freedom and hardware; what the other bundled vehicles add, the vehicle "full" has.
 BUNDLED = ["bluerov2", "box-hull", "cybership2", "mini-auv"]
 # `make test` compares the dynamics of every effect, and what is derived from them alike for these.
-SPREAD = EFFECTS[::3]
+SPREAD = EFFECTS[::6]
 
 
 # --- vehicles -----------------------------------------------------------------------------------

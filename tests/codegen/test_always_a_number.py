@@ -116,7 +116,7 @@ def test_what_must_be_given_is_asked_for(effect_id: str, name: str, tmp_path: Pa
 @pytest.mark.parametrize("effect_id", OFFERED)
 def test_what_may_be_left_out_stands_within_its_bounds(effect_id: str) -> None:
     for p in lookup(effect_id, catalogue())(NAMES).parameters:
-        assert p.must_be_given or p.bounds[0] <= p.unsaid <= p.bounds[1], p.name
+        assert p.must_be_given or p.bounds[0] <= p.effective_default <= p.bounds[1], p.name
 
 
 @pytest.mark.parametrize("effect_id", OFFERED)

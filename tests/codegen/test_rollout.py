@@ -45,7 +45,7 @@ def batch(functions: Functions, samples: int = 8) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize("lanes", first_quick([8, 4]))
-@pytest.mark.parametrize("name", [*first_quick(BUNDLED), "full"])
+@pytest.mark.parametrize("name", first_quick([*BUNDLED, "full"]))
 def test_lanes_are_runs_one_by_one(
     name: str, lanes: int, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
 ) -> None:

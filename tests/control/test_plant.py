@@ -28,10 +28,10 @@ def at_a_point(expression: sm.Matrix) -> sm.Matrix:
 def as_stated(plant: Plant) -> sm.Matrix:
     """Sum of the wrenches of the effects, without parameters that the file does not mention."""
     vehicle = plant.vehicle
-    unsaid = {n for n in vehicle.parameter_names if n not in vehicle.values and not vehicle.value_of(n).value}
+    absent = {n for n in vehicle.parameter_names if n not in vehicle.values and not vehicle.value_of(n).value}
     wrenches = vehicle.composition.wrenches.items()
     kept = sum((w for e, w in wrenches if e.id not in plant.left_out), sm.zeros(len(plant.nu), 1))
-    return kept.xreplace({symbol(n): sm.Integer(0) for n in unsaid})
+    return kept.xreplace({symbol(n): sm.Integer(0) for n in absent})
 
 
 @pytest.mark.parametrize("name", quick_if(QUICK.__contains__, VEHICLES))
@@ -68,7 +68,7 @@ def test_every_effect_has_a_place_or_a_reason(cls: type) -> None:
     from undertow.model.vehicle import Thruster
 
     pods = tuple(Thruster(n, (1.0, 0, 0, 0, 0, y)) for n, y in (("f1", -0.2), ("f2", 0.2)))
-    names = {p.name: Value(p.unsaid or 0.3) for e in (*needed, effect) for p in e.parameters}
+    names = {p.name: Value(p.effective_default or 0.3) for e in (*needed, effect) for p in e.parameters}
     vehicle = Vehicle("with one effect", SIX, (*needed, effect), names, pods)
     plant = Plant(vehicle)
     if effect.id in plant.left_out:

@@ -77,7 +77,7 @@ def test_drag_in_turns_goes_with_the_yaw_rate_and_the_speed() -> None:
     assert told.standard_errors[0] < 0.2 * k
     assert told.units == ["N/((rad/s) (m/s))"]
     assert told.share > 0.9
-    assert "goes with |r| u (slows surge, the more the faster it turns)" in left["surge"].summary
+    assert "correlates with |r| u (slows surge, the more the faster it turns)" in left["surge"].summary
 
 
 def test_a_force_that_turns_with_the_heading() -> None:
@@ -147,7 +147,7 @@ def test_gusts_go_with_nothing() -> None:
     loud = [r for r in left.values() if r.normalised_error > 1.2]
     assert {r.degree_of_freedom for r in loud} == {"surge", "sway"}
     assert all(_is_silent(r) for r in loud)
-    assert all("goes with none of the variables" in r.summary for r in loud)
+    assert all("correlates with none of the variables" in r.summary for r in loud)
     # The force comes from the north and turns about the ship: its two parts share its power.
     assert np.hypot(*(r.excess_rms for r in loud)) == pytest.approx(values["gusts"]["rms"], rel=0.4)
 
@@ -360,7 +360,7 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
     )
     assert sentence(left, loud=True) == (
-        "surge: 0.81 N rms is left beyond the noise; 71 % of it goes with |r| u or |v| u or u u (slows "
+        "surge: 0.81 N rms is left beyond the noise; 71 % of it correlates with |r| u or |v| u or u u (slows "
         "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of it, another "
         "phase in every run); the mean force differs from run to run (-1 to 2 N)"
     )

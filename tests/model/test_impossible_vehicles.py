@@ -96,13 +96,13 @@ IMPOSSIBLE = [
     ("z_g = 0.01", "I_xz = 0.3", "products of inertia"),
     ("z_g = 0.01", "I_xy = 0.14", "products of inertia"),
     # weight and buoyancy
-    ("W = 73.6", "W = 7.5", r"m g = 73.575 N does not go with W = 7.5 N \(possible: 0.938 to 60 N\)"),
+    ("W = 73.6", "W = 7.5", r"m g = 73.575 N does not fit W = 7.5 N \(possible: 0.938 to 60 N\)"),
     ("W = 73.6", "W = 200.0", r"W = 200 N, but m g = 73.575 N by \[effects.rigid_body\].*factor of 2"),
     ("W = 73.6", "W = 0.0", "W = 0 N cannot be"),
-    ("W = 73.6", "W = { value = 7360.0, override = true }", "m g = 73.575 N does not go with W = 7360 N"),
-    ("B = 75.0", "B = 750.0", r"B = 750 N does not go with W = 73.6 N \(possible: 9.2 to 589 N\)"),
-    ("B = 75.0", "B = 7.5", "B = 7.5 N does not go with W"),
-    ("B = 75.0", "B = 0.0", "B = 0 N does not go with W"),
+    ("W = 73.6", "W = { value = 7360.0, override = true }", "m g = 73.575 N does not fit W = 7360 N"),
+    ("B = 75.0", "B = 750.0", r"B = 750 N does not fit W = 73.6 N \(possible: 9.2 to 589 N\)"),
+    ("B = 75.0", "B = 7.5", "B = 7.5 N does not fit W"),
+    ("B = 75.0", "B = 0.0", "B = 0 N does not fit W"),
     # water and gravity
     ("gravity = 9.81", "gravity = 981.0", r"gravity = 981 m/s\^2 .*possible: 9.7 to 9.9.*981 cm/s\^2"),
     ("gravity = 9.81", "gravity = 0.0", r"gravity = 0 m/s\^2 cannot be"),
@@ -194,7 +194,7 @@ def test_names_are_judged_whenever_a_vehicle_is_made(load: Load) -> None:
 def test_a_vehicle_from_a_program_faces_the_same_checks(load: Load) -> None:
     vehicle = load(FILE)
     check_vehicle(vehicle)
-    with pytest.raises(UndertowError, match="B = 900 N does not go with W"):
+    with pytest.raises(UndertowError, match="B = 900 N does not fit W"):
         check_vehicle(vehicle.with_values({"B": Value(900.0)}))
     with pytest.raises(UndertowError, match="gravity = 1"):
         check_vehicle(replace(vehicle, environment={"rho": 1000.0, "g": 1.0}))

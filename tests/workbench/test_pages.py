@@ -178,7 +178,7 @@ def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place
     assert found is not None
     found["candidates"][0] |= {"confused": ["constant_force"], "tell": "turn on the spot for 40 s"}
     left = found["diagnosis"]["remaining"][0]
-    left["summary"] = "surge: 0.4 N rms goes with |u| u"
+    left["summary"] = "surge: 0.4 N rms correlates with |u| u"
     left["depends_on"] = [
         {
             "term": "|u|u", "columns": [["|u|", "u"]], "coefficients": [2.0], "standard_errors": [0.1],
@@ -194,7 +194,7 @@ def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place
         assert "What would: turn on the spot for 40 s" in said
         assert "undertow plan " in said
         assert "--goal separate --between ocean_current,constant_force" in said
-        assert "surge: 0.4 N rms goes with |u| u" in said
+        assert "surge: 0.4 N rms correlates with |u| u" in said
         user.find(marker="invent").click()
         await _soon(lambda: bench.work is None)
         assert bench.failure == ""

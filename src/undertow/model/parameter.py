@@ -133,10 +133,10 @@ class Parameter:
     def must_be_given(self) -> bool:
         """Whether a vehicle file has to state it: neither its default nor its neutral value is possible."""
         low, high = self.bounds
-        return self.required or not low <= self.unsaid <= high
+        return self.required or not low <= self.effective_default <= high
 
     @property
-    def unsaid(self) -> float:
+    def effective_default(self) -> float:
         """Value where nothing gives one: the default, else that at which the effect is absent, else zero."""
         return next((v for v in (self.default, self.neutral) if v is not None), 0.0)
 

@@ -300,7 +300,7 @@ class Vehicle:
                 return thruster.thrust_per_command
         if name in self.environment:
             return Value(self.environment[name])
-        return Value(self.declared_parameters[name].unsaid)
+        return Value(self.declared_parameters[name].effective_default)
 
     def differs_between_runs(self, name: str) -> bool:
         """Whether a parameter may have another value in every run: by its file, or else by its effect."""

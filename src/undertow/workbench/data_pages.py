@@ -412,7 +412,7 @@ def _with_force(view: View) -> dict[str, Any]:
 
 
 def _telling_first(found: Mapping[str, Any], dof: str) -> list[str]:
-    """Variables in the order in which the residual of a degree of freedom goes with them."""
+    """Variables in the order in which the residual of a degree of freedom correlates with them."""
     own = [p for p in found["profiles"] if p["dof"] == dof]
     return [p["variable"] for p in sorted(own, key=_telling, reverse=True)] or list(found["variables"])
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import examine
 from undertow.identification.logs.formats import rosbag
@@ -135,7 +136,7 @@ def _sensors(path: Path) -> BagWriter:
     return out
 
 
-@pytest.mark.parametrize("name", _BAGS)
+@pytest.mark.parametrize("name", first_quick(_BAGS))
 def test_sensors_without_odometry(tmp_path: Path, name: str) -> None:
     log = read_field_log(_sensors(tmp_path / name).path)
     run = read_log(log.path)

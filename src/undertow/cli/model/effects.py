@@ -94,7 +94,7 @@ def new(
 ) -> None:
     """Write a file with an effect of your own, to be edited: from a diagnosis, or with one example term.
 
-    With --from it has a parameter for everything that a diagnosis found the unexplained force to go with. It
+    With --from it has a parameter for everything that was found to correlate with the unexplained force. It
     passes 'undertow effects check' as it is, and 'undertow diagnose --effects FILE' tries it beside the
     catalogue. What makes the force, and a reference, are for you to say.
     """

@@ -177,6 +177,8 @@ def _shape(cell: Any) -> tuple[int, ...]:
 def least_eigenvalue(matrix: Any) -> Array:
     """Smallest eigenvalue of the symmetric part, or a number that is certainly below it for intervals."""
     if not isinstance(matrix, Interval):
+        if np.shape(matrix)[-1] == 1:
+            return np.asarray(matrix)[..., 0, 0]
         return np.linalg.eigvalsh(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))[..., 0]
     symmetric = 0.5 * (matrix + matrix.T)
     middle, radius = symmetric.middle, symmetric.radius

@@ -30,6 +30,10 @@ class Quantities:
             raise AttributeError(f"no condition can use '{name}'")
         return self._quantities[name]
 
+    def at_iota(self, iota: float) -> Quantities:
+        """The same with a value of iota."""
+        return Quantities(self._quantities | {"iota": iota})
+
     def block(self, rows: Sequence[Sequence[Any]]) -> Any:
         """A matrix of blocks."""
         if any(isinstance(cell, sm.Basic) for row in rows for cell in row):
@@ -86,7 +90,10 @@ class Condition:
 
     def margin(self, s: Quantities) -> Any:
         """How far the condition is from failing; a lower bound of it where the quantities are intervals."""
-        left, right = self.left(s), self.right(s)
+        left = self.left(s)
+        if self.smaller is None:
+            return least_eigenvalue(left)
+        right = self.smaller(s)
         if self.eigenvalues:
             return least_eigenvalue(left) + least_eigenvalue(-right)
         return least_eigenvalue(left - right)

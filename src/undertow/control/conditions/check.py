@@ -250,7 +250,8 @@ class _Evaluation:
             return self.given
         if self.together is not None:
             return inside(self.together)
-        return inside(span) if span else peak_of(lambda i: self._margin(one, i))
+        own = self.problem.margin_by_iota([self.condition], [one], self.channel)
+        return inside(span) if span else peak_of(own)
 
     def _margin(self, one: SignSet, iota: float | None) -> float:
         if self.channel is None:

@@ -355,13 +355,21 @@ class Problem:
         self, conditions: Sequence[Condition], sets: list[SignSet], channel: int | None = None
     ) -> Span | None:
         """The values of iota for which conditions hold together in all of these sets, or None."""
+        return where_positive(self.margin_by_iota(conditions, sets, channel))
 
-        def together(iota: float) -> float:
-            if channel is None:
-                return min(self.margin(c, one, iota) for c in conditions for one in sets)
-            return min(self.channel_margin(c, one, channel, iota) for c in conditions for one in sets)
+    def margin_by_iota(
+        self, conditions: Sequence[Condition], sets: Sequence[SignSet], channel: int | None = None
+    ) -> Callable[[float], float]:
+        """The least margin of these conditions in these sets as a function of iota."""
+        if channel is None:
+            known = [self.quantities(one, self._samples, None) for one in sets]
+        else:
+            known = [self.channel_quantities(one, channel, None) for one in sets]
 
-        return where_positive(together)
+        def least_margin(iota: float) -> float:
+            return min(float(np.min(c.margin(q.at_iota(iota)))) for c in conditions for q in known)
+
+        return least_margin
 
 
 def inverse_of(matrix: Array) -> Array:

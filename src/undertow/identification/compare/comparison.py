@@ -353,7 +353,7 @@ class Comparison:
 
     @property
     def variables(self) -> dict[str, tuple[str, Array]]:
-        """What the residual force may go with: unit and values (K,) of every variable, by name."""
+        """What the residual force may correlate with: unit and values (K,) of every variable, by name."""
         found = _variables(self.forces, self.vehicle, self.measured_pose)
         return {name: (unit, value) for name, unit, value in found}
 

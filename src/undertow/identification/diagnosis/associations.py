@@ -1,4 +1,4 @@
-"""What a residual force goes with: variables, a period, time, the run. Associations, never causes."""
+"""What a residual force correlates with: variables, a period, time, the run. Associations, never causes."""
 
 from __future__ import annotations
 
@@ -245,7 +245,7 @@ class _Tried:
 class Association:
     """A residual from which terms are taken one by one.
 
-    terms: what it may go with; their columns stand side by side in the samples.
+    terms: what it may correlate with; their columns stand side by side in the samples.
     samples: the residual.
     stiffness: (k, k), what else (other equations, priors) says about the model's own parameters, as
         information.

@@ -187,14 +187,14 @@ SPRING = "it would take more inertia from slow motion than the water has: a stif
 
 
 def never_turned(finding: FoundEffect, bench: Bench) -> str:
-    """Why these logs do not tell a current from a force that goes with the vehicle; empty where they do."""
+    """Why these logs do not tell a current from a force fixed to the vehicle; empty where they do."""
     if not issubclass(finding.trial.candidate.effect, Flow):
         return ""
     runs = [r for data in (bench.train, bench.test) for r in data.runs]
     turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))
     if turned >= bench.settings.turning:
         return ""
-    return f"the heading turns by {turned:.2g} rad only: a force that goes with the vehicle may do the same"
+    return f"the heading turns by {turned:.2g} rad only: a force fixed to the vehicle may do the same"
 
 
 def _turned(heading: Array) -> float:

@@ -459,13 +459,13 @@ class Learner:
     def _ridge(self, X: Array, y: Array, folds: Sequence[_Fold]) -> tuple[Callable[[Array], Array], Array]:
         """Ridge regression with the best penalty, and without each fold what it says of all rows."""
         without = [Ridge(X[kept], y[kept]) for kept, _ in folds]
-        penalty = min(
-            self._settings.penalties,
-            key=lambda a: sum(
-                float(np.sum((y[out] - ridge.predict(X[out], a)) ** 2))
-                for ridge, (_, out) in zip(without, folds, strict=True)
-            ),
-        )
+
+        def left(penalty: float) -> float:
+            """Sum of squares that the other folds leave of each, with this penalty."""
+            pairs = zip(without, folds, strict=True)
+            return sum(float(np.sum((y[out] - r.predict(X[out], penalty)) ** 2)) for r, (_, out) in pairs)
+
+        penalty = min(self._settings.penalties, key=left)
         whole = Ridge(X, y)
         return lambda table: whole.predict(table, penalty), np.array([r.predict(X, penalty) for r in without])
 

@@ -1,4 +1,4 @@
-"""The residual force of each degree of freedom: how large, against the noise, and what it goes with."""
+"""The residual force of each degree of freedom: how large, against the noise, and what it correlates with."""
 
 from __future__ import annotations
 
@@ -279,7 +279,7 @@ class ResidualDescription:
 class ResidualForce:
     """One residual force, ready to be looked at.
 
-    association: the residual with the terms that it may go with.
+    association: the residual with the terms that it may correlate with.
     clocks: clock of the data of the fit, and of those for validation.
     rows: where each of the three samples comes from, with the disturbance that it was whitened with.
     unit: unit of the force.
@@ -296,7 +296,7 @@ class ResidualForce:
 
 
 class Characterisation:
-    """The search for what one residual goes with."""
+    """The search for what one residual correlates with."""
 
     def __init__(self, force: ResidualForce) -> None:
         self._force, self._left = force, force.association
@@ -467,18 +467,20 @@ _FASTER = {
 
 
 def sentence(left: Remaining, loud: bool) -> str:
-    """One sentence: ``surge: 0.8 N rms is left beyond the noise; 71 % of it goes with |r| u (slows ...)``."""
+    """One sentence: ``surge: 0.8 N rms is left beyond the noise; 71 % of it correlates with |r| u``."""
     if not loud:
         return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms is left, which is noise"
     size = f"{left.excess_rms:.2g} {left.unit} rms is left beyond the noise"
-    parts = list(_parts(left)) or ["it goes with none of the variables in the logs, and no period stands out"]
+    parts = list(_parts(left)) or [
+        "it correlates with none of the variables in the logs, and no period stands out"
+    ]
     return f"{left.degree_of_freedom}: {'; '.join([size, *parts])}"
 
 
 def _parts(left: Remaining) -> Iterator[str]:
     for dependence in left.depends_on:
         does = how(dependence, left.degree_of_freedom, left.unit)
-        yield f"{_percent(dependence.share)} of it goes with {_named(dependence)} ({does})"
+        yield f"{_percent(dependence.share)} of it correlates with {_named(dependence)} ({does})"
     if left.spectrum is not None:
         yield _period(left.spectrum, left.unit)
     yield from map(_by_run, left.between_runs)

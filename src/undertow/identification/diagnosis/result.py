@@ -176,7 +176,7 @@ class Equivalent(ResultTable):
 
 
 class Dependence(ResultTable):
-    """A term that a residual force goes with: an association, not a cause.
+    """A term that a residual force correlates with: an association, not a cause.
 
     `columns` are the factors that are multiplied, one list for each coefficient; `share` is the share of what
     exceeds the noise of the sensors on validation data that goes away with the term; `chance` is how often

@@ -392,7 +392,8 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
 
     A vehicle file need not state them then, unless the equations ask for a value: no time constant is zero.
     """
-    shapes = {p.name for p in candidate.parameters if p.starts and p.bounds[0] <= p.unsaid <= p.bounds[1]}
+    searched = [p for p in candidate.parameters if p.starts]
+    shapes = {p.name for p in searched if p.bounds[0] <= p.effective_default <= p.bounds[1]}
     if not shapes:
         return set()
     without, places = fit.p.copy(), fit.model.functions.parameter_names.index

@@ -132,8 +132,8 @@ def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
     """That nothing is missing which the logs could show, although more than noise is left."""
     rest = [f"{p.disturbance_rms:.2g} {p.unit} in {p.degree_of_freedom}" for p in left if p.disturbance_rms]
     text = (
-        "Nothing is missing that these logs could show: what the refitted model leaves goes with none of the "
-        f"logged signals. A disturbance remains: {', '.join(rest)} (rms)."
+        "Nothing is missing that these logs could show: what the refitted model leaves correlates with none "
+        f"of the logged signals. A disturbance remains: {', '.join(rest)} (rms)."
     )
     return Judgement("adequate", text, [], [], share)
 

@@ -12,14 +12,14 @@ import numpy as np
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
-from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing, test_functions
+from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .dynamics import other_units, rederived
-from .kinematics import Kinematics, most_active
+from .kinematics import Kinematics, most_active, weights_over
 from .mistakes import (
     PLAUSIBLE,
     RATES,
@@ -142,7 +142,7 @@ class Responses:
         for piece in run.segments([*velocities, *commands, *angles]):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = test_functions(t, self.settings.width * knot_spacing(t)) if len(t) > 2 else None
+            functions = weights_over(t, self.settings.width * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
                 motion = run.matrix([*velocities, *angles])[part]
                 yield _tested(functions, motion, len(velocities), force[part], self._mass, (index, count))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -138,7 +139,7 @@ class Kinematics:
         for piece in run.segments(self.channels):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = test_functions(t, width * knot_spacing(run.clock)) if len(t) > 2 else None
+            functions = weights_over(t, width * knot_spacing(run.clock)) if len(t) > 2 else None
             if functions is not None:
                 result.append(Stretch(index, part, t, functions))
         return result
@@ -255,3 +256,13 @@ def most_active(run: Run, names: Sequence[str], most: int) -> slice:
     total = np.concatenate([[0.0], np.cumsum(power)])
     first = int(np.argmax(total[most:] - total[:-most]))
     return slice(first, first + most)
+
+
+def weights_over(t: Array, spacing: float) -> TestFunctions | None:
+    """Test functions over the samples of a stretch, kept: it is compared anew for every possible mistake."""
+    return _weights_over(t.tobytes(), spacing)
+
+
+@lru_cache(maxsize=16)
+def _weights_over(t: bytes, spacing: float) -> TestFunctions | None:
+    return test_functions(np.frombuffer(t), spacing)

@@ -109,9 +109,10 @@ def test_functions(t: Array, spacing: float) -> TestFunctions | None:
     weight = _trapezoid(t)
     value = _banded(lambda s, i: _PHI(s) * weight[i], place, count)
     rate = _banded(lambda s, i: _PHI_RATE(s) * weight[i] / spacing, place, count)
-    rate = _exact_for_cubics(rate, value, place, _RATE_MOMENTS)
+    exact = _exact_for_cubics(value, place)
+    rate = exact(rate, _RATE_MOMENTS)
     return TestFunctions(
-        value=_exact_for_cubics(value, value, place, spacing * _VALUE_MOMENTS),
+        value=exact(value, spacing * _VALUE_MOMENTS),
         rate=rate,
         held=_held(rate, t),
         centre=t[0] + spacing * (np.arange(count) + (DEGREE + 1) / 2),
@@ -186,21 +187,27 @@ def _banded(entry: Callable[[Array, Index], Array], place: Array, count: int) ->
     return csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
 
 
-def _exact_for_cubics(weights: csr_array, near: csr_array, place: Array, moments: Array) -> csr_array:
-    """Weights with the right integrals of cubics, changed by `near` times a cubic for that.
+def _exact_for_cubics(near: csr_array, place: Array) -> Callable[[csr_array, Array], csr_array]:
+    """Function that gives weights the right integrals of cubics (`moments`), by `near` times a cubic.
 
     Sums over even samples have them already. Over uneven ones not even a constant would integrate to zero
     with the derivative, and a position far from zero would drown all else.
     """
     at = near.tocoo()
     powers = (place[at.col] - at.row - (DEGREE + 1) / 2)[:, None] ** np.arange(2 * DEGREE + 1)
-    held = np.column_stack([np.bincount(at.row, at.data * s, near.shape[0]) for s in powers.T])
-    gram = held[:, np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))]
-    found = np.column_stack([np.bincount(at.row, weights.data * s, near.shape[0]) for s in powers.T])
-    lacking = moments - found[:, : DEGREE + 1]
-    cubic = np.einsum("kij,kj->ki", np.linalg.pinv(gram, rcond=1e-9, hermitian=True), lacking)
-    change = at.data * np.sum(cubic[at.row] * powers[:, : DEGREE + 1], axis=1)
-    return csr_array((weights.data + change, weights.indices, weights.indptr), shape=weights.shape)
+
+    def sums(data: Array, most: int) -> Array:
+        return np.column_stack([np.bincount(at.row, data * s, near.shape[0]) for s in powers.T[: most + 1]])
+
+    gram = sums(at.data, 2 * DEGREE)[:, np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))]
+    inverse = np.linalg.pinv(gram, rcond=1e-9, hermitian=True)
+
+    def exact(weights: csr_array, moments: Array) -> csr_array:
+        cubic = np.einsum("kij,kj->ki", inverse, moments - sums(weights.data, DEGREE))
+        change = at.data * np.sum(cubic[at.row] * powers[:, : DEGREE + 1], axis=1)
+        return csr_array((weights.data + change, weights.indices, weights.indptr), shape=weights.shape)
+
+    return exact
 
 
 def _held(rate: csr_array, t: Array) -> csr_array:

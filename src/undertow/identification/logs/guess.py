@@ -547,7 +547,7 @@ def _command(command: str, name: Name, values: Array) -> Guess:
     elif name.unit == "rpm" or {"rpm", "rev"} & set(name.words):
         entry["power"] = 2
         doubt = (
-            "revolutions: thrust goes with n |n|; what is the force of one turn a minute squared (scale, N)?"
+            "revolutions: thrust rises with n |n|; what is the force of one turn a minute squared (scale, N)?"
         )
     elif len(pulses) and low <= np.min(pulses) and most <= high:
         entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})

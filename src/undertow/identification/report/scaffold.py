@@ -82,7 +82,7 @@ def example() -> Suggestion:
     column: Column = ("|r|", "u")
     unit = coefficient_unit("N", column)
     return Suggestion(
-        about="Surge force that goes with the yaw rate and the speed (an example).",
+        about="Surge force that varies with the yaw rate and the speed (an example).",
         origin=("Written by 'undertow effects new' as an example of a term.",),
         signature="speed is lost in turns",
         reference="none yet: name the book or paper that the physics follows",
@@ -91,7 +91,7 @@ def example() -> Suggestion:
 
 
 def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
-    """Terms for all that a diagnosis, read from the file `source`, found a residual force to go with."""
+    """Terms for all that a diagnosis, read from the file `source`, found a residual to correlate with."""
     near = pi / (2 * max((r.duration for r in diagnosis.runs), default=1.0))
     terms = [t for left in diagnosis.remaining for t in _terms(left, near)]
     left_out = tuple(line for left in diagnosis.remaining for line in _left_out(left))
@@ -105,7 +105,7 @@ def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
     added = f" with {listed(diagnosis.effects)} added" if diagnosis.effects else ""
     labels = dict.fromkeys(label for left in described for label in _labels(left))
     return Suggestion(
-        about=f"Force that goes with {listed(labels)}.",
+        about=f"Force that varies with {listed(labels)}.",
         origin=(
             f"Suggested by 'undertow effects new' from {source}: vehicle {diagnosis.vehicle}{added}, "
             f"logs {logs}, undertow {diagnosis.undertow}. On the validation data:",

@@ -216,8 +216,8 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
     place = f"most of what is left is in {worst.degree_of_freedom}"
     if not _terms(diagnosis):
         return (
-            f"{place}, and goes with nothing that was logged: more runs may show with what, and the doctor "
-            "whether the logs are sound"
+            f"{place}, and correlates with nothing that was logged: more runs may show what it depends on, "
+            "and the doctor whether the logs are sound"
         )
     described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
     return f"{place}; an effect can be made of the force that is left in {listed(described)}"

@@ -84,6 +84,6 @@ class Restoring(Wrench):
         for name, force in others.items():
             if not weight / most <= force <= weight * most:
                 yield (
-                    f"{name} = {force:g} N does not go with W = {weight:g} N (possible: {weight / most:.3g} "
+                    f"{name} = {force:g} N does not fit W = {weight:g} N (possible: {weight / most:.3g} "
                     f"to {weight * most:.3g} N): correct one of them; 1 kg weighs 9.81 N"
                 )
