@@ -313,7 +313,9 @@ class Problem:
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
         axes = [
-            np.linspace(low / 2, high / 2, SEARCH.headings) if a == "psi" else np.linspace(low, high, SEARCH.tilts)
+            np.linspace(low / 2, high / 2, SEARCH.headings)
+            if a == "psi"
+            else np.linspace(low, high, SEARCH.tilts)
             for a, (low, high) in pairs
         ]
         rows = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
@@ -410,7 +412,9 @@ def differing(condition: Condition, sets: Sequence[SignSet]) -> list[SignSet]:
     """Of sets that are the same to a condition, the first."""
     found: dict[bytes, SignSet] = {}
     for one in sets:
-        used = b"".join(m.tobytes() for n, m in (("M", one.inertia), ("D", one.damping)) if n in condition.uses)
+        used = b"".join(
+            m.tobytes() for n, m in (("M", one.inertia), ("D", one.damping)) if n in condition.uses
+        )
         found.setdefault(used, one)
     return list(found.values())
 

@@ -11,6 +11,10 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 
+ACCURACY = 1e-4
+"""Relative, of objective and forms: what is found is proved afterwards, with more room than that."""
+
+
 class Form(NamedTuple):
     """constant + sum x_k forms_k has to be positive semidefinite."""
 
@@ -64,6 +68,7 @@ def _settings(clarabel: Any, cut: bool) -> Any:
     settings.max_threads = 1
     settings.direct_solve_method = "faer"  # dense blocks: twice as fast as the default
     settings.chordal_decomposition_enable = cut
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = ACCURACY
     return settings
 
 
