@@ -10,7 +10,6 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
-
 ACCURACY = 1e-4
 """Relative, of objective and forms: what is found is proved afterwards, with more room than that."""
 
@@ -47,7 +46,7 @@ def solved(cost: Array, forms: Sequence[Form]) -> Solution | None:
     b = np.concatenate([_packed(f.constant[None])[0] for f in forms])
     cones = [clarabel.PSDTriangleConeT(len(f.constant)) for f in forms]
     none = csc_matrix((len(cost), len(cost)))
-    # Cutting a form into its cliques is several times as fast; where it fails by rounding, all is solved whole.
+    # Cut into their cliques, forms are solved several times as fast; where rounding stops that, whole.
     for cut in (True, False):
         solution = clarabel.DefaultSolver(none, cost, A, b, cones, _settings(clarabel, cut)).solve()
         if str(solution.status) in ("Solved", "AlmostSolved"):
