@@ -10,7 +10,7 @@ from scipy.optimize import differential_evolution
 
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
-from undertow.control.conditions.attitude import Attitudes, enclose
+from undertow.control.conditions.attitude import Attitudes, Interval, enclose
 from undertow.control.conditions.result import Quadratic, Report
 from undertow.control.gains import GainSet
 
@@ -130,7 +130,7 @@ class Target:
         z = z[:, -len(P) :]
         return np.asarray(np.einsum("ki,ij,kj->k", z, P, z)).reshape(shape)
 
-    def _turns(self, angles: dict[str, object], count: int) -> Array:
+    def _turns(self, angles: dict[str, Interval], count: int) -> Array:
         """The rotation of the translations, and nothing of the rotations."""
         J = np.broadcast_to(self._attitudes.forward(angles).middle, (count, len(self.names), len(self.names)))
         found, own = (

@@ -311,6 +311,13 @@ def main() -> int:
         "--box", type=float, help="PID loops only, with a stated start box: share of a length"
     )
     parser.add_argument("--seconds", type=float, default=1e9, help="stop --box after this time")
+    parser.add_argument(
+        "--degrees",
+        type=int,
+        nargs="+",
+        default=(1, 3, 4, 6),
+        help="degrees of freedom of the loops of --box",
+    )
     parser.add_argument("--page", type=Path, help="write the table of --box as a page")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "certificates")
     wish = parser.parse_args()
@@ -342,11 +349,11 @@ def boxes(wish: argparse.Namespace) -> int:
             gains = load(case, folder) if 'law = "pid"' in case.gains else None
         except UndertowError:
             continue
-        if gains is None or gains.unactuated:
+        if gains is None or gains.unactuated or len(gains.plant.nu) not in wish.degrees:
             continue
         rows.append(_boxed(gains, wish.box, rng))
         print(folder, *rows[-1], flush=True)
-    page = _page(rows, wish.box, wish.seed, k, time.process_time() - used)
+    page = _page(rows, wish, k, time.process_time() - used)
     print(page)
     if wish.page:
         wish.page.write_text(page)
@@ -394,9 +401,9 @@ def _said(report: Report) -> str:
 PAGE = """# Certificates of PID loops
 
 Written by
-`python -m benchmarks.certificates --cases 2000 --seed {seed} --box {share:g} --page docs/certificates.md`,
-stopped after {cases} random cases; {loops} of them are PID loops in which every axis is pushed. With its
-simulations a loop took {each:.0f} s of processor in the mean.
+`python -m benchmarks.certificates --cases 2000 --seed {seed} --box {share:g} --degrees {degrees} --page docs/certificates.md`,
+stopped after {cases} random cases; {loops} of them are PID loops of these degrees of freedom in which every
+axis is pushed. With its simulations a loop took {each:.1f} s of processor in the mean.
 
 The stated start box is {share:g} of the vehicle's length in every translation and {share:g} rad in every
 angle, at rest. *Stable*: every pole at rest decays, and simulations from 16 corners of the box come back
@@ -421,11 +428,11 @@ Why the others were refused:
 |---|---|---|---|"""
 
 
-def _page(rows: list[Outcome], share: float, seed: int, cases: int, seconds: float) -> str:
+def _page(rows: list[Outcome], wish: argparse.Namespace, cases: int, seconds: float) -> str:
     """The tables of the counts."""
     tries = Attack().generations * Attack().many
-    fields = {"share": share, "seed": seed, "cases": cases, "loops": len(rows), "longest": LONGEST}
-    fields |= {"each": seconds / max(len(rows), 1)}
+    fields = {"share": wish.box, "seed": wish.seed, "cases": cases, "loops": len(rows), "longest": LONGEST}
+    fields |= {"each": seconds / max(len(rows), 1), "degrees": " ".join(map(str, wish.degrees))}
     lines = [PAGE.format(**fields, tries=tries, drift=DRIFT, lag=Attack().lag, headings=Attack().headings)]
     for size, called in sorted({r[:2] for r in rows}):
         own = [r for r in rows if r[:2] == (size, called)]

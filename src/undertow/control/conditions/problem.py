@@ -333,7 +333,7 @@ class Problem:
 
     # --- margins ------------------------------------------------------------------------------
     def quantities(
-        self, one: SignSet, inverse: Any, iota: float | None, theta: Array | None = None
+        self, one: SignSet, inverse: Any, iota: float | Array | None, theta: Array | None = None
     ) -> Quantities:
         """All quantities in the pose coordinates that are driven, for J^-1 as numbers or intervals."""
         theta = one.theta if theta is None else theta
