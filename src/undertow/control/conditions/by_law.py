@@ -30,10 +30,6 @@ class Quantities:
             raise AttributeError(f"no condition can use '{name}'")
         return self._quantities[name]
 
-    def at_iota(self, iota: float) -> Quantities:
-        """The same with a value of iota."""
-        return Quantities(self._quantities | {"iota": iota})
-
     def block(self, rows: Sequence[Sequence[Any]]) -> Any:
         """A matrix of blocks."""
         if any(isinstance(cell, sm.Basic) for row in rows for cell in row):

@@ -26,6 +26,7 @@ from .problem import (
     SignSet,
     Span,
     Uncertainty,
+    differing,
     inside,
     peak_of,
 )
@@ -184,13 +185,21 @@ def _rows(
 
 
 def _over_sets(evaluation: _Evaluation, uncertainty: Uncertainty) -> list[Row]:
-    """One row for all sets of parameters where they agree; a mixed set only where it is worse."""
+    """One row for all sets of parameters where they agree; of the mixed sets the worst, where it is worse."""
     sets = evaluation.problem.distinct
     rows = [evaluation.row(one, uncertainty) for one in sets[:2]]
     if len(rows) == 2 and _alike(*rows):
         rows = [replace(rows[0], signs="both")]
+    first = {one.name for one in sets[:2]}
+    others = [one for one in differing(evaluation.condition, sets) if one.name not in first]
+    if evaluation.channel is not None or not others:
+        return rows
+    if any(r.verdict != HOLDS for r in rows):
+        others = [min(others, key=evaluation.rank)]
+    elif evaluation.proved(others):
+        return rows
     known = min(r.margin for r in rows)
-    mixed = [evaluation.row(one, uncertainty) for one in sets[2:]] if evaluation.channel is None else []
+    mixed = [evaluation.row(one, uncertainty) for one in others]
     return rows + [r for r in mixed if r.margin < known - 1e-12 * abs(known) and r.verdict != HOLDS]
 
 
@@ -211,8 +220,7 @@ class _Evaluation:
     given: float | None  # the iota that the caller states
 
     def row(self, one: SignSet, uncertainty: Uncertainty) -> Row:
-        condition, matrices = self.condition, self.channel is None
-        span = self.problem.iota([condition], [one], self.channel) if condition.uses_iota else None
+        condition, matrices, span = self.condition, self.channel is None, self._span(one)
         iota = self._iota(one, span)
         left, right, certificate = self._sides(one, iota)
         verdict = self._verdict(certificate, span)
@@ -250,20 +258,32 @@ class _Evaluation:
             return self.given
         if self.together is not None:
             return inside(self.together)
-        own = self.problem.margin_by_iota([self.condition], [one], self.channel)
-        return inside(span) if span else peak_of(own)
+        if span:
+            return inside(span)
+        return peak_of(lambda iotas: self.problem.margins(self.condition, one, iotas, self.channel))
+
+    def _span(self, one: SignSet) -> Span | None:
+        condition = self.condition
+        return self.problem.iota([condition], [one], self.channel) if condition.uses_iota else None
 
     def _margin(self, one: SignSet, iota: float | None) -> float:
-        if self.channel is None:
-            return self.problem.margin(self.condition, one, iota)
-        return self.problem.channel_margin(self.condition, one, self.channel, iota)
+        return self.problem.margin(self.condition, one, iota, self.channel)
+
+    def rank(self, one: SignSet) -> float:
+        """The margin at some attitudes: which of many sets is worst, before anything is proved."""
+        return self._margin(one, self._iota(one, self._span(one)))
+
+    def proved(self, sets: Sequence[SignSet]) -> bool:
+        """Whether it holds in all of these sets, at every attitude, with the iota that serves all."""
+        served = not self.condition.uses_iota or self.together is not None
+        return served and self.problem.certificate(self.condition, sets, self._iota(sets[0], None)).bound > 0
 
     def _sides(self, one: SignSet, iota: float | None) -> tuple[float, float, Certificate]:
         if self.channel is not None:
             left, right = self.condition.sides(self.problem.channel_quantities(one, self.channel, iota))
             margin = self._margin(one, iota)
             return left, right, Certificate(margin, margin, {}, "")
-        certificate = self.problem.certificate(self.condition, one, iota)
+        certificate = self.problem.certificate(self.condition, [one], iota)
         inverse = self.problem.attitudes.at(certificate.worst)
         left, right = self.condition.sides(self.problem.quantities(one, inverse, iota))
         return left, right, certificate

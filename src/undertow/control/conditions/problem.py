@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sm
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 from scipy.special import chdtri, ndtri
 
 from undertow.control.gains import GainSet
@@ -31,8 +31,10 @@ class SearchSettings:
 
     low: float = 1e-9  # least iota, 1/s, or gain, SI, that is looked at; what holds there holds down to zero
     high: float = 1e9  # largest one; what holds there holds without end
-    points: int = 181  # points in between, ten for each power of ten, before the search is refined
-    headings: int = 13  # samples of a whole turn: every 30 degrees
+    points: int = 19  # points in between at first, one for each power of ten
+    finer: int = 9  # points between the neighbours of the best one, again and again
+    close: float = 1e-8  # relative distance of neighbours that is close enough
+    headings: int = 7  # samples of half a turn, after which J M J' is the same: every 30 degrees
     tilts: int = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
     most_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
     # Largest roll and pitch that can be covered, degrees: at 90 of pitch J has no inverse.
@@ -138,39 +140,62 @@ def _check(one: SignSet, plant: Plant) -> None:
 Span = tuple[float, float]
 
 
-def where_positive(margin: Callable[[float], float]) -> Span | None:
+Margins = Callable[[Array], Array]
+"""Margins of many values at once: of one positive number, or of parameters, which they are concave in."""
+
+
+def where_positive(margins: Margins, concave: bool = True) -> Span | None:
     """The interval on which a margin of one positive number is positive, or None.
 
-    The margin rises and then falls (either part may be missing): conditions are concave in iota and in each
-    gain. An interval that reaches an end of the range is open there; 0 or infinity is returned for it.
+    The margin rises and then falls (either part may be missing). Where it is concave, as conditions are in
+    iota, the search ends as soon as three points say that it is positive nowhere. An interval that reaches an
+    end of the range is open there; 0 or infinity is returned for it.
     """
     low, high = math.log(SEARCH.low), math.log(SEARCH.high)
-    peak = _peak(margin)
-    if not margin(math.exp(peak)) > 0:
+
+    def settled(x: Array, values: Array, best: int) -> bool:
+        return bool(values[best] > 0) or (concave and _nowhere_positive(x, values, best))
+
+    peak, value = _peak(margins, settled)
+    if not value > 0:
         return None
-    return _edge(margin, peak, low, 0.0), _edge(margin, peak, high, math.inf)
+    return _edge(margins, peak, low, 0.0), _edge(margins, peak, high, math.inf)
 
 
-def peak_of(margin: Callable[[float], float]) -> float:
+def peak_of(margins: Margins) -> float:
     """Where such a margin is largest."""
-    return math.exp(_peak(margin))
+    return math.exp(_peak(margins)[0])
 
 
-def _peak(margin: Callable[[float], float]) -> float:
-    grid = np.linspace(math.log(SEARCH.low), math.log(SEARCH.high), SEARCH.points)
-    values = [margin(math.exp(x)) for x in grid]
-    best = int(np.argmax(values))
-    around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, SEARCH.points - 1)])
-    found = minimize_scalar(
-        lambda x: -margin(math.exp(x)), bounds=around, method="bounded", options={"xatol": 1e-10}
-    )
-    return float(found.x) if -found.fun > values[best] else float(grid[best])
+def _peak(
+    margins: Margins, settled: Callable[[Array, Array, int], bool] = lambda *_: False
+) -> tuple[float, float]:
+    """Logarithm and value of the largest margin: between the neighbours of the best point of a grid."""
+    low, high, count = math.log(SEARCH.low), math.log(SEARCH.high), SEARCH.points
+    while True:
+        grid = np.linspace(low, high, count)
+        values = margins(np.exp(grid))
+        best = int(np.argmax(values))
+        low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, count - 1)])
+        if high - low < SEARCH.close or settled(np.exp(grid), values, best):
+            return float(grid[best]), float(values[best])
+        count = SEARCH.finer
 
 
-def _edge(margin: Callable[[float], float], peak: float, end: float, beyond: float) -> float:
-    if margin(math.exp(end)) > 0:
-        return beyond
-    return math.exp(brentq(lambda x: margin(math.exp(x)), end, peak, xtol=1e-14, rtol=1e-14))
+def _nowhere_positive(x: Array, values: Array, best: int) -> bool:
+    """Whether the chords beside the best point, prolonged, keep a concave margin below zero."""
+    if not 0 < best < len(x) - 1:
+        return False
+    steps, rises = np.diff(x[best - 1 : best + 2]), np.diff(values[best - 1 : best + 2])
+    most = max(-rises[1] * steps[0] / steps[1], rises[0] * steps[1] / steps[0])
+    return bool(values[best] + most < 0)
+
+
+def _edge(margins: Margins, peak: float, end: float, beyond: float) -> float:
+    def margin(x: float) -> float:
+        return float(margins(np.exp([x]))[0])
+
+    return beyond if margin(end) > 0 else math.exp(brentq(margin, end, peak, xtol=1e-14, rtol=1e-14))
 
 
 def inside(span: Span) -> float:
@@ -287,8 +312,12 @@ class Problem:
         if not angles or (self.attitudes.orthogonal and self.turned):
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
-        counts = {"psi": SEARCH.headings}
-        axes = [np.linspace(low, high, counts.get(a, SEARCH.tilts)) for a, (low, high) in pairs]
+        axes = [
+            np.linspace(low / 2, high / 2, SEARCH.headings)
+            if a == "psi"
+            else np.linspace(low, high, SEARCH.tilts)
+            for a, (low, high) in pairs
+        ]
         rows = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
         points = [dict(zip(angles, map(float, row), strict=True)) for row in rows]
         return [(point, self.attitudes.at(point)) for point in points]
@@ -304,7 +333,7 @@ class Problem:
 
     # --- margins ------------------------------------------------------------------------------
     def quantities(
-        self, one: SignSet, inverse: Any, iota: float | None, theta: Array | None = None
+        self, one: SignSet, inverse: Any, iota: float | Array | None, theta: Array | None = None
     ) -> Quantities:
         """All quantities in the pose coordinates that are driven, for J^-1 as numbers or intervals."""
         theta = one.theta if theta is None else theta
@@ -328,20 +357,34 @@ class Problem:
         M, D = (m.at(theta)[..., k : k + 1, k : k + 1] for m in (one.M, one.D))
         return Quantities({**gains, "M": M, "D": D, "iota": iota})
 
-    def margin(self, condition: Condition, one: SignSet, iota: float | None) -> float:
-        """Margin of a condition as matrices, the least over some attitudes."""
-        return float(np.min(condition.margin(self.quantities(one, self._samples, iota))))
+    def margins(
+        self, condition: Condition, one: SignSet, iotas: Array, channel: int | None = None, few: bool = False
+    ) -> Array:
+        """Margins of a condition for many iotas: of a channel, or as matrices the least over attitudes."""
+        if channel is not None:
+            quantities = self.channel_quantities(one, channel, iotas[:, None, None])
+            return np.broadcast_to(condition.margin(quantities), len(iotas))
+        inverses = self.few_attitudes if few else self._samples
+        found = condition.margin(self.quantities(one, inverses, iotas[:, None, None, None]))
+        return np.asarray(np.broadcast_to(found, (len(iotas), len(inverses))).min(axis=1))
+
+    def margin(
+        self, condition: Condition, one: SignSet, iota: float | None, channel: int | None = None
+    ) -> float:
+        """The margin for one iota; any where the condition has none."""
+        return float(self.margins(condition, one, np.array([1.0 if iota is None else iota]), channel)[0])
 
     def channel_margin(self, condition: Condition, one: SignSet, i: int, iota: float | None) -> float:
         """Margin of a condition for one channel."""
-        return float(np.min(condition.margin(self.channel_quantities(one, i, iota))))
+        return self.margin(condition, one, iota, i)
 
-    def certificate(self, condition: Condition, one: SignSet, iota: float | None) -> Certificate:
-        """The margin over all attitudes with its proof."""
+    def certificate(self, condition: Condition, sets: Sequence[SignSet], iota: float | None) -> Certificate:
+        """The margin over all attitudes, the least of these sets, with its proof."""
 
         def margins(inverse: Any) -> Array:
             count = len(inverse) if isinstance(inverse, np.ndarray) else len(inverse.lo)
-            return np.broadcast_to(condition.margin(self.quantities(one, inverse, iota)), count)
+            each = (condition.margin(self.quantities(one, inverse, iota)) for one in sets)
+            return np.min([np.broadcast_to(m, count) for m in each], axis=0)
 
         return least(margins, self.attitudes, self.turned, bool(condition.uses))
 
@@ -355,30 +398,31 @@ class Problem:
         self, conditions: Sequence[Condition], sets: list[SignSet], channel: int | None = None
     ) -> Span | None:
         """The values of iota for which conditions hold together in all of these sets, or None."""
-        return where_positive(self.margin_by_iota(conditions, sets, channel))
+        pairs = [(c, one) for c in conditions for one in differing(c, sets)]
 
-    def margin_by_iota(
-        self, conditions: Sequence[Condition], sets: Sequence[SignSet], channel: int | None = None
-    ) -> Callable[[float], float]:
-        """The least margin of these conditions in these sets as a function of iota."""
-        if channel is None:
-            known = [self.quantities(one, self._samples, None) for one in sets]
-        else:
-            known = [self.channel_quantities(one, channel, None) for one in sets]
+        def together(iotas: Array, few: bool = False) -> Array:
+            return np.min([self.margins(c, one, iotas, channel, few) for c, one in pairs], axis=0)
 
-        def least_margin(iota: float) -> float:
-            return min(float(np.min(c.margin(q.at_iota(iota)))) for c in conditions for q in known)
+        if channel is None and where_positive(lambda iotas: together(iotas, few=True)) is None:
+            return None
+        return where_positive(together)
 
-        return least_margin
+
+def differing(condition: Condition, sets: Sequence[SignSet]) -> list[SignSet]:
+    """Of sets that are the same to a condition, the first."""
+    found: dict[bytes, SignSet] = {}
+    for one in sets:
+        used = b"".join(
+            m.tobytes() for n, m in (("M", one.inertia), ("D", one.damping)) if n in condition.uses
+        )
+        found.setdefault(used, one)
+    return list(found.values())
 
 
 def inverse_of(matrix: Array) -> Array:
     """Inverse of a matrix of numbers."""
     return np.asarray(np.linalg.inv(matrix), dtype=float)
 
-
-Margins = Callable[[Array], Array]
-"""From parameters of shape (k, n_parameters) to margins of shape (k,), concave in them."""
 
 ALL, SOME, NOMINAL, OPEN = "holds for all", "fails for some", "fails at the values of the file", "not settled"
 SAMPLED, NO_IOTA_THERE = "not settled (attitudes sampled)", "no iota at the values of the file"

@@ -43,6 +43,8 @@ class QuadraticSettings:
     most_forms: int = 800  # matrix inequalities that the solver is given in one search: seconds
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
+    idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
+    rise: float = 0.02  # of the start's level from a round to the next, below which the level is known
     tries: int = 16  # boxes of speeds that are tried
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
     smaller: float = 0.6  # factor on speeds for which there is no V
@@ -61,16 +63,17 @@ class QuadraticSettings:
 SETTINGS = QuadraticSettings()
 
 
+Key = tuple[int, int, tuple[int, ...]]
+"""A corner: its attitude, its case of the signs, and the end of each velocity."""
+
+
 class Proposal(NamedTuple):
     """What the program came to in scaled states."""
 
     P: Array
     start: float  # V of the worst corner of the start box; the level is one
     slopes: Array  # derivative of `start` by the logarithm of each speed of the box
-
-
-Key = tuple[int, int, tuple[int, ...]]
-"""A corner: its attitude, its case of the signs, and the end of each velocity."""
+    active: set[Key]  # corners that keep it from being lower
 
 
 class Row(NamedTuple):
@@ -147,7 +150,7 @@ class Search:
             program = Program(self, bounds)
             if program.rate <= 0:
                 raise UndertowError("the loop at rest is not stable at every attitude")
-            proposal = program.solve()
+            proposal = program.solve(np.inf if best is None else best[2].start)
             if proposal is not None and proposal.start < 1:
                 proof = program.proof(proposal)
                 if proof is not None:
@@ -309,18 +312,25 @@ class Program:
         slowest = -float(np.max(np.linalg.eigvals(self._pieces[0]).real))
         return SETTINGS.decay * slowest
 
-    def solve(self) -> Proposal | None:
-        """P by cutting planes: corners come in as they are violated."""
-        chosen = self.search.chosen or self._first_corners()
-        self.search.chosen = chosen
+    def solve(self, best: float = np.inf) -> Proposal | None:
+        """P by cutting planes: corners come in as they are violated, and go where they do not matter.
+
+        Corners only raise the start's level, so that a program that comes above `best` has said enough, and
+        one above one, too, once the corners that matter are among them.
+        """
+        known = bool(self.search.chosen)  # by the programs of other speeds
+        chosen, last = self.search.chosen or self._first_corners(), 0.0
         for turn in range(SETTINGS.rounds):
             proposal = self._solved(sorted(chosen))
-            if proposal is None:
-                return None
-            worst = self._violated(proposal.P, turn)
-            if set(worst) <= chosen:
+            if proposal is None or proposal.start >= best:
                 return proposal
-            chosen |= set(worst)
+            worst = set(self._violated(proposal.P, turn))
+            rises = proposal.start > last * (1 + SETTINGS.rise)
+            active = proposal.active if rises else chosen
+            self.search.chosen = active | worst
+            if worst <= chosen or (proposal.start > 1 and (known or not rises)):
+                return proposal
+            chosen, last = self.search.chosen, proposal.start
         return None
 
     def _first_corners(self) -> set[Key]:
@@ -410,7 +420,9 @@ class Program:
             if row.velocity is not None:
                 own = row.states @ T
                 slopes[row.velocity] += 2 * float(dual[-1, :-1] @ own[_touched(B, own)]) / row.bound
-        return Proposal(P, float(cost @ solution.x), slopes)
+        sizes = np.array([np.abs(dual).max() for dual in solution.duals[: len(keys)]])
+        active = {k for k, size in zip(keys, sizes, strict=True) if size > SETTINGS.idle * sizes.max()}
+        return Proposal(P, float(cost @ solution.x), slopes, active)
 
     def _slopes(self, P: Array, C: Array, keys: Sequence[Key], duals: Sequence[Array]) -> Array:
         """What the fall of V adds to the slopes of the start's level: what a speed adds grows with it."""

@@ -168,7 +168,7 @@ def _single(
         values[name][i] = value
         return problem.changed(values).channel_margin(condition, one, i, None)
 
-    span = where_positive(margin)
+    span = where_positive(lambda gains: np.array([margin(g) for g in gains]), concave=False)
     present = float(problem.values[name][i])
     above = span is not None and present <= span[0]
     bound = None if span is None else span[0] if above else span[1]

@@ -10,6 +10,9 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
+ACCURACY = 1e-4
+"""Relative, of objective and forms: what is found is proved afterwards, with more room than that."""
+
 
 class Form(NamedTuple):
     """constant + sum x_k forms_k has to be positive semidefinite."""
@@ -42,17 +45,30 @@ def solved(cost: Array, forms: Sequence[Form]) -> Solution | None:
     A = csc_matrix(-np.concatenate(rows))
     b = np.concatenate([_packed(f.constant[None])[0] for f in forms])
     cones = [clarabel.PSDTriangleConeT(len(f.constant)) for f in forms]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_iter = 80
-    settings.max_threads = 1
     none = csc_matrix((len(cost), len(cost)))
-    solution = clarabel.DefaultSolver(none, cost, A, b, cones, settings).solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
+    # Cut into their cliques, forms are solved several times as fast; where rounding stops that, whole.
+    for cut in (True, False):
+        solution = clarabel.DefaultSolver(none, cost, A, b, cones, _settings(clarabel, cut)).solve()
+        if str(solution.status) in ("Solved", "AlmostSolved"):
+            break
+        if "Infeasible" in str(solution.status):
+            return None
+    else:
         return None
     sizes = np.cumsum([r.shape[0] for r in rows])[:-1]
     duals = map(_unpacked, np.split(np.array(solution.z), sizes), (len(f.constant) for f in forms))
     return Solution(np.array(solution.x), list(duals))
+
+
+def _settings(clarabel: Any, cut: bool) -> Any:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = 80
+    settings.max_threads = 1
+    settings.direct_solve_method = "faer"  # dense blocks: twice as fast as the default
+    settings.chordal_decomposition_enable = cut
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = ACCURACY
+    return settings
 
 
 def _packed(matrices: Array) -> Array:

@@ -1,0 +1,141 @@
+"""Attacks on certified PID loops: an evolution looks for what breaks the claim."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from undertow.control.closed_loop.scenario import Scenario
+from undertow.control.closed_loop.simulate import ClosedLoop
+from undertow.control.conditions.attitude import Attitudes, Interval, enclose
+from undertow.control.conditions.result import Quadratic, Report
+from undertow.control.gains import GainSet
+
+Array = np.ndarray
+TURNS = ("phi", "theta", "psi")
+
+
+@dataclass(frozen=True)
+class Attack:
+    """What an evolution looks through."""
+
+    generations: int = 5
+    many: int = 16  # tries in a generation
+    headings: int = 4  # of the set-point, spread over a turn
+    drift: float = 0.0  # share by which each parameter of inertia and damping may be off
+    level: float = 0.98  # of V at the start; the claim ends at one
+    left: float = 0.05  # part of the largest certified error that may be left at the end
+    alive: float = 1e-3  # part of its first value above which V has to fall
+    lag: float = 0.02  # part of the run after which V has to be lower
+
+
+class Target:
+    """A certified loop, its claims, and how far a try comes towards breaking one."""
+
+    def __init__(self, gains: GainSet, report: Report, duration: float, settles: bool, how: Attack) -> None:
+        self.gains, self.how, self.duration, self.settles = gains, how, duration, settles
+        vehicle, plant, found = gains.plant.vehicle, gains.plant, report.region.quadratic
+        assert found is not None
+        self.quadratic: Quadratic = found
+        self.names, self.velocities = vehicle.pose_names, vehicle.velocity_names
+        self.span = np.concatenate([found.errors, found.speeds])
+        self.commands = {c.name: c.largest for c in report.region.commands}
+        self.loop = ClosedLoop(gains)
+        self.shifts = [i for i, d in enumerate(vehicle.dof_indices) if d < 3]
+        own = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(plant.numbers)
+        self.parameters = {str(s): float(plant.numbers[s]) for s in sorted(own, key=str)} if how.drift else {}
+
+    def worst(self, rng: np.random.Generator) -> float:
+        """The largest share of a claim that an evolution reaches: above one it is broken."""
+        size = 2 * len(self.names) + 1 + len(self.parameters)
+        first = rng.uniform(-1, 1, (self.how.many, size))
+        found = differential_evolution(
+            lambda tries: -self.shares(tries.T), [(-1.0, 1.0)] * size, init=first, rng=rng, tol=0.0,
+            maxiter=self.how.generations - 1, polish=False, vectorized=True, updating="deferred",
+        )  # fmt: skip
+        return float(-found.fun)
+
+    def shares(self, tries: Array) -> Array:
+        """How far each try comes: its start's direction, heading and parameters are in (-1, 1)."""
+        n = len(self.names)
+        turn = np.floor(0.5 * (tries[:, 2 * n] + 1) * self.how.headings * (1 - 1e-12))
+        found = np.zeros(len(tries))
+        for own in map(turn.__eq__, np.unique(turn)):
+            heading = float(turn[own][0]) * 2 * np.pi / self.how.headings + 0.3
+            found[own] = self._at(heading, tries[own, : 2 * n], np.clip(2 * tries[own, 2 * n + 1 :], -1, 1))
+        return found
+
+    def _at(self, heading: float, directions: Array, off: Array) -> Array:
+        place = np.array([heading if c == "psi" else 0.0 for c in self.names])
+        states = self._on_level(place, directions * self.span)
+        n = len(self.names)
+        first = np.concatenate([place - states[:, :n], states[:, n:]], axis=1)
+        runs = self.loop.run_many(
+            Scenario(tuple(place), self.duration, 0.02),
+            starts=dict(zip((*self.names, *self.velocities), first.T, strict=True)),
+            parameters={
+                k: v * (1 + self.how.drift * o)
+                for (k, v), o in zip(self.parameters.items(), off.T, strict=True)
+            },
+        )
+        seen = np.concatenate([place - runs.states[..., :n], runs.states[..., n : 2 * n]], axis=-1)
+        found = [np.abs(seen / self.span).max(axis=(1, 2))]
+        found += [np.abs(runs.command(c)).max(axis=-1) / most for c, most in self.commands.items()]
+        if self.settles:
+            found.append(np.abs(seen[:, -1, :n]).max(axis=1) / (self.how.left * self.span[:n].max()))
+        if not self.how.drift:
+            found.append(self._slowest_fall(runs.t, seen, place))
+        return np.nan_to_num(np.max(found, axis=0), nan=np.inf)
+
+    def _on_level(self, place: Array, states: Array) -> Array:
+        """States scaled onto the level; the frame of V turns with the attitude, so that it takes turns."""
+        for _ in range(5):
+            heights = self.value(states[:, None], 0 * states[:, None, : len(place)], place)[:, 0]
+            states = states * np.sqrt(self.how.level / np.maximum(heights, 1e-12))[:, None]
+        return states
+
+    def _slowest_fall(self, t: Array, seen: Array, place: Array) -> Array:
+        """By run, the largest ratio of V a while later to V."""
+        error = seen[..., : len(place)]
+        steps = 0.5 * (error[:, 1:] + error[:, :-1]) * np.diff(t)[:, None]
+        integral = np.concatenate([0 * error[:, :1], np.cumsum(steps, axis=1)], axis=1)
+        heights = self.value(seen, integral, place)
+        later = max(1, round(self.how.lag * len(t)))
+        before, after = heights[:, :-later], heights[:, later:]
+        living = before > self.how.alive * heights[:, :1]
+        return np.asarray(np.where(living, after / np.maximum(before, 1e-300), 0.0).max(axis=1))
+
+    @cached_property
+    def _attitudes(self) -> Attitudes:
+        return Attitudes(self.gains.plant, np.pi / 3)
+
+    def value(self, states: Array, integral: Array, place: Array) -> Array:
+        """V of errors and velocities (runs, rows, 2 n), with integrals of the errors (runs, rows, n)."""
+        n, shape = len(place), states.shape[:2]
+        pose = (place - states[..., :n]).reshape(-1, n)
+        angles = {c: enclose(pose[:, i]) for i, c in enumerate(self.names) if c in TURNS}
+        R, G = self._turns(angles, len(pose)), np.tile(np.eye(n), (len(pose), 1, 1))
+        if self.quadratic.frame == "body":
+            G = R
+        elif self.quadratic.frame == "heading":
+            level = {c: v if c == "psi" else enclose(0 * v.lo) for c, v in angles.items()}
+            G = self._turns(level, len(pose))
+        error, nu = states[..., :n].reshape(-1, n), states[..., n:].reshape(-1, n)
+        parts = [integral.reshape(-1, n), error, np.einsum("kij,kj->ki", R, nu)]
+        z = np.concatenate([np.einsum("kji,kj->ki", G, part) for part in parts], axis=1)
+        P = self.quadratic.at(float(place[self.names.index("psi")]) if "psi" in self.names else 0.0)
+        z = z[:, -len(P) :]
+        return np.asarray(np.einsum("ki,ij,kj->k", z, P, z)).reshape(shape)
+
+    def _turns(self, angles: dict[str, Interval], count: int) -> Array:
+        """The rotation of the translations, and nothing of the rotations."""
+        J = np.broadcast_to(self._attitudes.forward(angles).middle, (count, len(self.names), len(self.names)))
+        found, own = (
+            np.tile(np.eye(len(self.names)), (count, 1, 1)),
+            np.ix_(range(count), self.shifts, self.shifts),
+        )
+        found[own] = J[own]
+        return found
