@@ -377,7 +377,7 @@ def save_vehicle(
 def rewritten(
     vehicle: Vehicle, template: str | Path, out: Path, *, history: Mapping[str, object] | None = None
 ) -> str:
-    """The text that `save_vehicle` writes, and its refusals: before long work, with the vehicle as it was read."""
+    """The text that `save_vehicle` writes, with its refusals: for trying before the work is done."""
     path = resolve_vehicle(template)
     vehicle = _reconciled(vehicle, path)
     if out != path and out.exists() and out.samefile(path):
