@@ -274,11 +274,13 @@ class ResultBuilder:
 
     def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
         ahead = self.validator.ahead(fit)
+        prediction, channels = self.validator.prediction(fit)
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(
             added=added,
             error=self._normalised(fit),
-            prediction=self.validator.prediction(fit),
+            prediction=prediction,
+            channels=channels,
             simulation=simulation if math.isfinite(simulation) else None,
             ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
             freed=list(freed),

@@ -201,9 +201,11 @@ def _step(
 ) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
     ahead = setup.validator.ahead(model)
+    prediction, channels = setup.validator.prediction(model)
     return Step(
         added=added,
         error=error_of(mean_square(whitened(at, noise).r, setup.bench.test)),
-        prediction=setup.validator.prediction(model),
+        prediction=prediction,
+        channels=channels,
         ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
     )
