@@ -235,7 +235,7 @@ class Way:
     @cached_property
     def without(self) -> float:
         """Velocity error ahead of the model of inertia and drag."""
-        return self.ground.validator.prediction(self.plain)
+        return self.ground.validator.prediction(self.plain)[0]
 
     def ahead(self, effect: str) -> float:
         """Velocity error ahead with an effect in the model."""

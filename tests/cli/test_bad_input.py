@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tomlkit.exceptions import TOMLKitError
 
 from benchmarks.hidden_effects import Case
 from tests.cli.bad import (
@@ -607,3 +608,33 @@ def test_a_real_ctrl_c_while_a_diagnosis_runs(quick: Path) -> None:
     # Python ends by the signal itself where that came while it made a dataclass: 130 for a shell, too.
     assert process.returncode in (130, -signal.SIGINT)
     assert contents(case) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["diagnose", "usv.toml", "train.csv", "--apply", "new.toml"],
+        ["fit", "usv.toml", "train.csv", "--out", "new.toml"],
+        ["add", "ocean_current", "usv.toml", "train.csv", "--out", "new.toml"],
+    ],
+)
+def test_a_vehicle_file_that_cannot_be_rewritten_is_refused_before_any_log_is_read(
+    words: list[str], quick: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def parse(text: str) -> None:
+        raise TOMLKitError("a knot in it")
+
+    monkeypatch.setattr("undertow.model.saving.tomlkit.parse", parse)
+    (quick / "train.csv").write_text("no log")
+    assert main(words) == 2
+    assert "usv.toml: cannot be edited (a knot in it)" in capsys.readouterr().err
+    assert not (quick / "new.toml").exists()
+
+
+def test_a_folder_that_cannot_hold_the_code_is_refused_before_any_log_is_read(
+    quick: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (quick / "train.csv").write_text("no log")
+    words = ["add", "ocean_current", "usv.toml", "train.csv", "--out", "new.toml", "--build", "usv.toml"]
+    assert main(words) == 2
+    assert "cannot write into 'usv.toml': 'usv.toml' is not a folder" in capsys.readouterr().err

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.cli.bad import SURGE, surge_log
 from tests.quick import first_quick
 from undertow.cli.main import each_named, main
 from undertow.identification.compare.comparison import ComparisonResult
@@ -259,3 +260,19 @@ def test_a_fit_that_predicts_worse_is_not_written_without_force(
     assert main([*words, "--out", "new.toml", "--force"]) == 0
     value = load_vehicle("new.toml").value_of("X_udot").value
     assert value == pytest.approx(written["parameters"][0]["value"], rel=1e-6)
+
+
+def test_a_model_that_is_pushed_the_wrong_way_is_called_worse_than_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the sign of the force turned, the hull is predicted to go backward at the speed it goes ahead."""
+    monkeypatch.chdir(tmp_path)
+    Path("hull.toml").write_text(SURGE)
+    log = surge_log(1500)
+    log.write_csv("right.csv")
+    log.with_columns(-log["tau_X"]).write_csv("wrong.csv")
+    for name, said in (("right", 0), ("wrong", 1)):
+        for command in (["compare"], ["fit"]):
+            assert main([*command, "hull.toml", f"{name}.csv", "--trust-log"]) == 0
+            out = " ".join(capsys.readouterr().out.split())
+            assert out.count("Worse than no model at all in surge") == said, (command, name)

@@ -9,10 +9,12 @@ import polars as pl
 import pytest
 
 from undertow.cli.main import main
-from undertow.identification.logs.guess import Name, guess_mapping
+from undertow.identification.logs.guess import Guess, GuessedMapping, Name, guess_mapping, guess_table
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
+
+from .bad import SURGE
 
 DEGREES = 180 / np.pi
 
@@ -135,8 +137,118 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("psi_des_rad", "", "rad"),
         ("acc_x", "", ""),
         ("u1", "", ""),
+        ("vm_velo [m/s]", "v", "m/s"),
+        ("n_prop [rps]", "", "rev/s"),
+        ("n [rps]", "", "rev/s"),
+        ("rudder_angle_deg", "", "deg"),
+        ("wind_speed_x", "", ""),
+        ("p [rps]", "p", "rev/s"),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
     name = Name.of(column)
     assert (name.motion(), name.unit) == (channel, unit)
+
+
+SHIP = """
+schema = "undertow/vehicle/1"
+name = "ship"
+degrees_of_freedom = ["surge", "sway", "yaw"]
+signs = "sname"
+inputs = ["apparent_wind_speed", "apparent_wind_angle"]
+[effects.rigid_body]
+m = 250
+I_z = 140
+[[thrusters]]
+name = "propeller"
+position = [-1.4, 0, 0]
+direction = [1, 0, 0]
+{thrust}
+[[surfaces]]
+name = "rudder"
+position = [-1.5, 0, 0]
+axis = "rudder"
+area = 0.01
+aspect_ratio = 1.5
+"""
+PROPELLER = (
+    "propeller = {{ diameter = 0.08, K_T0 = 0.3, K_T1 = -0.3, wake_fraction = 0.3, thrust_deduction = 0.2, "
+    'revolutions = "{}" }}'
+)
+
+
+def _guesses(folder: Path, vehicle: str, **columns: float) -> tuple[dict[str, Guess], GuessedMapping]:
+    """Guesses by channel for columns that swing with these amplitudes."""
+    (folder / "own.toml").write_text(vehicle)
+    t = np.arange(0.0, 20.0, 0.1)
+    table = {"t [s]": t} | {n: a * np.sin(t + k) for k, (n, a) in enumerate(columns.items())}
+    found = guess_table(pl.DataFrame(table), folder / "own.csv", load_vehicle(folder / "own.toml"))
+    return {g.channel: g for g in found.columns}, found
+
+
+TANK = {
+    **{"x_mid [m]": 5.0, "y_mid [m]": 5.0, "psi_hat [rad]": 3.0, "u_velo [m/s]": 0.5, "vm_velo [m/s]": 0.1},
+    **{"r_angvelo [rad/s]": 0.1, "roll_rate [rad/s]": 0.1, "n_prop [rps]": 10.0, "delta_rudder [rad]": 0.6},
+    **{"wind_velo_true [m/s]": 2.0, "wind_dir_true [rad]": 3.0},
+    **{"wind_velo_relative [m/s]": 2.0, "wind_dir_relative [rad]": 3.0},
+}
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("rev/s", None), ("rpm", 60.0), ("rad/s", 2 * np.pi)])
+def test_what_a_vehicle_has_is_looked_for_and_nothing_else(
+    unit: str, scale: float | None, tmp_path: Path
+) -> None:
+    guesses, found = _guesses(tmp_path, SHIP.format(thrust=PROPELLER.format(unit)), **TANK)
+    columns = {channel: guess.column.split(" ")[0] for channel, guess in guesses.items()}
+    assert columns == {
+        **{"x": "x_mid", "y": "y_mid", "psi": "psi_hat", "u": "u_velo", "v": "vm_velo", "r": "r_angvelo"},
+        **{"propeller": "n_prop", "rudder": "delta_rudder"},
+        **{"apparent_wind_speed": "wind_velo_relative", "apparent_wind_angle": "wind_dir_relative"},
+    }
+    assert found.ignored["a motion that the vehicle does not have"] == ("roll_rate [rad/s]",)
+    assert guesses["propeller"].entry.get("scale") == pytest.approx(scale), "turns a second in its own unit"
+    assert "unit" not in guesses["propeller"].entry, "a unit would make rad/s of it"
+    assert guesses["propeller"].doubt == "is it command 'propeller'?"
+    assert "where the wind seems to come from" in guesses["apparent_wind_angle"].doubt
+
+
+def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
+    ship = SHIP.format(thrust=PROPELLER.format("rev/s"))
+    guesses, _ = _guesses(tmp_path, ship, **{"yaw [deg/s]": 5.0, "engine [rpm]": 600.0, "north_mps": 1.0})
+    assert guesses["r"].doubt == "by its unit a velocity: is it r?"
+    assert guesses["u"].doubt == "by its unit a velocity: is it u?"
+    assert guesses["propeller"].column == "engine [rpm]"
+    assert guesses["propeller"].doubt == "is it command 'propeller'?"
+    assert guesses["propeller"].entry["scale"] == pytest.approx(1 / 60)
+    guesses, _ = _guesses(tmp_path, ship, **{"yaw_rate_rps": 0.1})
+    assert guesses["r"].entry["unit"] == "rad/s"
+    assert "rps: radians a second, or revolutions?" in guesses["r"].doubt
+
+
+@pytest.mark.parametrize(
+    ("thrust", "column"), [("", "left_force"), ("thrust_per_command = 20", "thr_left_pwm")]
+)
+def test_columns_that_count_what_the_vehicle_counts_come_first(
+    thrust: str, column: str, tmp_path: Path
+) -> None:
+    boat = SHIP.format(thrust=thrust).replace('"propeller"', '"port"')
+    guesses, _ = _guesses(tmp_path, boat, thr_left_pwm=1.0, left_force=20.0)
+    assert guesses["port"].column == column
+    assert guesses["port"].doubt.startswith("is it command 'port'?")
+    assert guesses["port"].entry.get("unit") == (None if thrust else "N")
+
+
+def test_axes_that_have_to_be_turned_keep_what_turns_them(tmp_path: Path) -> None:
+    """A hull that only surges, logged in east and north: its x is the y of the log."""
+    t = np.arange(0.0, 60.0, 0.1)
+    psi, u, v = 0.5 * np.sin(0.2 * t), 1.0 + 0.3 * np.sin(0.5 * t), 0.5 * np.cos(0.4 * t)
+    track = np.cumsum((u + 1j * v) * np.exp(1j * psi)) * 0.1
+    north, east = track.real, track.imag
+    (tmp_path / "hull.toml").write_text(SURGE)
+    hull = load_vehicle(tmp_path / "hull.toml")
+    table = pl.DataFrame({"t": t, "x": east, "y": north, "psi": psi, "u": u, "v": v, "tau_X": u})
+    found = guess_table(table, tmp_path / "own.csv", hull)
+    assert found.axes.entry["position"] == "ENU"
+    assert {g.channel for g in found.columns} == {"x", "y", "psi", "u", "v", "tau_X"}
+    plain = guess_table(table.rename({"x": "y", "y": "x"}), tmp_path / "own.csv", hull)
+    assert {g.channel for g in plain.columns} == {"x", "u", "tau_X"}

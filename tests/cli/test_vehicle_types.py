@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ from tests.cli.bad import refusal
 from undertow.cli.main import main
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
+from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 from undertow.model.plausibility import hints
 from undertow.model.vehicle import Value, Vehicle
+from undertow.shape.types import MainDimensions, typed_vehicle
 
 Capture = pytest.CaptureFixture[str]
 SIZES = {  # length, beam, height and mass of vehicles whose parameters are published
@@ -119,6 +122,23 @@ def test_vehicles_of_every_type_go_where_they_are_steered() -> None:
     sunk = run(glider.with_values({"B": heavier, "S_x": Value(2.0)}), {}, 60.0)
     assert sunk["theta"] < -0.1, "bow down"
     assert sunk["u"] > 3 * abs(sunk["w"]), "it glides, and does not drop"
+
+
+@pytest.mark.parametrize(
+    ("length", "beam", "draught", "mass"),
+    [(4.9, 2.4, 0.17, 180.0), (1.19, 0.93, 0.15, 15.0), (2.0, 1.08, 0.1341, 55.0)],
+    ids=["WAM-V", "BlueBoat", "Otter"],
+)
+def test_catamarans_float_on_two_slim_hulls(length: float, beam: float, draught: float, mass: float) -> None:
+    size = MainDimensions(length, beam, draught, mass)
+    text = typed_vehicle("asv", size, "cat")
+    assert f'm = {{ value = "{mass:g} kg"' in text
+    hollow = replace(size, mass=mass / 5)
+    with pytest.raises(UndertowError, match=r"possible: 0.045 to 0.98.*beam is overall.*height the draught"):
+        typed_vehicle("asv", hollow, "cat")
+    ship = replace(size, beam=0.2 * length, mass=0.09 * size.density * 0.2 * length**2 * draught)
+    with pytest.raises(UndertowError, match=r"block coefficient of 0.09 \(possible: 0.1 to 0.98\)"):
+        typed_vehicle("ship", ship, "mono")
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.model.plausibility import hints
+from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Value, Vehicle
 
 BOAT = """
@@ -198,3 +200,51 @@ def test_a_rudder_in_degrees_is_known_by_its_limit(tmp_path: Path) -> None:
     run = Run("degrees", t, values | {"rudder": 20.0 * np.sign(np.sin(t))})
     with pytest.raises(ut.UndertowError, match="rudder is in degrees, read as radians"):
         ut.fit(vehicle, [run])
+
+
+def test_inputs_that_no_effect_takes_yet_are_written_and_taken_by_the_effect_that_is_added(
+    tmp_path: Path,
+) -> None:
+    text = BOAT.format(**TRUTH)
+    wind = text[text.index("[effects.wind]") : text.index("[effects.supply_droop]")]
+    template, out = tmp_path / "boat.toml", tmp_path / "new.toml"
+    template.write_text(text.replace(wind, ""))
+    boat = load_vehicle(template)
+    unused = [line for line in hints(boat) if line.startswith("input ")]
+    assert [line.split()[1] for line in unused] == ["wind_speed", "wind_from"], "the voltage has its effect"
+    assert "(wind would)" in unused[0]
+    save_vehicle(boat, template, out)
+    assert load_vehicle(out).inputs == boat.inputs
+    windy = boat.with_effect(catalogue()["wind"], {"area_frontal": Value(0.4), "area_lateral": Value(1.1)})
+    assert windy.inputs == boat.inputs
+    assert "wind_speed" not in windy.parameter_names, "it comes from the log"
+    save_vehicle(windy, template, out)
+    assert load_vehicle(out).value_of("area_lateral").value == 1.1
+    assert not [line for line in hints(load_vehicle(out)) if line.startswith("input ")]
+
+
+OWN_EFFECT = """
+import sympy as sm
+from undertow import Parameter, Wrench
+
+
+class Ice(Wrench):
+    \"\"\"Ice that drags.\"\"\"
+
+    id = "ice"
+    family = "water"
+    reference = "none"
+    ice_cover = Parameter("1", "share of the water that is ice", (0, 1), logged=True)
+
+    def wrench(self, s):
+        return sm.Matrix([-self.ice_cover * s.nu[0], 0, 0, 0, 0, 0])
+"""
+
+
+def test_an_input_of_an_effect_of_the_user_that_the_vehicle_lacks_is_written(tmp_path: Path) -> None:
+    template, own, out = tmp_path / "boat.toml", tmp_path / "ice.py", tmp_path / "new.toml"
+    template.write_text(BOAT.format(**TRUTH).replace('"voltage"]', '"voltage", "ice_cover"]'))
+    own.write_text(OWN_EFFECT)
+    boat = load_vehicle(template, effect_files=[own])
+    save_vehicle(boat, template, out)
+    assert load_vehicle(out, effect_files=[own]).inputs == boat.inputs

@@ -25,6 +25,7 @@ from undertow.identification.report.sentences import (
     rises,
     shown,
     summarised,
+    useless,
 )
 
 REFITTED = Step(added=[], error=9.0, ahead={"5 s": 0.040, "20 s": 0.090, "free run": 0.3})
@@ -114,6 +115,9 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
     )
     assert first_sentence(found) == said
     assert summarised(found).headline == f"{said} What was tried."
+    useless_one = BETTER.model_copy(update={"channels": {"u": 0.5, "r": 2.0}})
+    poor = found.model_copy(update={"steps": [*found.steps[:-1], useless_one]})
+    assert summarised(poor).headline.startswith("Worse than no model at all in yaw (200 %):")
     command = next_command(found, LINE)
     assert shlex.split(command) == [
         *("undertow", "add", "lift", "my rov.toml", "a.csv", "b.csv", "--holdout", "c.csv"),
@@ -160,3 +164,13 @@ def test_what_is_unexplained_says_where_to_look() -> None:
     assert "an effect can be made of the force that is left in sway" in first_sentence(some)
     assert next_command(some, LINE) == "undertow effects new my_force --from found.json"
     assert "&& undertow effects new" in next_command(some, CommandLine())
+
+
+def test_a_model_worse_than_none_is_called_so() -> None:
+    """A share of 1 is the error of a model whose vehicle never moves."""
+    assert useless({"u": 0.4, "v": 1.0}) == ""
+    assert useless({"u": 0.4, "v": 3.5, "r": 2.02}) == (
+        "Worse than no model at all in sway and yaw (350 %, 202 %): first check sides and signs of the "
+        "commands and axes (undertow doctor)."
+    )
+    assert useless({"w": None}).startswith("Worse than no model at all in heave (diverging):")

@@ -156,6 +156,7 @@ class ReadOptions:
         one_motion: bool = False,
         on_rig: bool = False,
         budget: Budget | None = None,
+        out: Path | None = None,
     ) -> Loaded:
         """The vehicle, its logs and those for validation, with a progress bar.
 
@@ -163,12 +164,16 @@ class ReadOptions:
         that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank),
         `on_rig` those in which a rig holds motions of the vehicle.
         With a `budget`, the most informative stretches of logs that are too long are taken.
+        `out`: the vehicle file that is to be written after the work; what forbids that is refused now.
         """
         from undertow.identification.logs.reading import read_logs
         from undertow.model.loading import load_vehicle
+        from undertow.model.saving import rewritten
 
         with progress("reading the vehicle", None):
             model = load_vehicle(vehicle, effect_files=self.effects or ())
+            if out is not None:
+                rewritten(model, vehicle, out)
         opened: FieldLogs = {}
         paths = [*logs, *(holdout or ())]
         meanings = [self.meaning(path) for path in paths]

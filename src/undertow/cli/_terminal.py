@@ -378,7 +378,11 @@ class _Bar:
         with self._lock:
             if self._closed:
                 return
-            self._picture = Progress(console=console or _terminal(), transient=True)
+            # What is left is told from all that was done: minutes may pass between reports.
+            every = 3600.0
+            self._picture = Progress(
+                console=console or _terminal(), transient=True, speed_estimate_period=every
+            )
             self._task = self._picture.add_task(self._words, total=self._total)
             self._picture.start()
             self._draw()

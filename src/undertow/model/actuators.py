@@ -34,8 +34,8 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
     return Thruster(table.name, wrench, _thrust_per_command(place, table), limit, law, unit)
 
 
-# Revolutions per second of one unit, by name.
-_TURNS = {"rad/s": 1 / (2 * math.pi), "rev/s": 1.0, "rpm": 1 / 60}
+# Revolutions per second of one unit of the speed of a propeller, by name.
+TURNS = {"rad/s": 1 / (2 * math.pi), "rev/s": 1.0, "rpm": 1 / 60}
 PROPELLER_KEYS = ("K_T0", "K_T1", "wake_fraction", "thrust_deduction")
 
 
@@ -46,7 +46,7 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
         raise UndertowError(f"{place} says twice how it pushes, by {' and '.join(sorted(stated))}: keep one")
     if table.propeller is not None:
         unit = table.propeller.revolutions
-        return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), _TURNS[unit]), unit
+        return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]), unit
     if isinstance(table.curve, str):
         ours = bundled_curves().get(table.curve)
         settings = replace(_CURVES, error=_CURVES.bundled) if ours else _CURVES

@@ -251,7 +251,7 @@ def load_vehicle(
     table = read_vehicle_table(path)
     known = _known_effects(table, path, list(effect_files), trust_effects)
     try:
-        vehicle, remarks = _vehicle_and_remarks(table, known, path.parent)
+        vehicle, remarks = _vehicle_and_remarks(table, known, path.parent, {})
     except UndertowError as error:
         raise UndertowError(f"{path}: {error}") from error
     for line in remarks:
@@ -293,16 +293,23 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
     return merge(catalogue(), [cls for file in chosen for cls in load_effects(file)])
 
 
-def vehicle_from_table(table: VehicleTable, known: Catalogue, folder: Path = Path()) -> Vehicle:
-    """Build the vehicle that a validated file in a folder describes."""
-    return _vehicle_and_remarks(table, known, folder)[0]
+def vehicle_from_table(
+    table: VehicleTable, known: Catalogue, folder: Path = Path(), logged: Mapping[str, str] | None = None
+) -> Vehicle:
+    """Build the vehicle that a validated file in a folder describes.
+
+    `logged`: units of inputs that none of the `known` effects has to take.
+    """
+    return _vehicle_and_remarks(table, known, folder, logged or {})[0]
 
 
-def _vehicle_and_remarks(table: VehicleTable, known: Catalogue, folder: Path) -> tuple[Vehicle, list[str]]:
+def _vehicle_and_remarks(
+    table: VehicleTable, known: Catalogue, folder: Path, logged: Mapping[str, str]
+) -> tuple[Vehicle, list[str]]:
     thrusters = tuple(thruster_of(t, folder) for t in table.thrusters)
     names = tuple(t.name for t in thrusters)
     surfaces = tuple(surface_of(t, names) for t in table.surfaces)
-    inputs = _inputs(table.inputs, table.degrees_of_freedom, known)
+    inputs = _inputs(table.inputs, table.degrees_of_freedom, known, logged)
     effects = tuple(_chosen(effect_id, known)(names, surfaces, tuple(inputs)) for effect_id in table.effects)
     environment = {
         "rho": si_of("water_density", table.water_density, "kg/m^3"),
@@ -330,10 +337,13 @@ def _vehicle_and_remarks(table: VehicleTable, known: Catalogue, folder: Path) ->
     return vehicle, list(statements.differing())
 
 
-def _inputs(names: Sequence[str], dofs: Sequence[str], known: Catalogue) -> dict[str, str]:
+def _inputs(
+    names: Sequence[str], dofs: Sequence[str], known: Catalogue, logged: Mapping[str, str]
+) -> dict[str, str]:
     """Units of the logged quantities that a file takes as inputs: those of effects, and motions left out."""
     motions = dict(zip((*POSE, *VELOCITY), (*DOFS, *DOFS), strict=True))
-    units = logged_quantities(known) | {n: MOTION_UNITS[n] for n, dof in motions.items() if dof not in dofs}
+    left_out = {n: MOTION_UNITS[n] for n, dof in motions.items() if dof not in dofs}
+    units = logged_quantities(known) | left_out | dict(logged)
     for name in names:
         if motions.get(name) in dofs:
             dof = motions[name]

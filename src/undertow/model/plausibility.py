@@ -9,10 +9,11 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 
+from .catalogue import catalogue
 from .effect import Effect, VehicleSize
 from .kinematics import failing_pivot
-from .parameter import DerivativeMatrix, Limits, Range, declared
-from .symbols import DOFS, FORCE, symbol
+from .parameter import DerivativeMatrix, Limits, Range, declared, logged
+from .symbols import CHANNELS, DOFS, FORCE, symbol
 from .vehicle import Thruster, Value, Vehicle
 
 _LIMITS = Limits()
@@ -249,7 +250,7 @@ def hints(vehicle: Vehicle) -> list[str]:
 
     For instance "added_mass has no Y_vdot although sway is a degree of freedom: it counts as zero".
     """
-    sources = (_missing_entries, _undamped, _absent_companions, _without_influence, _assumed)
+    sources = (_missing_entries, _undamped, _absent_companions, _without_influence, _unused_inputs, _assumed)
     return [line for source in sources for line in source(vehicle)]
 
 
@@ -313,6 +314,14 @@ def _without_influence(vehicle: Vehicle) -> Iterator[str]:
     silent = [n for n, v in vehicle.values.items() if n not in vehicle.parameter_names and v.value]
     if silent:
         yield f"without influence in these degrees of freedom: {', '.join(silent)}"
+
+
+def _unused_inputs(vehicle: Vehicle) -> Iterator[str]:
+    taken = {d.name for effect in vehicle.all_effects for d in logged(type(effect))} | CHANNELS
+    for name in (n for n in vehicle.inputs if n not in taken):
+        takers = [e for e, cls in catalogue().items() if name in {d.name for d in logged(cls)}]
+        would = f" ({' or '.join(takers)} would)" if takers else ""
+        yield f"input {name} is taken by no effect of the vehicle{would}; logs have to hold it all the same"
 
 
 def _assumed(vehicle: Vehicle) -> Iterator[str]:

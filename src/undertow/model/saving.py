@@ -371,6 +371,13 @@ def save_vehicle(
     UndertowError
         If the template cannot be read or does not fit the vehicle, or `out` cannot be written.
     """
+    write_whole(out, rewritten(vehicle, template, out, history=history))
+
+
+def rewritten(
+    vehicle: Vehicle, template: str | Path, out: Path, *, history: Mapping[str, object] | None = None
+) -> str:
+    """The text that `save_vehicle` writes, with its refusals: for trying before the work is done."""
     path = resolve_vehicle(template)
     vehicle = _reconciled(vehicle, path)
     if out != path and out.exists() and out.samefile(path):
@@ -379,7 +386,7 @@ def save_vehicle(
         )
     text = _file_text(vehicle, path, history, out.parent)
     _check(text, vehicle, path, out.parent)
-    write_whole(out, text)
+    return text
 
 
 def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
@@ -418,7 +425,8 @@ def _check(text: str, vehicle: Vehicle, path: Path, folder: Path) -> None:
     """What is about to be written must say what the vehicle is."""
     known = {e.id: type(e) for e in vehicle.effects}
     try:
-        again = vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), known, folder)
+        table = VehicleTable.model_validate(tomllib.loads(text))
+        again = vehicle_from_table(table, known, folder, vehicle.inputs)
     except (UndertowError, ValidationError, tomllib.TOMLDecodeError) as error:
         raise UndertowError(f"{path} cannot carry the new values: {error}") from error
     for name in sorted({*vehicle.values, *again.values, *(f"thrust_{t.name}" for t in vehicle.thrusters)}):

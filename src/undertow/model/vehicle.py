@@ -48,6 +48,11 @@ class Thruster:
     law: Law = None  # how the command becomes thrust; None: in proportion
     command_unit: str = "command"  # unit of the command
 
+    @property
+    def unit(self) -> str:
+        """The same, N where one unit of the command is one newton of thrust."""
+        return "N" if self.law is None and self.thrust_per_command.value == 1.0 else self.command_unit
+
 
 # Where a vehicle file states the hardware that an effect stands for.
 _HARDWARE_TABLES = {Thrusters.id: "[[thrusters]]", ControlSurfaces.id: "[[surfaces]]"}
@@ -195,6 +200,11 @@ class Vehicle:
         forces = dict(zip((f"tau_{f}" for f in FORCE), FORCE_UNITS, strict=True))
         units = {t.name: t.command_unit for t in self.thrusters} | {s.name: "rad" for s in self.surfaces}
         return units | {n: forces[n] for n in self.force_channels} | dict(self.inputs)
+
+    @property
+    def input_units(self) -> dict[str, str]:
+        """The same, N where one unit of a command is one newton of thrust."""
+        return self.command_units | {t.name: t.unit for t in self.thrusters}
 
     @property
     def command_limits(self) -> dict[str, float]:

@@ -41,6 +41,9 @@ class TypeRules:
     wing_span: float = 0.67
     wing: float = 0.5  # sigma of the lift of wings whose plan is not known
     block: tuple[float, float] = (0.1, 0.98)  # displacement over length times beam times draught
+    # The least of two hulls over their overall beam, assumed: half of the 0.093 of a very slim and wide
+    # catamaran, hulls of L/b = 15 and block coefficient 0.4, half a length apart.
+    block_of_two: float = 0.045
     slender: float = 4.0  # length over beam of ships from which Clarke's regression was made, at least
     gyration: float = 0.25  # radius of gyration in yaw over length (Fossen 2021: 0.25 for small vessels)
     regression: float = 0.3  # sigma of Clarke's regression for ships
@@ -385,17 +388,21 @@ def _asv(size: MainDimensions) -> Made:
         for name, side in (("port", -1.0), ("starboard", 1.0))
     ]
     about = "A surface craft that steers by two propellers; commands are thrusts in N."
-    return about, _SHIP, _afloat(size, _small_hull(size)), hardware
+    return about, _SHIP, _afloat(size, _small_hull(size), _RULES.block_of_two), hardware
 
 
-def _afloat(size: MainDimensions, hull: list[EffectTable]) -> list[EffectTable]:
-    """Tables of a surface craft: body, resistance and cross-flow, and what is its hull's own."""
+def _afloat(
+    size: MainDimensions, hull: list[EffectTable], low: float = _RULES.block[0], high: float = _RULES.block[1]
+) -> list[EffectTable]:
+    """Tables of a surface craft: body, resistance and cross-flow, and what is its hull's own.
+
+    `low`, `high`: block coefficients that it may have.
+    """
     block = _block(size)
-    low, high = _RULES.block
     if not low <= block <= high:
         raise UndertowError(
             f"mass = {size.mass:g} kg is a block coefficient of {block:.3g} (possible: {low:g} to {high:g}): "
-            "correct the mass or a dimension; the height is the draught"
+            "correct the mass or a dimension; beam is overall (of two hulls: across both), height the draught"
         )
     inertia = _inertia(size)
     text = f"assumed: radius of gyration {_RULES.gyration:g} L (Fossen 2021)"

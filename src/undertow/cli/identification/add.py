@@ -60,7 +60,7 @@ def add(
     picture: Annotated[Path | None, _PICTURE] = None,
     json: JsonFileOption = None,
 ) -> int:
-    from undertow.files import check_writable, together, write_whole
+    from undertow.files import check_folder, check_writable, together, write_whole
     from undertow.identification.api import result_of, save_addition, try_effect
     from undertow.identification.long_logs.choosing import FIT
     from undertow.model.catalogue import lookup
@@ -70,7 +70,9 @@ def add(
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, picture, json, inputs=[*read, *([] if in_place else [vehicle])])
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT)
+    if target is not None and codegen:
+        check_folder(build)
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT, out=target)
     model, train, test, _, _ = loaded
     with progress("fitting the model as it is") as report:
         ground, addition = try_effect(

@@ -64,6 +64,9 @@ def compare(
 
 
 def _show(result: ComparisonResult) -> None:
+    from undertow.identification.report.sentences import useless
+    from undertow.model.symbols import VELOCITY
+
     section("Simulated against measured", _channels(result))
     section("Force that the model lacks", _forces(result))
     if any(cell.normalised is not None for cell in result.cells):
@@ -72,6 +75,11 @@ def _show(result: ComparisonResult) -> None:
     error = "diverged" if result.prediction_error is None else f"{100 * result.prediction_error:.3g} %"
     say(f"velocity error {result.horizon:g} s ahead: {error} (geometric mean)")
     say(f"{result.vehicle}: {result.headline}", "bold")
+    # Neither of a channel that rests: it has no share of its motion.
+    moving = (c for c in result.channels if c.ahead_relative is not None or c.ahead_rms is None)
+    doubt = useless({c.channel: c.ahead_relative for c in moving if c.channel in VELOCITY})
+    if doubt:
+        say(doubt, "yellow")
 
 
 def _channels(result: ComparisonResult) -> Any:

@@ -91,7 +91,7 @@ def diagnose(
 
     settings = Settings(false_alarm_rate=false_alarms, worth=worth)
     check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=SEARCH)
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=SEARCH, out=apply)
     parts = experiments(loaded.vehicle, loaded.runs, loaded.holdout)
     rig = on_rig(loaded.vehicle, [*loaded.runs, *loaded.holdout])
     written: list[tuple[DiagnosisResult, Path | None, Path | None]] = []

@@ -102,7 +102,7 @@ def fit(
     target = target_of(vehicle, out, in_place)
     read: list[str | Path] = [*logs, *(holdout or []), *options.files]
     check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=FIT)
+    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=FIT, out=target)
     model, train, test, _, _ = loaded
     parts = experiments(model, train, test)  # one, of the vehicle itself, where no rig holds a motion
     fits = []

@@ -50,7 +50,7 @@ def new(
         )
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading"):
-        guessed = guess_mapping(log, model.command_names if model else (), model.dof_indices if model else ())
+        guessed = guess_mapping(log, model)
     write_whole(out, guessed.text())
     rows = [(g.column, g.channel, str(g.entry.get("unit", ""))) for g in guessed.columns]
     section(f"{log}: guesses", table(("column", "channel", "unit"), rows))

@@ -82,7 +82,7 @@ _TANK = typer.Option(
     help="Virtual towing tank that was run (undertow tank): alone, or for what of --mesh was tested.",
 )
 _LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
-_BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width.")
+_BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width, of two hulls across both.")
 _HEIGHT = typer.Option("--height", metavar="M", help="With --type: overall; of ship and asv the draught.")
 _MASS = typer.Option("--mass", metavar="KG", help="Of the vehicle, dry.")
 _CG = typer.Option(

@@ -39,9 +39,8 @@ class Numeric:
     def units(self) -> dict[str, str]:
         """Unit of every state and command by name."""
         manifest = describe(self.functions)
-        thrust = [t.name for t in self.vehicle.thrusters if t.thrust_per_command.value == 1.0 and not t.law]
         units = {e.name: e.unit for e in (*manifest.states, *manifest.inputs)}
-        return units | dict.fromkeys(thrust, "N")
+        return units | {t.name: t.unit for t in self.vehicle.thrusters}
 
     def dead_time(self, p: Array | None = None) -> float:
         """Delay between command and thrust, s."""

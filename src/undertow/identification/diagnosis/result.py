@@ -138,13 +138,15 @@ class Step(ResultTable):
 
     `error` is that of the weak form, normalised (1 is the noise floor); `simulation` that of simulated
     windows of 5 s whose starts are estimated, in units of the noise; `prediction` the error of velocities 5 s
-    ahead in shares of their rms, and `ahead` the same over several horizons and over the whole run. `freed`
-    are values that the vehicle file holds fixed, fitted here with the rest.
+    ahead in shares of their rms, `channels` that of each (None: it diverges), and `ahead` the same as
+    `prediction` over several horizons and over the whole run. `freed` are values that the vehicle file holds
+    fixed, fitted here with the rest.
     """
 
     added: list[str]
     error: float
     prediction: float | None = None
+    channels: dict[str, float | None] = Field(default_factory=dict)
     simulation: float | None = None
     ahead: dict[str, float] = Field(default_factory=dict)
     freed: list[str] = Field(default_factory=list)

@@ -249,6 +249,10 @@ def dominated(
 _NOT_BEST = "others are better in nearly all resamples of the logs"
 
 
+# Share of the time of a round for trying candidates by the weak form; most goes into their simulation.
+_TRYING = 0.3
+
+
 class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
@@ -275,6 +279,9 @@ class _Selector:
     def _report(self, done: float, words: str) -> None:
         self._said(self._share + done / self._settings.most_effects, words)
 
+    def _tried(self, done: float, words: str) -> None:
+        self._report(_TRYING * done, words)
+
     def _step(self, graded: Sequence[Graded], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
 
@@ -286,7 +293,7 @@ class _Selector:
         best = self._best(current, graded)
         if best is not None or graded or not np.any(current.bench.base.disturbance):
             return current, best
-        slow = try_all(current.bench.without_disturbance(), self._known, self._report)
+        slow = try_all(current.bench.without_disturbance(), self._known, self._tried)
         best = self._best(slow, graded)
         if best is not None:
             return slow, best
@@ -305,7 +312,7 @@ class _Selector:
                 return done
         bench = rounds[-1].bench
         base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
-        return try_all(replace(bench, base=base), self._known, self._report)
+        return try_all(replace(bench, base=base), self._known, self._tried)
 
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads.
@@ -403,8 +410,13 @@ class _Selector:
 
     def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
         """How models predict once each is fitted as the result will be, on all cores."""
-        validator = self._validator
-        return list(mapped(lambda i: validator.squares_ahead(validator.final(fits[i])[0]), len(fits)))
+        validator, most, found = self._validator, len(fits), list[dict[float, Array]]()
+        for squares in mapped(lambda i: validator.squares_ahead(validator.final(fits[i])[0]), most):
+            found.append(squares)
+            if most > 1:  # else one of many pairs
+                share = _TRYING + (1.0 - _TRYING) * len(found) / most
+                self._report(share, f"refitted and simulated candidates: {len(found)} of {most}")
+        return found
 
     def _leading(
         self, findings: list[FoundEffect], ahead: Mapping[str, dict[float, Array]], bench: Bench

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -254,14 +254,19 @@ class SimulationValidator:
         names = ("free run" if h is None else f"{h:g} s" for h in self._ahead)
         return dict(zip(names, errors, strict=True))
 
-    def prediction(self, model: Fitted | Vehicle) -> float:
-        """The same over the short windows that decide."""
-        return self._errors(model, [self.windows])[0]
+    def prediction(self, model: Fitted | Vehicle) -> tuple[float, dict[str, float | None]]:
+        """The same over the short windows that decide, and that of each velocity, None where it diverges."""
+        (short,) = self._predicted(model, [self.windows])
+        parts = {n: float(e) if np.isfinite(e) else None for n, e in short.relative.items()}
+        return float(prediction_error(short)), parts
 
     def _errors(self, model: Fitted | Vehicle, windows: Iterable[Windows]) -> list[float]:
+        return [float(prediction_error(p)) for p in self._predicted(model, windows)]
+
+    def _predicted(self, model: Fitted | Vehicle, windows: Iterable[Windows]) -> Iterator[Prediction]:
         vehicles = self._vehicles(model)
         predictor = Predictor(vehicles[0], compiled=False)
-        return [float(prediction_error(predict_each(vehicles, w, predictor))) for w in windows]
+        return (predict_each(vehicles, w, predictor) for w in windows)
 
     def _vehicles(self, model: Fitted | Vehicle) -> list[Vehicle]:
         """The model as it is in each validation run."""

@@ -12,7 +12,11 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.actuators import TURNS
+from undertow.model.catalogue import catalogue
+from undertow.model.parameter import logged
+from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .guess_frames import Axes, axes_of, rate_of_heading, unit_of_heading
@@ -50,10 +54,10 @@ _UNITS = {
     "m": "m", "mm": "mm", "cm": "cm", "km": "km", "ft": "ft", "rad": "rad", "deg": "deg", "degrees": "deg",
     "mps": "m/s", "m s": "m/s", "m/s": "m/s", "mmps": "mm/s", "mm s": "mm/s", "mm/s": "mm/s", "kn": "knot",
     "kt": "knot", "kts": "knot", "knots": "knot", "radps": "rad/s", "rad s": "rad/s", "rad/s": "rad/s",
-    "rps": "rad/s", "degps": "deg/s", "dps": "deg/s", "deg s": "deg/s", "deg/s": "deg/s", "n": "N",
-    "nm": "N m", "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s", "sec": "s",
-    "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%", "v": "V",
-    "pwm": "pwm",
+    "rps": "rev/s", "rev/s": "rev/s", "degps": "deg/s", "dps": "deg/s", "deg s": "deg/s", "deg/s": "deg/s",
+    "n": "N", "nm": "N m", "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
+    "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%",
+    "v": "V", "pwm": "pwm",
 }  # fmt: skip
 _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
 _SPEEDS, _RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
@@ -75,8 +79,9 @@ _TURNS = {
 _MOVES = {
     "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
     "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
+    "vm": 1,  # v_m of the MMG model: sway velocity at midship
 }  # fmt: skip
-_OF_SPEED = {"vel", "velocity", "speed", "linear", "twist"}
+_OF_SPEED = {"vel", "velo", "velocity", "speed", "linear", "twist"}
 _OF_RATE = {"rate", "dot", "gyro", "angular", "omega", "angvel"}
 # Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
 _WANTED = {
@@ -90,10 +95,12 @@ _DRIVES = {
     "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
     "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
+_ABOUT_ELSE = {"wind"}  # what moves is not the vehicle
 # Other words for those of a command, the likeliest first.
 _ALSO = {
     "rudder": ("delta", "rud"),
     "prop": ("propeller", "thrust", "rpm", "rev"),
+    "propeller": ("prop", "rpm", "rev"),
     "port": ("ps", "left"),
     "starboard": ("stbd", "stb", "sb", "right"),
     "bow": ("bt",),
@@ -101,7 +108,21 @@ _ALSO = {
     "vertical": ("vert",),
     "tau": ("force",),
 }
-_NO_FIT = 9.0
+# Other words for those of a logged quantity that drives an effect.
+_SENSED = {
+    "apparent": {"relative", "rel", "app"},
+    "speed": {*_OF_SPEED, "spd"},
+    "angle": {"dir", "direction", "ang"},
+    "from": {"dir", "direction", "angle", "ang"},
+    "voltage": {"volt", "volts", "battery", "batt", "vbat"},
+}
+# What a command counts, by the unit of its column, and by words in the name of one that states none.
+_COUNTS = {
+    "N": "N", "rev/s": "rev/s", "rpm": "rev/s", "rad/s": "rev/s", "rad": "rad", "deg": "rad",
+    "pwm": "command", "%": "command", "us": "command",
+}  # fmt: skip
+_COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "angle": "rad", "throttle": "command"}
+_BY_UNIT, _NO_FIT = 2.9, 9.0
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
 
@@ -140,11 +161,11 @@ class Name:
 
         `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
         """
-        if set(self.words) & _WANTED:
+        if set(self.words) & {*_WANTED, *_DRIVES, *_ABOUT_ELSE}:
             return ""
         found = self._axis(only)
-        fits = {**dict.fromkeys(POSE[:3], _LENGTHS), **dict.fromkeys(POSE[3:], _ANGLES)}
-        fits |= {**dict.fromkeys(VELOCITY[:3], _SPEEDS), **dict.fromkeys(VELOCITY[3:], _RATES)}
+        units = (_LENGTHS, _ANGLES, _SPEEDS, _RATES | {"rev/s"})
+        fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
         return found if found and (not self.unit or self.unit in fits[found]) else ""
 
     def _axis(self, only: int | None) -> str:
@@ -161,6 +182,36 @@ class Name:
         if only is not None and words & {"position", "pos", "velocity", "vel", "speed", "angle", "rate"}:
             return (VELOCITY if speed or rate else POSE)[only]
         return ""
+
+    @property
+    def is_motion_by_unit(self) -> bool:
+        """Whether nothing but the unit says that a place or an angle is one of a velocity."""
+        of_motion = {*_MOVES, *_OF_SPEED, *_OF_RATE}
+        return self.unit in {*_SPEEDS, *_RATES, "rev/s"} and not of_motion & set(self.words)
+
+    @property
+    def counts(self) -> str:
+        """What the column of a command counts: "N", "rev/s", "rad", "command" (shares, pulses) or ""."""
+        return _COUNTS.get(self.unit) or next((_COUNTED[w] for w in self.words if w in _COUNTED), "")
+
+    def fits(self, command: str, unit: str) -> tuple[float, int]:
+        """How badly a column fits a command of a vehicle: its name, and what it counts; the least wins."""
+        wanted = _COUNTS.get(unit, unit)
+        name = self.drives(command)
+        if name == _NO_FIT and wanted == "rev/s" and _COUNTS.get(self.unit) == wanted:
+            name = _BY_UNIT
+        return name, 0 if self.counts == wanted else 2 if self.counts else 1
+
+    def senses(self, quantity: str, unit: str) -> tuple[float, int]:
+        """How badly a column fits a logged quantity, such as the speed of the wind; the least wins."""
+        wanted, words = quantity.lower().split("_"), set(self.words)
+        if self.column.lower() == quantity.lower():
+            return 0.0, 0
+        there = all({word, *_SENSED.get(word, ())} & words for word in wanted)
+        apparent = "apparent" in wanted or not {"apparent", *_SENSED["apparent"]} & words
+        dimension = next((d for d in (_LENGTHS, _ANGLES, _SPEEDS, {"V"}, {"N"}) if unit in d), {unit})
+        fits = there and apparent and self.unit in {"", *dimension}
+        return 2.0 if fits else _NO_FIT, len(words)
 
     def drives(self, command: str) -> float:
         """How badly a column fits a command: 0 the same name, 1 the same words, more for others."""
@@ -265,16 +316,14 @@ def _key(name: str) -> str:
 
 
 # --- from a table -----------------------------------------------------------------------------------
-def guess_mapping(
-    path: Path, commands: Sequence[str] = (), degrees_of_freedom: Sequence[int] = ()
-) -> GuessedMapping:
+def guess_mapping(path: Path, vehicle: Vehicle | None = None) -> GuessedMapping:
     """Guess what the columns of a log mean.
 
     Parameters
     ----------
     path : Path
         CSV, CSV.gz or Parquet.
-    commands, degrees_of_freedom
+    vehicle : Vehicle, optional
         As for `guess_table`.
 
     Raises
@@ -283,14 +332,13 @@ def guess_mapping(
         If the file cannot be read, or no column counts the time.
     """
     table, reading = _table(path)
-    return guess_table(table, path, commands, degrees_of_freedom, reading)
+    return guess_table(table, path, vehicle, reading)
 
 
 def guess_table(
     table: pl.DataFrame,
     path: Path,
-    commands: Sequence[str] = (),
-    degrees_of_freedom: Sequence[int] = (),
+    vehicle: Vehicle | None = None,
     reading: LogMapping | None = None,
 ) -> GuessedMapping:
     """Guess what the columns of a table mean.
@@ -301,10 +349,9 @@ def guess_table(
         The table, or its first rows.
     path : Path
         The log it comes from.
-    commands : sequence of str
-        Commands of the vehicle; without them what looks like a command keeps its name.
-    degrees_of_freedom : sequence of int
-        Places of the degrees of freedom of the vehicle among the six; empty if it is not known.
+    vehicle : Vehicle, optional
+        Whose motions, commands and inputs are looked for; without it all motions are, and what looks like a
+        command keeps its name.
     reading : LogMapping, optional
         How its text was written.
 
@@ -318,17 +365,21 @@ def guess_table(
     time = _time(table, data, f"log {path}")
     t = data.get(time.column, np.zeros(0)) * _seconds(str(time.entry["unit"]))
     names = [Name.of(column) for column in data if column != time.column]
-    only = degrees_of_freedom[0] if len(degrees_of_freedom) == 1 else None
+    only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     motion = _best(names, only)
     heading = _heading(motion, data, t)
-    driving = _commands([n for n in names if n not in motion.values()], commands)
+    units = vehicle.input_units if vehicle else {}
+    driving = _commands([n for n in names if n not in motion.values()], vehicle)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
     read = _rates_by_heading(read, {n: data[n.column] for n in names}, t)
-    read += [_command(command, name, data[name.column]) for command, name in driving.items()]
+    axes = axes_of({g.channel: data[g.column] * _factor(g) for g in read}, t)
+    read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
+    read += [_command(command, name, data[name.column], units) for command, name in driving.items()]
     used = {time.column, *(g.column for g in read), *(str(g.entry.get("fresh", "")) for g in read)}
-    questions = [_LACKING.format(c) for c in commands if c not in driving]
+    commands = vehicle.command_names if vehicle else ()
+    questions = [_LACKING.format(c) for c in commands if c not in {g.channel for g in read}]
     questions += [
         _FLAG.format(f) for f, column in flags.items() if f not in used and len(np.unique(column)) > 1
     ]
@@ -336,18 +387,24 @@ def guess_table(
         path.name,
         time,
         tuple(read),
-        axes_of({g.channel: data[g.column] * _factor(g) for g in read if g.channel in UNITS}, t),
-        _ignored(table.columns, used, data, only),
+        axes,
+        _ignored(table.columns, used, data, only, {*motion} - {g.channel for g in read}),
         reading.delimiter,
         tuple(questions),
     )
 
 
-_LACKING = "no column looks like command '{}' of the vehicle: which one is it, in what unit?"
+_LACKING = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
 _FLAG = (
     "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
     'fresh = "{0}"'
 )
+
+
+def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
+    """Channels of pose and velocity that a vehicle has, and those without which axes cannot be turned."""
+    turned = () if axes.entry == Axes().entry else ("x", "y", "psi", "u", "v")
+    return {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turned}
 
 
 def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:
@@ -425,16 +482,17 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
     return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
 
 
-def _commands(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]:
-    """The column of each command: of those of the vehicle, or of whatever looks like one."""
-    if not commands:
+def _commands(names: Sequence[Name], vehicle: Vehicle | None) -> dict[str, Name]:
+    """The column of each command and input: of those of the vehicle, or of whatever looks like a command."""
+    if vehicle is None:
         return {name.column: name for name in names if name.is_command and not set(name.words) & _WANTED}
     found: dict[str, Name] = {}
-    for command in commands:
-        known = [n for n in names if n not in found.values()]
-        fits = sorted((name.drives(command), k) for k, name in enumerate(known))
+    for command, unit in vehicle.input_units.items():
+        known = [n for n in names if n not in found.values() and command not in MOTION_UNITS]
+        fitting = Name.senses if command in vehicle.inputs else Name.fits
+        fits = sorted((*fitting(name, command, unit), k) for k, name in enumerate(known))
         if fits and fits[0][0] < _NO_FIT:
-            found[command] = known[fits[0][1]]
+            found[command] = known[fits[0][2]]
     return found
 
 
@@ -442,6 +500,10 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
     values, doubt, unit = data[name.column], "", name.unit
     if not unit:
         unit, doubt = _unit(channel, values)
+    elif name.is_motion_by_unit:
+        doubt = f"by its unit a velocity: is it {channel}?"
+    if unit == "rev/s":
+        unit, doubt = "rad/s", f"{doubt} rps: radians a second, or revolutions?".strip()
     entry: dict[str, object] = {"channel": channel, "unit": unit}
     if channel == "psi":
         entry["wrapped"] = True
@@ -533,34 +595,56 @@ def _factor(guess: Guess) -> float:
     return scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
 
 
-def _command(command: str, name: Name, values: Array) -> Guess:
-    """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared."""
+def _command(command: str, name: Name, values: Array, units: Mapping[str, str]) -> Guess:
+    """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared.
+
+    `units`: those of the commands and inputs of the vehicle, by name; none without a vehicle.
+    """
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
+    unit, quantity = units.get(command, ""), _quantities().get(command, "")
     doubt, asked = "", f"is it command '{command}'? " if name.drives(command) >= 2.0 else ""
     low, high = SETTINGS.pulse
     pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off
     if command in FORCES:
         entry["unit"] = UNITS[command]
+    elif quantity:
+        entry["unit"] = name.unit or unit
+        asked = "" if name.column.lower() == command else f"is it {command}: {quantity}? "
+        doubt = "" if name.unit else f"no unit in the name: is it in {unit}?"
+    elif unit in TURNS:
+        stated = TURNS.get(name.unit)
+        entry |= {} if stated in (None, TURNS[unit]) else {"scale": stated / TURNS[unit]}
+        doubt = "" if stated else f"from {least:.3g} to {most:.3g}: is it in {unit}?"
+    elif unit == "N" == name.counts and not name.unit:
+        entry["unit"], doubt = "N", "no unit in the name: is it in N?"
     elif name.unit in ("N", "deg", "rad", "V"):
         entry["unit"] = name.unit
-    elif name.unit == "rpm" or {"rpm", "rev"} & set(name.words):
+    elif name.counts == "rev/s":
         entry["power"] = 2
-        doubt = (
-            "revolutions: thrust rises with n |n|; what is the force of one turn a minute squared (scale, N)?"
-        )
+        turn = name.unit if name.unit in TURNS else "the unit"
+        doubt = f"revolutions: thrust rises with n |n|; what is the force of one ({turn}) squared (scale, N)?"
     elif len(pulses) and low <= np.min(pulses) and most <= high:
         entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})
         doubt = f"pulses from {np.min(pulses):.4g} to {most:.4g} us, as -1 ... 1 about 1500: is it so?"
+        if unit == "N":
+            doubt += (
+                " The vehicle counts it in N: a curve in its file, or the force of a full command as scale"
+            )
     elif max(most, -least) > SETTINGS.full:
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
 
 
+def _quantities() -> dict[str, str]:
+    """What the quantities are that effects take from logs, by name."""
+    return {d.name: d.about for cls in catalogue().values() for d in logged(cls)}
+
+
 def _ignored(
-    columns: Sequence[str], used: set[str], data: Mapping[str, Array], only: int | None
+    columns: Sequence[str], used: set[str], data: Mapping[str, Array], only: int | None, foreign: set[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Columns that are left out, by the reason."""
+    """Columns that are left out, by the reason; `foreign`: channels that the vehicle does not have."""
     found: dict[str, list[str]] = {}
     for column in columns:
         if column in used:
@@ -570,6 +654,8 @@ def _ignored(
             reason = "not numbers"
         elif set(name.words) & _WANTED:
             reason = "wanted of the vehicle, or about something else"
+        elif name.motion(only) in foreign:
+            reason = "a motion that the vehicle does not have"
         elif name.motion(only):
             reason = "another column looks more like the measurement"
         else:

@@ -199,7 +199,7 @@ def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
 
 def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
     """The run, with a word on outputs of motors, from -1 to 1, that a vehicle takes for newtons."""
-    plain = [t.name for t in vehicle.thrusters if t.law is None and t.thrust_per_command.value == 1.0]
+    plain = [t.name for t in vehicle.thrusters if t.unit == "N"]
     outputs = [run.channels[name] for name in plain if run.has(name)]
     if not outputs or not run.reader_notes or not np.nanmax(np.abs(outputs), initial=0.0) <= 1.0:
         return run

@@ -120,18 +120,12 @@ _BADLY = 0.3
 _DETERMINED = 0.3
 
 
-def command_unit(vehicle: Vehicle, name: str) -> str:
-    """Unit of a command: N (N m) where one unit of it is one of thrust, else "command"."""
-    in_newton = {t.name: "N" for t in vehicle.thrusters if t.thrust_per_command.value == 1.0 and not t.law}
-    return in_newton.get(name, vehicle.command_units[name])
-
-
 def commands_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> list[PlannedCommand]:
     """Every command with its limit and what the manoeuvre makes of it."""
     return [
         PlannedCommand(
             name=name,
-            unit=command_unit(problem.vehicle, name),
+            unit=problem.vehicle.input_units[name],
             limit=float(problem.limits.value[i]),
             limit_from=problem.limits.source[i],
             trim=float(problem.trim.commands[i]),

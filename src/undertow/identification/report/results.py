@@ -20,7 +20,7 @@ from undertow.identification.long_logs.result import LongLogs
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
-from .sentences import changes, rises, shown
+from .sentences import changes, rises, shown, useless
 
 
 class FittedParameter(ResultTable):
@@ -92,7 +92,8 @@ class FitResult(ResultTable):
             {h: e for h, e in ahead.items() if e is not None}
             for ahead in (self.ahead_before, self.ahead_after)
         )
-        return f"Refitting {changes(before, after) or 'changes nothing'} on the validation data."
+        said = f"Refitting {changes(before, after) or 'changes nothing'} on the validation data."
+        return f"{said} {useless({c.velocity: c.after for c in self.channels})}".strip()
 
 
 def channel_errors(before: Mapping[str, float], after: Mapping[str, float]) -> list[ChannelError]:
@@ -144,7 +145,11 @@ def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) ->
 
 
 def addition_sentence(addition: Addition) -> str:
-    """What an effect does to the error, and whether chance would do as much."""
+    """What an effect does to the error, whether chance would do as much, and if the model is any good."""
+    return f"{_what_it_does(addition)} {useless(addition.after.channels)}".strip()
+
+
+def _what_it_does(addition: Addition) -> str:
     ahead = changes(addition.before.ahead, addition.after.ahead)
     change = f"Adding {addition.effect} {ahead or 'changes no prediction'} on the validation data"
     if addition.helps:

@@ -10,6 +10,7 @@ from pathlib import PurePath
 
 from undertow.errors import listed
 from undertow.identification.diagnosis.result import Diagnosis, Step
+from undertow.model.symbols import DOFS, VELOCITY
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,23 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     return listed([part for part in parts if part])
 
 
+def useless(relative: Mapping[str, float | None]) -> str:
+    """A sentence on velocities that are predicted worse than by no model at all; none where all are better.
+
+    `relative`: errors of predicted velocities as shares of their rms, None or infinite where they diverge. A
+    model of a vehicle that never moves has 1.
+    """
+    worse = {n: e for n, e in relative.items() if e is None or not e <= 1.0}
+    if not worse:
+        return ""
+    motions = listed([DOFS[VELOCITY.index(n)] for n in worse])
+    sizes = ", ".join(shown(e, 3) + ("" if e is None or not isfinite(e) else " %") for e in worse.values())
+    return (
+        f"Worse than no model at all in {motions} ({sizes}): first check sides and signs of the commands and "
+        "axes (undertow doctor)."
+    )
+
+
 def errors(ahead: Mapping[str, float]) -> str:
     """Errors by horizon: "a 5-s error of 1.6 % and a 20-s error of 3.3 %"."""
     return listed([f"a {_error(h)} of {shown(ahead.get(h))} %" for h in _horizons([ahead])])
@@ -114,7 +132,8 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
     """A diagnosis whose headline begins with what was found in errors of prediction."""
     if not diagnosis.steps:
         return diagnosis
-    return diagnosis.model_copy(update={"headline": f"{first_sentence(diagnosis)} {diagnosis.headline}"})
+    parts = (useless(diagnosis.last_step.channels), first_sentence(diagnosis), diagnosis.headline)
+    return diagnosis.model_copy(update={"headline": " ".join(filter(None, parts))})
 
 
 def first_sentence(diagnosis: Diagnosis) -> str:
