@@ -16,11 +16,21 @@ from undertow.typing import Array, Flags
 from .attitude import Interval, enclose
 from .commands import Commands
 from .definite import (
-    ROOM, along, bounded, covers, doubled, flat, mean_roots, positive, rows_of, touched, widest,
-)  # fmt: skip
+    ROOM,
+    along,
+    bounded,
+    covers,
+    doubled,
+    flat,
+    mean_roots,
+    positive,
+    rows_of,
+    touched,
+    widest,
+)
 from .embedding import Boxes, Corners, Embedding, certainly_positive, count_of, halved, point
 from .problem import Problem
-from .result import Quadratic
+from .result import Quadratic, together
 from .semidefinite import Form, solved
 
 
@@ -135,7 +145,7 @@ class Search:
                 return None
             bounds, one = proof
             proofs.append(one)
-        return _together(proofs, self.loop)
+        return together(proofs, self.loop.half_turn)
 
     @property
     def centres(self) -> Array:
@@ -671,19 +681,3 @@ class Program:
             commands=largest,
             start=float(proposal.start),
         )
-
-
-def _together(proofs: Sequence[Quadratic], loop: Embedding) -> Quadratic:
-    """One statement of what was proved for ranges of headings, those of the other half of a turn with it."""
-    P = np.concatenate([p.P for p in proofs])
-    if len(proofs) > 1:
-        P = np.concatenate([P, P * np.outer(loop.half_turn, loop.half_turn)])
-    return Quadratic(
-        P=P,
-        frame=proofs[0].frame,
-        errors=np.max([p.errors for p in proofs], axis=0),
-        speeds=np.max([p.speeds for p in proofs], axis=0),
-        starts=np.min([p.starts for p in proofs], axis=0),
-        commands=np.max([p.commands for p in proofs], axis=0),
-        start=max(p.start for p in proofs),
-    )
