@@ -95,3 +95,16 @@ def doubled(P: Array, A: Array) -> Array:
     """P A + A' P."""
     held = P @ A
     return np.asarray(held + np.swapaxes(held, -1, -2))
+
+
+def touched(B: Array, row: Array) -> Any:
+    """Places of the states that a row is about, with those that P ties to them."""
+    found: Flags = row != 0
+    for _ in range(2):
+        found = found | (np.abs(B).sum(axis=0)[found].sum(axis=0) > 0)
+    return np.flatnonzero(found)
+
+
+def along(P: Array, A: Array, x: Array) -> Array:
+    """x' P A x for directions x (k, size) and matrices A (k, ends, size, size)."""
+    return np.asarray(np.einsum("ks,kest,kt->ke", x @ P, A, x))

@@ -15,10 +15,22 @@ from undertow.typing import Array, Flags
 
 from .attitude import Interval, enclose
 from .commands import Commands
-from .definite import ROOM, bounded, covers, doubled, flat, mean_roots, positive, rows_of, widest
+from .definite import (
+    ROOM,
+    along,
+    bounded,
+    covers,
+    doubled,
+    flat,
+    mean_roots,
+    positive,
+    rows_of,
+    touched,
+    widest,
+)
 from .embedding import Boxes, Corners, Embedding, certainly_positive, count_of, halved, point
 from .problem import Problem
-from .result import Quadratic
+from .result import Quadratic, together
 from .semidefinite import Form, solved
 
 
@@ -133,7 +145,7 @@ class Search:
                 return None
             bounds, one = proof
             proofs.append(one)
-        return _together(proofs, self.loop)
+        return together(proofs, self.loop.half_turn)
 
     @property
     def centres(self) -> Array:
@@ -360,7 +372,7 @@ class Program:
         for k in range(1, SETTINGS.starts + 1):
             x = vectors[..., -k]
             for _ in range(SETTINGS.steps):
-                worst = [np.argmax(_along(P, e, x), axis=-1) for e in added]
+                worst = [np.argmax(along(P, e, x), axis=-1) for e in added]
                 rows = np.arange(len(own))
                 whole = own + sum(e[rows, w] for e, w in zip(added, worst, strict=True))
                 values, turned = np.linalg.eigh(doubled(P, whole))
@@ -419,7 +431,7 @@ class Program:
         for row, dual in zip(rows, solution.duals[len(keys) + 1 :], strict=False):
             if row.velocity is not None:
                 own = row.states @ T
-                slopes[row.velocity] += 2 * float(dual[-1, :-1] @ own[_touched(B, own)]) / row.bound
+                slopes[row.velocity] += 2 * float(dual[-1, :-1] @ own[touched(B, own)]) / row.bound
         sizes = np.array([np.abs(dual).max() for dual in solution.duals[: len(keys)]])
         active = {k for k, size in zip(keys, sizes, strict=True) if size > SETTINGS.idle * sizes.max()}
         return Proposal(P, float(cost @ solution.x), slopes, active)
@@ -442,7 +454,7 @@ class Program:
     def _within(self, row: Array, bound: float) -> Form:
         """[P, row; row', bound^2] >= 0 on the states that belong to the row: |row z| < bound on V < 1."""
         B = self.basis
-        own = _touched(B, row)
+        own = touched(B, row)
         m = len(own)
         forms = np.zeros((len(B), m + 1, m + 1))
         forms[:, :m, :m] = B[:, own[:, None], own]
@@ -669,32 +681,3 @@ class Program:
             commands=largest,
             start=float(proposal.start),
         )
-
-
-def _touched(B: Array, row: Array) -> Any:
-    """Places of the states that a row is about, with those that P ties to them."""
-    found: Flags = row != 0
-    for _ in range(2):
-        found = found | (np.abs(B).sum(axis=0)[found].sum(axis=0) > 0)
-    return np.flatnonzero(found)
-
-
-def _together(proofs: Sequence[Quadratic], loop: Embedding) -> Quadratic:
-    """One statement of what was proved for ranges of headings, those of the other half of a turn with it."""
-    P = np.concatenate([p.P for p in proofs])
-    if len(proofs) > 1:
-        P = np.concatenate([P, P * np.outer(loop.half_turn, loop.half_turn)])
-    return Quadratic(
-        P=P,
-        frame=proofs[0].frame,
-        errors=np.max([p.errors for p in proofs], axis=0),
-        speeds=np.max([p.speeds for p in proofs], axis=0),
-        starts=np.min([p.starts for p in proofs], axis=0),
-        commands=np.max([p.commands for p in proofs], axis=0),
-        start=max(p.start for p in proofs),
-    )
-
-
-def _along(P: Array, A: Array, x: Array) -> Array:
-    """x' P A x for directions x (k, size) and matrices A (k, ends, size, size)."""
-    return np.asarray(np.einsum("ks,kest,kt->ke", x @ P, A, x))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -144,6 +145,22 @@ class Quadratic:
         """P for a heading of the set-point, rad."""
         share = heading / (2 * np.pi) % 1.0
         return np.asarray(self.P[min(int(share * len(self.P)), len(self.P) - 1)])
+
+
+def together(proofs: Sequence[Quadratic], half_turn: Array) -> Quadratic:
+    """One statement of what was proved for ranges of headings, those of the other half of a turn with it."""
+    P = np.concatenate([p.P for p in proofs])
+    if len(proofs) > 1:
+        P = np.concatenate([P, P * np.outer(half_turn, half_turn)])
+    return Quadratic(
+        P=P,
+        frame=proofs[0].frame,
+        errors=np.max([p.errors for p in proofs], axis=0),
+        speeds=np.max([p.speeds for p in proofs], axis=0),
+        starts=np.min([p.starts for p in proofs], axis=0),
+        commands=np.max([p.commands for p in proofs], axis=0),
+        start=max(p.start for p in proofs),
+    )
 
 
 @dataclass(frozen=True)
