@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -37,6 +38,8 @@ class ClockSettings:
     command_steps: float = 3.0
     cluster: int = 8  # neighbouring test functions that count as one
     starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays of commands to begin with, s
+    # Standard errors by which a motion before its commands contradicts a choice of which source is late.
+    acausal: float = 3.0
     gained: float = 0.1  # share of the misfit that a delay or drift of commands must explain
 
 
@@ -45,7 +48,7 @@ SETTINGS = ClockSettings()
 
 @dataclass(frozen=True)
 class Latency:
-    """How late a source is against another, the one against which that is most certain."""
+    """How late a source is against another, the one against which that is most certain; early if negative."""
 
     names: tuple[str, ...]
     against: tuple[str, ...]
@@ -55,7 +58,7 @@ class Latency:
 
     def clear(self, step: float) -> bool:
         """Whether the delay is certain, and matters at a sampling step of so many s."""
-        return self.delay > max(SETTINGS.sure * self.error, SETTINGS.steps * step)
+        return abs(self.delay) > max(SETTINGS.sure * self.error, SETTINGS.steps * step)
 
 
 def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
@@ -70,7 +73,28 @@ def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
     late = [one.names for one in found if one.clear(runs[0].step)]
     prompt = tuple(n for names in sources if names not in late for n in names)
     beside = [one for one in found if one.names not in late]
-    return [*(one for one in _compared(kinematics, runs, [prompt, *late]) if one.names in late), *beside]
+    again = [one for one in _compared(kinematics, runs, [prompt, *late]) if one.names in late]
+    return [*_confirmed(kinematics, runs, again), *beside]
+
+
+def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]) -> list[Latency]:
+    """Latencies without which pose rates and velocities agree clearly better, all of the rest beside them.
+
+    Gauss-Newton on a lateness that is not there may come to rest where it explains an error of another kind.
+    """
+    clear = [one for one in found if one.clear(runs[0].step)]
+    known = kinematics.rates(runs)
+    weight = 1.0 / np.sqrt(known.variance + 1e-12 * np.mean(known.pose**2 + known.velocity**2, axis=0))
+
+    def misfit(chosen: Sequence[Latency]) -> float:
+        rates = kinematics.rates(without_latencies(runs, chosen))
+        return float(np.sum(((rates.pose - rates.velocity) * weight) ** 2))
+
+    choices = [c for size in range(len(clear) + 1) for c in combinations(clear, size)]
+    left = np.array([misfit(c) for c in choices])
+    each = SETTINGS.sure**2 * max(1.0, float(left.min()) / weight.size)
+    best = choices[int(np.argmin(left + each * np.array([len(c) for c in choices])))]
+    return [one for one in found if one in best or one not in clear]
 
 
 def _compared(kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]) -> list[Latency]:

@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.files import read_json
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.trial import Bench, open_bench, screen
-from undertow.identification.doctor.impossible import allocation
+from undertow.identification.doctor.forces import allocation
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
