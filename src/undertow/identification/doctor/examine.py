@@ -17,7 +17,7 @@ from undertow.typing import Array, Progress
 from undertow.version import __version__
 
 from . import mistakes, sensors
-from .clocks import clock_findings, command_clock, delay_edits, latencies, without_latencies
+from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .dynamics import (
     Dynamics,
     dynamic_mistakes,
@@ -279,7 +279,7 @@ class _Examiner:
         kinematics = self.kinematics
         self.findings += sensors.not_compared(kinematics, self.vehicle)
         if kinematics:
-            found = latencies(kinematics, self.runs)
+            found = causal(self.vehicle, self.runs, latencies(kinematics, self.runs))
             prompt = without_latencies(self.runs, found)
             self.findings += sensors.sensor_findings(kinematics, prompt)
             self.findings += clock_findings(kinematics, self.runs, found, self.mapping)

@@ -30,9 +30,7 @@ class SignSettings:
     """From where on gains say that commands are wired, named or signed wrongly."""
 
     samples: int = 2000  # samples of a run that are looked at, the most active
-    width: float = (
-        2.0  # of test functions, in the narrowest that the sampling allows
-    )
+    width: float = 2.0  # of test functions, in the narrowest that the sampling allows
     cluster: int = 8  # neighbouring test functions that count as one, since they overlap
     distinct: float = 1e-4  # share (squared) by which commands must differ to have gains of their own
     # Share of what nothing else explains that commands must explain for a motion to be evidence.
@@ -182,7 +180,8 @@ class Signs:
         gained = self.given.contradiction - other.contradiction
         tells = np.abs(gained) > SETTINGS.shows**2
         agree = np.sum(gained[tells] > 0) >= SETTINGS.agreeing * np.sum(tells)
-        return bool(agree and gained.sum() > SETTINGS.sure**2 * other.spread)
+        more = other.explained > self.given.explained
+        return bool(agree and more and gained.sum() > SETTINGS.sure**2 * other.spread)
 
     def text(self) -> tuple[str, dict[str, float]]:
         """The gains that are negative, in words and in numbers."""
@@ -190,8 +189,8 @@ class Signs:
         for dof, command in dict.fromkeys(key for of in self.given.gains for key in of):
             values = np.array([of[dof, command] for of in self.given.gains if (dof, command) in of])
             gain, error = _mean(*values.T)
-            if gain < -SETTINGS.shows * error:
-                sure = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
+            sure = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
+            if gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values):
                 runs = f" ({sure} of {len(values)} runs show it)" if len(values) > 1 else ""
                 parts.append(f"{dof} answers {command} by {gain:.2g} ± {error:.1g}{runs}")
                 evidence |= {f"{dof}_{command}": gain, f"{dof}_{command}_error": error}
@@ -202,9 +201,9 @@ def _remaining(weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight]
     """Mistakes that do as well as the best of the good ones, the simplest first."""
     if not good:
         return []
-    best = min(good, key=lambda w: (w.total, -w.explained))
+    enough = SETTINGS.as_good * max(w.explained for w in good)
+    best = min((w for w in good if w.explained >= enough), key=lambda w: w.total)
     near = best.total + SETTINGS.excluded**2 * best.spread
-    enough = SETTINGS.as_good * best.explained
     return sorted((m for m, w in weighed if w.total <= near and w.explained >= enough), key=lambda m: m.count)
 
 
