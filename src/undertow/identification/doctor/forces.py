@@ -116,7 +116,8 @@ class StatedForces(Forces):
             actuation[:, [k for k in group if k < last]] = 0.0
             after = self._forcing(run, present, actuation)
             given[:, :, group[-1]], before = before - after, after
-        return np.where(np.isnan(u).any(axis=1)[:, None, None], np.nan, given)
+        given[~np.isfinite(u).all(axis=1)] = np.nan
+        return given
 
     def _forcing(self, run: Run, u: Array, actuation: Array) -> Array:
         """Force at rest of the acceleration, (N, n); pose that the log lacks is zero."""

@@ -66,7 +66,9 @@ class Responses:
     def of(self, runs: Sequence[Run]) -> list[Response]:
         """Responses of every motion whose inertia is known to every command and to all together."""
         table = self._forces.table(runs, self.settings)
-        rows = range(len(self.vehicle.dof_indices) if table is not None else 0)
+        if table is None:
+            return []
+        rows = range(len(self.vehicle.dof_indices))
         return [r for row in rows if self._known(row) for r in self._row(table, row)]
 
     def _known(self, row: int) -> bool:

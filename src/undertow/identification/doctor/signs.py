@@ -185,7 +185,8 @@ class Signs:
 
     def text(self) -> tuple[str, dict[str, float]]:
         """The gains that are negative, in words and in numbers."""
-        parts, evidence = [], {}
+        parts: list[str] = []
+        evidence: dict[str, float] = {}
         for dof, command in dict.fromkeys(key for of in self.given.gains for key in of):
             values = np.array([of[dof, command] for of in self.given.gains if (dof, command) in of])
             gain, error = _mean(*values.T)
