@@ -239,13 +239,14 @@ def by_signs(
     if found is None:
         possible = signs.possible(known()) if signs.given.total > SETTINGS.sure**2 else []
     else:
-        others = [m for m in known() if m.clause != found.mistake.clause]
-        possible = signs.not_excluded([found.mistake, *others])
+        others = known()
+        own = [] if any(m.clause == found.mistake.clause for m in others) else [found.mistake]
+        possible = signs.not_excluded([*own, *others])
     why, evidence = signs.text()
     if not possible or (found is None and not evidence):
         return found
     clauses = ", or ".join(m.clause for m in possible)
-    if found is not None and (not evidence or possible == [found.mistake]):
+    if found is not None and (not evidence or [m.clause for m in possible] == [found.mistake.clause]):
         return replace(found, mistake=possible[0], rivals=possible[1:], text=clauses + _reason(found))
     return Explanation(possible[0], f"{clauses}: {why}", evidence, possible[1:])
 
