@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -11,9 +12,10 @@ from undertow.identification.estimation.residual import whitened
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .dynamics import Dynamics
+from .dynamics import Dynamics, dynamics_of
 from .findings import Edits, Finding, as_toml, delay_edit
 from .kinematics import Kinematics, Samples, Stretch
 from .mistakes import Undo, with_channels
@@ -37,6 +39,8 @@ class ClockSettings:
     command_steps: float = 3.0
     cluster: int = 8  # neighbouring test functions that count as one
     starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays of commands to begin with, s
+    # Standard errors by which a motion before its commands contradicts a choice of which source is late.
+    acausal: float = 3.0
     gained: float = 0.1  # share of the misfit that a delay or drift of commands must explain
 
 
@@ -45,7 +49,7 @@ SETTINGS = ClockSettings()
 
 @dataclass(frozen=True)
 class Latency:
-    """How late a source is against another, the one against which that is most certain."""
+    """How late a source is against another, the one against which that is most certain; early if negative."""
 
     names: tuple[str, ...]
     against: tuple[str, ...]
@@ -55,7 +59,7 @@ class Latency:
 
     def clear(self, step: float) -> bool:
         """Whether the delay is certain, and matters at a sampling step of so many s."""
-        return self.delay > max(SETTINGS.sure * self.error, SETTINGS.steps * step)
+        return abs(self.delay) > max(SETTINGS.sure * self.error, SETTINGS.steps * step)
 
 
 def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
@@ -70,7 +74,28 @@ def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
     late = [one.names for one in found if one.clear(runs[0].step)]
     prompt = tuple(n for names in sources if names not in late for n in names)
     beside = [one for one in found if one.names not in late]
-    return [*(one for one in _compared(kinematics, runs, [prompt, *late]) if one.names in late), *beside]
+    again = [one for one in _compared(kinematics, runs, [prompt, *late]) if one.names in late]
+    return [*_confirmed(kinematics, runs, again), *beside]
+
+
+def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]) -> list[Latency]:
+    """Latencies without which pose rates and velocities agree clearly better, all of the rest beside them.
+
+    Gauss-Newton on a lateness that is not there may come to rest where it explains an error of another kind.
+    """
+    clear = [one for one in found if one.clear(runs[0].step)]
+    known = kinematics.rates(runs)
+    weight = 1.0 / np.sqrt(known.variance + 1e-12 * np.mean(known.pose**2 + known.velocity**2, axis=0))
+
+    def misfit(chosen: Sequence[Latency]) -> float:
+        rates = kinematics.rates(without_latencies(runs, chosen))
+        return float(np.sum(((rates.pose - rates.velocity) * weight) ** 2))
+
+    choices = [c for size in range(len(clear) + 1) for c in combinations(clear, size)]
+    left = np.array([misfit(c) for c in choices])
+    each = SETTINGS.sure**2 * max(1.0, float(left.min()) / weight.size)
+    best = choices[int(np.argmin(left + each * np.array([len(c) for c in choices])))]
+    return [one for one in found if one in best or one not in clear]
 
 
 def _compared(kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]) -> list[Latency]:
@@ -252,12 +277,16 @@ def _listed(names: tuple[str, ...]) -> tuple[str, str]:
 def late_source(one: Latency, mapping: LogMapping) -> Finding:
     """The finding on a source that is late, and the lines of the mapping file that mend it."""
     names, verb = _listed(one.names)
-    effect = ", or the effect sensor_delay describes it" if {*one.names} <= {*VELOCITY[:3]} else ""
+    early = one.delay < 0
+    described = {*one.names} <= {*VELOCITY[:3]} and not early
+    effect = ", or the effect sensor_delay describes it" if described else ""
+    when = "early against" if early else "late against"
+    why = " (were those late, the motion would come before the commands)" if early else ""
     return Finding(
         id="late_velocity" if one.names[0] in VELOCITY else "late_pose",
         severity="warning",
-        text=f"{names} {verb} {one.delay:.3f} ± {one.error:.1g} s late against {', '.join(one.against)}; a "
-        f"`delay` in the mapping file mends it{effect}",
+        text=f"{names} {verb} {abs(one.delay):.3f} ± {one.error:.1g} s {when} "
+        f"{', '.join(one.against)}{why}; a `delay` in the mapping file mends it{effect}",
         evidence={"delay": one.delay, "error": one.error},
         mapping=as_toml(delay_edits(one, mapping)),
     )
@@ -277,7 +306,7 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     """
     step = at.runs[0].step
     start = float(np.sum(at.fit.at.r**2))
-    constant = _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
+    constant = _constant(at)
     both = None if constant is None else _search(at, step, constant[0], drifts=True)
     if constant is None or both is None:
         return None
@@ -293,16 +322,54 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
         SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step
     ):
         return _late(at, float(found[0]), float(error[0]), mapping)
-    return _prompt(float(found[0]), float(error[0])) if any(run.reported for run in at.runs) else None
+    acausal = _acausal(float(found[0]), float(error[0]), step)
+    if acausal or any(run.reported for run in at.runs):
+        return _prompt(float(found[0]), float(error[0]), acausal)
+    return None
 
 
-def _prompt(delay: float, error: float) -> Finding:
+def _constant(at: Dynamics) -> tuple[Array, Array, float] | None:
+    step = at.runs[0].step
+    return _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
+
+
+def _acausal(delay: float, error: float, step: float) -> bool:
+    """Whether a motion comes before its commands, by more than an error and a sampling step."""
+    return delay < -max(SETTINGS.acausal * error, step)
+
+
+def _prompt(delay: float, error: float, acausal: bool) -> Finding:
+    why = ", which no vehicle does: compare the clocks of commands and sensors" if acausal else ""
     return Finding(
         id="command_latency",
-        severity="note",
-        text=f"the motion follows the commands by {delay:+.3f} ± {error:.1g} s",
+        severity="warning" if acausal else "note",
+        text=f"the motion follows the commands by {delay:+.3f} ± {error:.1g} s{why}",
         evidence={"delay": delay, "error": error},
     )
+
+
+def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> list[Latency]:
+    """Latencies by which no motion comes before its commands, where the commands can tell.
+
+    Pose rates and velocities say how far sources are apart, and not which of them is wrong: where velocities
+    without their lateness come before the commands, and those of the log do not, the rest is early.
+    """
+    step = runs[0].step
+    late = [one for one in found if one.clear(step)]
+    turned = [one for one in late if {*one.names} & {*VELOCITY}]
+    at = dynamics_of(vehicle, without_latencies(runs, late)) if turned else None
+    constant = None if at is None else _constant(at)
+    if constant is None:
+        return list(found)
+    delay, error = float(constant[0][0]), float(constant[1][0])
+    weight = np.array([one.error**-2 for one in late])
+    common = float(weight @ [one.delay for one in late] / weight.sum())
+    if not _acausal(delay, error, step) or _acausal(delay + common, error, step):
+        return list(found)
+    names = tuple(n for one in late for n in one.names)
+    prompt = tuple(dict.fromkeys(n for one in late for n in one.against if n not in names))
+    early = Latency(prompt, names, -common, float(weight.sum() ** -0.5))
+    return [early, *(one for one in found if one not in late and not {*one.names} & {*prompt})]
 
 
 def _nearest(at: Dynamics, step: float) -> float:

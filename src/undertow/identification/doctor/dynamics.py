@@ -147,6 +147,11 @@ class Dynamics:
         commands = run.matrix(self.data.commands)[s.samples]
         return replace(s, measured=np.column_stack(measured), u=commands)
 
+    def explained_by(self, mistake: Mistake) -> bool:
+        """Whether little more than noise is left of any equation of motion once a mistake is undone."""
+        fit = self.refitted(undo=mistake.undo)
+        return fit is not None and self.gain(with_reestimated_noise(fit)).explained
+
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""
         return Gain(
@@ -232,7 +237,7 @@ def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
     """Fit a vehicle to the most_active part of logs; None where they are too short or hold no motion."""
     most = SETTINGS.samples if len(vehicle.dof_indices) <= SETTINGS.many else SETTINGS.samples_of_many
     try:
-        parts = [_part(run, vehicle, most // len(runs)) for run in runs]
+        parts = [part_of(run, vehicle, most // len(runs)) for run in runs]
         data = prepare(parts, vehicle)
         fit = fit_weak(vehicle, data)
     except (UndertowError, np.linalg.LinAlgError):
@@ -240,7 +245,8 @@ def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
     return Dynamics(vehicle, parts, data, fit, normalised_mean_square(fit)[: len(vehicle.dof_indices)])
 
 
-def _part(run: Run, vehicle: Vehicle, most: int) -> Run:
+def part_of(run: Run, vehicle: Vehicle, most: int) -> Run:
+    """The `most` samples in a row of a run in which the vehicle moves most."""
     piece = most_active(run, vehicle.velocity_names, most)
     return run.slice(float(run.t[piece.start]), float(run.t[piece.stop - 1]))
 
@@ -277,19 +283,27 @@ def reversed_commands(vehicle: Vehicle) -> list[Mistake]:
     names = tuple(n for n in vehicle.command_names if n not in vehicle.inputs)
     across = tuple(t.name for t in vehicle.thrusters if not t.wrench[0])
     several = {group for group in (names, across) if len(group) > 1}
-    return [_reversed((n,)) for n in names] + [_reversed(group) for group in sorted(several)]
+    return [_reversed(vehicle, group) for group in (*((n,) for n in names), *sorted(several))]
 
 
-def _reversed(names: tuple[str, ...]) -> Mistake:
+def _reversed(vehicle: Vehicle, names: tuple[str, ...]) -> Mistake:
     clause = f"command {names[0]} is" if len(names) == 1 else f"commands {', '.join(names)} are"
-    remedy = "; ".join(f"[[thrusters]] {n}: direction (or wrench) with the opposite sign" for n in names)
+    surfaces, thrusters = ({a.name for a in of} for of in (vehicle.surfaces, vehicle.thrusters))
+    where = {n: f"[[surfaces]] {n}: axis" for n in surfaces}
+    where |= {n: f"[[thrusters]] {n}: direction (or wrench)" for n in thrusters}
+    # A known force is a column of the log alone.
+    remedy = "; ".join(f"{where[n]} with the opposite sign" for n in names if n in where)
     factors = dict.fromkeys(names, -1.0)
     return rescaled("reversed_thruster", f"{clause} reversed", factors, len(names), remedy)
 
 
-def together(first: Mistake, second: Mistake) -> Mistake:
+def together(vehicle: Vehicle, first: Mistake, second: Mistake) -> Mistake:
     """Two thrusters reversed."""
-    return _reversed(tuple(sorted(e.key for m in (first, second) for e in m.edits(LogMapping()))))
+    return _reversed(vehicle, tuple(sorted({*_reversed_in(first), *_reversed_in(second)})))
+
+
+def _reversed_in(mistake: Mistake) -> list[str]:
+    return [e.key for e in mistake.edits(LogMapping())]
 
 
 def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
@@ -392,17 +406,26 @@ def dynamic_mistakes(
     known = [m for m in known if m.id != "speed_unit" or len(m.edits(mapping)) == speeds]
     unseen = allowed(kinematics, runs, at, known)
     found = best_of(at, [*unseen, *signs, *commands])
-    return found or _two_reversed(at, signs)
+    return found or _two_reversed(vehicle, at, signs)
 
 
-def _two_reversed(at: Dynamics, signs: list[Mistake]) -> Explanation | None:
+def _two_reversed(vehicle: Vehicle, at: Dynamics, signs: list[Mistake]) -> Explanation | None:
     """Two reversed thrusters: the one that helps most, with each of the others."""
     single = [m for m in signs if m.count == 1]
     looked = _worth_fitting(at, single)
     if len(single) < 3 or not looked:
         return None
     first = looked[0][1]
-    return best_of(at, [together(first, other) for other in single if other is not first])
+    return best_of(at, [together(vehicle, first, other) for other in single if other is not first])
+
+
+def wirings(
+    vehicle: Vehicle, at: Dynamics, kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping
+) -> list[Mistake]:
+    """Mistakes that change the sign by which motions answer commands, as far as kinematics allow them."""
+    axes = [m for m in reading_mistakes(mapping, runs) if m.id in ("frame", "flipped_axis")]
+    turned = allowed(kinematics, runs, at, axes)
+    return [*swapped_commands(vehicle), *reversed_commands(vehicle), *turned]
 
 
 def allowed(

@@ -17,7 +17,7 @@ from undertow.typing import Array, Progress
 from undertow.version import __version__
 
 from . import mistakes, sensors
-from .clocks import clock_findings, command_clock, delay_edits, latencies, without_latencies
+from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .dynamics import (
     Dynamics,
     dynamic_mistakes,
@@ -25,6 +25,7 @@ from .dynamics import (
     lost_signs,
     other_mass,
     rederived,
+    wirings,
 )
 from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
 from .impossible import impossible, suspicious
@@ -40,6 +41,7 @@ from .mistakes import (
 )
 from .sampling import DROP, excitation, excitation_findings, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
+from .signs import by_signs
 
 
 def _explanation(
@@ -243,7 +245,7 @@ class _Examiner:
             at = dynamics_of(self.vehicle, self.runs)
             if at is None or not at.unexplained:
                 break
-            found = dynamic_mistakes(self.vehicle, at, self.kinematics, self.runs, self.mapping)
+            found = self._model_mistake(at)
             if found is None:
                 break
             if found.mistake.id in UNITS_OF_MOTION and len(self.vehicle.dof_indices) == 1:
@@ -254,6 +256,14 @@ class _Examiner:
             self.doubt_forces()
         if at is not None:
             self._look_at_numbers(at)
+
+    def _model_mistake(self, at: Dynamics) -> Explanation | None:
+        """What the fit of the model shows, and, where that leaves much, what the signs of commands do."""
+        known = (self.vehicle, at, self.kinematics, self.runs, self.mapping)
+        found = dynamic_mistakes(*known)
+        if found is not None and at.explained_by(found.mistake):
+            return found
+        return by_signs(self.vehicle, self.runs, found, lambda: wirings(*known))
 
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""
@@ -269,7 +279,7 @@ class _Examiner:
         kinematics = self.kinematics
         self.findings += sensors.not_compared(kinematics, self.vehicle)
         if kinematics:
-            found = latencies(kinematics, self.runs)
+            found = causal(self.vehicle, self.runs, latencies(kinematics, self.runs))
             prompt = without_latencies(self.runs, found)
             self.findings += sensors.sensor_findings(kinematics, prompt)
             self.findings += clock_findings(kinematics, self.runs, found, self.mapping)

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
-import casadi as ca
 import numpy as np
 
-from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
-from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .dynamics import other_units, rederived
-from .kinematics import Kinematics, most_active, weights_over
+from .forces import Forces, ForceTable, without
+from .kinematics import Kinematics
 from .mistakes import (
     PLAUSIBLE,
     RATES,
@@ -35,19 +31,6 @@ from .mistakes import (
 from .sensors import clustered_least_squares
 
 _INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
-
-
-def allocation(vehicle: Vehicle) -> Array:
-    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
-    rows = list(vehicle.dof_indices)
-    # What a propeller by revolutions or a curve gives is not in proportion to the command.
-    gains = [t.thrust_per_command.value if t.law is None else 0.0 for t in vehicle.thrusters]
-    columns = [np.array(t.wrench)[rows] * k for t, k in zip(vehicle.thrusters, gains, strict=True)]
-    # What a surface gives depends on the flow, and an input such as the wind is no force.
-    columns += [np.zeros(len(rows))] * len(vehicle.surfaces)
-    columns += [np.eye(6)["XYZKMN".index(channel[-1])][rows] for channel in vehicle.force_channels]
-    columns += [np.zeros(len(rows))] * len(vehicle.inputs)
-    return np.array(columns).T.reshape(len(rows), -1)
 
 
 @dataclass(frozen=True)
@@ -70,15 +53,6 @@ class Response:
         return abs(self.gain) > errors * self.error and self.share > share
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Means over test functions: inertial force (K, n), of each command (K, n, c), and the rest (K, k)."""
-
-    force: Array
-    commanded: Array
-    beside: Array
-
-
 class Responses:
     """Where and how motion is compared with commands; the same for a log as given and as mended.
 
@@ -87,25 +61,22 @@ class Responses:
 
     def __init__(self, vehicle: Vehicle, settings: PlausibilitySettings) -> None:
         self.vehicle, self.settings = vehicle, settings
-        self._functions = Functions(vehicle)
-        self._p = np.array(self._functions.values(), dtype=float)
-        self._mass = _mass_matrix(self._functions, self._p)
-        self._chain = ActuatorStates(self._functions, ())
+        self._forces = Forces(vehicle)
 
     def of(self, runs: Sequence[Run]) -> list[Response]:
         """Responses of every motion whose inertia is known to every command and to all together."""
-        parts = [part for i, run in enumerate(runs) for part in self._parts(run, i, len(runs))]
-        if not parts:
+        table = self._forces.table(runs, self.settings)
+        if table is None:
             return []
-        table = _Table(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-        return [r for row in range(len(self._mass)) if self._known(row) for r in self._row(table, row)]
+        rows = range(len(self.vehicle.dof_indices))
+        return [r for row in rows if self._known(row) for r in self._row(table, row)]
 
     def _known(self, row: int) -> bool:
         """Whether the vehicle file knows the inertia: what is to be estimated is no evidence."""
         name = _INERTIA[self.vehicle.dof_indices[row]]
         return name in self.vehicle.values and not self.vehicle.values[name].estimate
 
-    def _row(self, table: _Table, row: int) -> Iterator[Response]:
+    def _row(self, table: ForceTable, row: int) -> Iterator[Response]:
         given = table.commanded[:, row]
         acting = [k for k in range(given.shape[1]) if np.any(given[:, k]) and not self._open(k)]
         rest = np.delete(given, acting, axis=1)
@@ -123,61 +94,17 @@ class Responses:
         return command < len(thrusters) and thrusters[command].thrust_per_command.estimate
 
     def _responses(
-        self, table: _Table, row: int, beside: Array, commands: list[tuple[str, Array]]
+        self, table: ForceTable, row: int, beside: Array, commands: list[tuple[str, Array]]
     ) -> Iterator[Response]:
         force = table.force[:, row]
         if not commands or not np.any(force):
             return
-        own = _without(beside, np.column_stack([force, *(data for _, data in commands)]))
+        own = without(beside, np.column_stack([force, *(data for _, data in commands)]))
         gains, errors, shares = _fitted(own[:, 1:], own[:, 0], self.settings)
         dof = self.vehicle.degrees_of_freedom[row]
         for (name, data), *found in zip(commands, gains, errors, shares, strict=True):
             sizes = (float(np.sqrt(np.mean(a**2))) for a in (force, data))
             yield Response(dof, name, *map(float, found), *sizes)
-
-    def _parts(self, run: Run, index: int, count: int) -> Iterator[tuple[Array, Array, Array]]:
-        velocities, commands = self.vehicle.velocity_names, self.vehicle.command_names
-        angles = [n for n in ("phi", "theta") if n in self.vehicle.pose_names and run.has(n)]
-        active, force = most_active(run, velocities, self.settings.samples // count), self._commanded(run)
-        for piece in run.segments([*velocities, *commands, *angles]):
-            part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
-            t = run.t[part]
-            functions = weights_over(t, self.settings.width * knot_spacing(t)) if len(t) > 2 else None
-            if functions is not None:
-                motion = run.matrix([*velocities, *angles])[part]
-                yield _tested(functions, motion, len(velocities), force[part], self._mass, (index, count))
-
-    def _commanded(self, run: Run) -> Array:
-        """Force of every command at every sample, (N, n, n_commands); NaN where a command is missing."""
-        u = run.matrix(self.vehicle.command_names)
-        missing = np.isnan(u)
-        actuation = self._chain.along(run.t, without_gaps(u), self._p).value
-        table = np.column_stack([actuation, u[:, len(self.vehicle.actuator_names) :]])
-        table = np.where(missing, np.nan, table)
-        return np.einsum("Nc,nc->Nnc", table, allocation(self.vehicle))
-
-
-def _tested(
-    functions: TestFunctions, motion: Array, n: int, force: Array, mass: Array, run: tuple[int, int]
-) -> tuple[Array, Array, Array]:
-    """One stretch: inertial force, force of the commands, and what else may act."""
-    length = np.asarray(functions.value.sum(axis=1)).ravel()[:, None]
-    velocity = motion[:, :n]
-    inertial = -(functions.rate @ velocity) / length @ mass.T
-    commanded = (functions.held @ force.reshape(len(force), -1)) / length
-    products = [velocity[:, i] * velocity[:, j] for i, j in combinations(range(n), 2)]
-    columns = np.column_stack([motion, np.abs(velocity) * velocity, *products])
-    steady = np.zeros((len(length), run[1]))
-    steady[:, run[0]] = 1.0
-    beside = np.column_stack([functions.value @ columns / length, steady])
-    return inertial, commanded.reshape(len(length), *force.shape[1:]), beside
-
-
-def _without(beside: Array, columns: Array) -> Array:
-    """What columns have beside others."""
-    size = np.linalg.norm(beside, axis=0)
-    scaled = beside[:, size > 0] / size[size > 0]
-    return np.asarray(columns - scaled @ np.linalg.lstsq(scaled, columns, rcond=1e-10)[0])
 
 
 def _fitted(columns: Array, force: Array, settings: PlausibilitySettings) -> tuple[Array, Array, Array]:
@@ -193,15 +120,6 @@ def _fitted(columns: Array, force: Array, settings: PlausibilitySettings) -> tup
         scaled / spread, force / spread, settings.cluster, settings.distinct
     )
     return value / size, error / size, more / np.maximum(left + more, 1e-300)
-
-
-def _mass_matrix(functions: Functions, p: Array) -> Array:
-    """M at the values of the file, in the vehicle's upright pose where it depends on that."""
-    arguments = [functions.x, functions.u, functions.p, functions.t, functions.actuation]
-    evaluate = ca.Function("mass", arguments, [functions.mass_matrix], {"allow_free": False})
-    zeros = [np.zeros(a.shape) for a in arguments]
-    zeros[2] = p
-    return np.array(evaluate(*zeros), dtype=float)
 
 
 def suspicious(
@@ -270,7 +188,7 @@ class _PlausibilityCheck:
         """Mistakes without which force and motion agree, the simplest first, then the best."""
         found = []
         for place, mistake in enumerate([*self._readings(), *self._commands(far)]):
-            all_after = responses.of(self._without(mistake))
+            all_after = responses.of(self.without(mistake))
             after = self._sure(all_after)
             # What could be seen before must still be: else a motion that is scaled away agrees with anything.
             if all(key in after for key in before) and self._agree(far, after) and self._allowed(mistake):
@@ -286,7 +204,7 @@ class _PlausibilityCheck:
         near = all(_within(after[key].gain, self.settings.near) for key in far)
         return near and all(map(self._possible, after.values()))
 
-    def _without(self, mistake: Mistake) -> list[Run]:
+    def without(self, mistake: Mistake) -> list[Run]:
         return [rederived(run, mistake.undo) for run in self.runs]
 
     def _allowed(self, mistake: Mistake) -> bool:
@@ -294,7 +212,7 @@ class _PlausibilityCheck:
         if not self.kinematics:
             return True
         given = self.kinematics.mismatch(self.runs).total
-        return self.kinematics.mismatch(self._without(mistake)).total < 1.25 * given + 0.01
+        return self.kinematics.mismatch(self.without(mistake)).total < 1.25 * given + 0.01
 
     def _readings(self) -> Iterator[Mistake]:
         """Units of what was measured."""
@@ -343,7 +261,7 @@ class _PlausibilityCheck:
     def _too_fast(
         self, names: tuple[str, ...], value: float, limit: float, mass: float
     ) -> Explanation | None:
-        units = (m for m in self._readings() if self._fastest(self._without(m), names) <= limit)
+        units = (m for m in self._readings() if self._fastest(self.without(m), names) <= limit)
         found = [m for m in units if self._allowed(m)]
         if not found:
             return None

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError, listed
-from undertow.identification.doctor.impossible import allocation
+from undertow.identification.doctor.forces import allocation
 from undertow.identification.estimation.data import channel_noise
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.vehicle import Vehicle

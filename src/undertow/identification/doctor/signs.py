@@ -1,0 +1,255 @@
+"""Signs of commands: which way the motion answers every command in every run, whatever else acts.
+
+The force that a motion needs is regressed on what the vehicle file says of every command, with a gain of its
+own for each, beside damping, lift and constant forces of any size. Gains are 1 where the file is right, and
+may be far from it; none is negative. A reading of the logs is contradicted by how much worse they are
+explained where no gain may be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
+
+from .dynamics import part_of
+from .forces import StatedForces, without
+from .mistakes import Explanation, Mistake, Undo
+from .sensors import clustered_least_squares
+
+
+@dataclass(frozen=True)
+class SignSettings:
+    """From where on gains say that commands are wired, named or signed wrongly."""
+
+    samples: int = 2000  # samples of a run that are looked at, the most active
+    width: float = 2.0  # of test functions, in the narrowest that the sampling allows
+    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
+    distinct: float = 1e-4  # share (squared) by which commands must differ to have gains of their own
+    # Share of what nothing else explains that commands must explain for a motion to be evidence.
+    share: float = 0.1
+    # Share of it that positive gains must leave beyond free ones to count: thrusters that are weaker astern
+    # and the like do less.
+    matters: float = 0.05
+    # Standard errors by which logs must contradict a reading: what a model lacks makes a few of them.
+    sure: float = 10.0
+    shows: float = 3.0  # the same from which a run takes part in the count
+    agreeing: float = 0.8  # share of those runs that must be better without the mistake
+    excluded: float = 3.0  # standard errors by which a mistake is excluded beside another one
+    as_good: float = 0.8  # share of the best one's explained force that another must explain
+
+
+SETTINGS = SignSettings()
+Key = tuple[str, str]
+"""Degree of freedom and command."""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """How well logs agree with one reading of them."""
+
+    # contradiction: (runs,) standard errors, squared, by which gains would have to be negative;
+    # explained: share of the force that gains that are not negative explain, mean over motions and runs.
+    contradiction: Array
+    explained: float
+    rows: int  # motions and runs that are evidence
+    gains: list[dict[Key, tuple[float, float]]] = field(default_factory=list)  # and their errors, by run
+
+    @property
+    def total(self) -> float:
+        """Contradiction of all runs."""
+        return float(self.contradiction.sum())
+
+    @property
+    def spread(self) -> float:
+        """Contradiction that errors of the model make where nothing is read wrongly, per row."""
+        return max(1.0, self.total / max(self.rows, 1))
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One motion in one run: what nothing else explains of the force, and of that of its commands."""
+
+    force: Array
+    given: Array
+    names: tuple[Key, ...]
+
+    def fitted(self) -> _Fitted:
+        size = np.linalg.norm(self.given, axis=0)
+        columns, whole = self.given / size, float(self.force @ self.force)
+        free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(SETTINGS.distinct))
+        left = float(np.sum((self.force - columns @ free) ** 2))
+        _, positive = nnls(columns, self.force)
+        scale = max(np.sqrt(left / len(self.force)), 1e-6 * np.sqrt(whole / len(self.force)))
+        gain, error = clustered_least_squares(
+            columns / scale, self.force / scale, SETTINGS.cluster, SETTINGS.distinct
+        )
+        inverse = np.linalg.pinv(columns.T @ columns, rcond=SETTINGS.distinct, hermitian=True)
+        plain = scale * np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+        more = max(0.0, positive**2 - left)
+        errors = more / scale**2 / float(np.max(error / plain)) ** 2
+        gains = zip(self.names, (gain / size).tolist(), (error / size).tolist(), strict=True)
+        return _Fitted(
+            free=1.0 - left / whole,
+            positive=1.0 - positive**2 / whole,
+            contradiction=errors if more > SETTINGS.matters * whole else 0.0,
+            gains={name: (g, e) for name, g, e in gains},
+        )
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Shares explained by free gains and by those that are not negative, and what the latter cost."""
+
+    free: float
+    positive: float
+    contradiction: float
+    gains: dict[Key, tuple[float, float]]
+
+
+class Signs:
+    """Readings of logs, weighed against each other on every run."""
+
+    def __init__(self, vehicle: Vehicle, runs: Sequence[Run]) -> None:
+        self.vehicle, self._forces = vehicle, StatedForces(vehicle)
+        self.runs = [part_of(run, vehicle, SETTINGS.samples) for run in runs]
+        rows = [self._rows(run) for run in self.runs]
+        known = [{dof: row.fitted() for dof, row in of.items()} for of in rows]
+        self._evidence = [{dof for dof, f in of.items() if f.free > SETTINGS.share} for of in known]
+        self.given = self._weight(known)
+
+    def without(self, undo: Undo) -> Weight:
+        """The weight of the logs with a mistake undone."""
+        undone = [self._rows(undo(run), only=of) for run, of in zip(self.runs, self._evidence, strict=True)]
+        return self._weight([{dof: row.fitted() for dof, row in of.items()} for of in undone])
+
+    def _weight(self, fitted: list[dict[str, _Fitted]]) -> Weight:
+        seen = [
+            [of[dof] for dof in evidence if dof in of]
+            for of, evidence in zip(fitted, self._evidence, strict=True)
+        ]
+        rows = sum(map(len, self._evidence))
+        return Weight(
+            np.array([sum(f.contradiction for f in of) for of in seen]),
+            sum(f.positive for of in seen for f in of) / max(rows, 1),
+            rows,
+            [{key: g for f in of for key, g in f.gains.items()} for of in seen],
+        )
+
+    def _rows(self, run: Run, only: Iterable[str] | None = None) -> dict[str, _Row]:
+        table = self._forces.table([run], SETTINGS)
+        names, inputs = self.vehicle.command_names, len(self.vehicle.inputs)
+        found: dict[str, _Row] = {}
+        for i, dof in enumerate(self.vehicle.degrees_of_freedom if table is not None else ()):
+            assert table is not None
+            given, own = table.commanded[:, i], len(names) - inputs
+            acting = [k for k in range(own) if np.any(given[:, k])]
+            beside = np.column_stack([table.beside, given[:, own:]])
+            enough = len(given) >= 2 * (beside.shape[1] + len(acting))
+            if not acting or not enough or (only is not None and dof not in only):
+                continue
+            rest = without(beside, np.column_stack([table.force[:, i], given[:, acting]]))
+            left = np.linalg.norm(rest, axis=0)
+            seen = [k for k in range(len(acting)) if left[1 + k] > 0]
+            if seen and left[0] > 0 and np.isfinite(rest).all():
+                keys = tuple((dof, names[acting[k]]) for k in seen)
+                found[dof] = _Row(rest[:, 0], rest[:, [1 + k for k in seen]], keys)
+        return found
+
+    def possible(self, known: Sequence[Mistake]) -> list[Mistake]:
+        """The mistakes that logs contradict least, and all that do as well; none unless that is certain."""
+        if self.given.total <= SETTINGS.sure**2:
+            return []
+        weighed = [(m, self.without(m.undo)) for m in known]
+        return _remaining(weighed, [w for _, w in weighed if self._better(w)])
+
+    def not_excluded(self, known: Sequence[Mistake]) -> list[Mistake]:
+        """The mistakes that logs contradict least: of some of which one is known to be there."""
+        weighed = [(m, self.without(m.undo)) for m in known]
+        return _remaining(weighed, [w for _, w in weighed])
+
+    def _better(self, other: Weight) -> bool:
+        """Whether logs contradict another reading less, certainly and in nearly all runs that tell."""
+        gained = self.given.contradiction - other.contradiction
+        tells = np.abs(gained) > SETTINGS.shows**2
+        agree = np.sum(gained[tells] > 0) >= SETTINGS.agreeing * np.sum(tells)
+        more = other.explained > self.given.explained
+        return bool(agree and more and gained.sum() > SETTINGS.sure**2 * other.spread)
+
+    def text(self) -> tuple[str, dict[str, float]]:
+        """The gains that are negative, in words and in numbers."""
+        parts: list[str] = []
+        evidence: dict[str, float] = {}
+        for dof, command in dict.fromkeys(key for of in self.given.gains for key in of):
+            values = np.array([of[dof, command] for of in self.given.gains if (dof, command) in of])
+            gain, error = _mean(*values.T)
+            sure = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
+            if gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values):
+                runs = f" ({sure} of {len(values)} runs show it)" if len(values) > 1 else ""
+                parts.append(f"{dof} answers {command} by {gain:.2g} ± {error:.1g}{runs}")
+                evidence |= {f"{dof}_{command}": gain, f"{dof}_{command}_error": error}
+        return f"{', '.join(parts)} of what the vehicle file says", evidence
+
+
+def _remaining(weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight]) -> list[Mistake]:
+    """Mistakes that do as well as the best of the good ones, the simplest first."""
+    if not good:
+        return []
+    enough = SETTINGS.as_good * max(w.explained for w in good)
+    best = min((w for w in good if w.explained >= enough), key=lambda w: w.total)
+    near = best.total + SETTINGS.excluded**2 * best.spread
+    return sorted((m for m, w in weighed if w.total <= near and w.explained >= enough), key=lambda m: m.count)
+
+
+def _mean(value: Array, error: Array) -> tuple[float, float]:
+    """Mean over runs that differ by more than their errors, and its error (DerSimonian and Laird 1986)."""
+    weight = 1.0 / np.maximum(error, 1e-12) ** 2
+    total = weight.sum()
+    q = float(weight @ (value - weight @ value / total) ** 2)
+    between = (q - len(value) + 1) / max(total - float(weight @ weight) / total, 1e-300)
+    weight = 1.0 / (1.0 / weight + max(between, 0.0))
+    return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
+
+
+_WIRING = ("reversed_thruster", "swapped_thrusters", "frame", "flipped_axis")
+"""Ids of mistakes that change the sign by which motions answer commands."""
+
+
+def by_signs(
+    vehicle: Vehicle, runs: Sequence[Run], found: Explanation | None, known: Callable[[], list[Mistake]]
+) -> Explanation | None:
+    """What the signs of all commands in all runs say of the mistake found by the fit of the model, if any.
+
+    `known` gives the mistakes that may be named. Those that do as well as the one found are named with it;
+    what does worse gives way to them.
+    """
+    if found is not None and found.mistake.id not in _WIRING:
+        return found
+    try:
+        signs = Signs(vehicle, runs)
+    except UndertowError:  # actuation that depends on the motion does not follow from the log alone
+        return found
+    if found is None:
+        possible = signs.possible(known()) if signs.given.total > SETTINGS.sure**2 else []
+    else:
+        others = known()
+        own = [] if any(m.clause == found.mistake.clause for m in others) else [found.mistake]
+        possible = signs.not_excluded([*own, *others])
+    why, evidence = signs.text()
+    if not possible or (found is None and not evidence):
+        return found
+    clauses = ", or ".join(m.clause for m in possible)
+    if found is not None and (not evidence or [m.clause for m in possible] == [found.mistake.clause]):
+        return replace(found, mistake=possible[0], rivals=possible[1:], text=clauses + _reason(found))
+    return Explanation(possible[0], f"{clauses}: {why}", evidence, possible[1:])
+
+
+def _reason(found: Explanation) -> str:
+    return found.text.removeprefix(found.mistake.clause)
