@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from undertow.identification.diagnosis.candidates import possible
-from undertow.identification.diagnosis.consistency import Agreement, own_variables, undetermined
+from undertow.identification.diagnosis.consistency import (
+    Agreement,
+    own_variables,
+    replaces_inertia,
+    undetermined,
+)
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.selection import (
     Worth,
@@ -18,6 +23,7 @@ from undertow.identification.diagnosis.selection import (
     dominated,
 )
 from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.identification.estimation.fitted import Fitted
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 
@@ -149,6 +155,21 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     errors = {"k_tension": 3.1, "L_slack": 4739.0, "z_anchor": 4710.0, "x_eye": 0.05}
     words = undetermined(catalogue()["tether_tension"](()), values, errors)
     assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not known" in words
+
+
+@pytest.mark.parametrize(
+    ("without", "beside", "said"), [(-5.0, 0.0, True), (-5.0, -1.0, False), (0.0, 0.0, False)]
+)
+def test_an_effect_that_takes_the_place_of_added_mass_is_not_named(
+    without: float, beside: float, *, said: bool
+) -> None:
+    vehicle = load_vehicle("box-hull")
+    fits = (
+        SimpleNamespace(vehicle=vehicle, model=SimpleNamespace(free=("X_udot", "X_u")), values=values)
+        for values in ({"X_udot": without, "X_u": -1.0}, {"X_udot": beside, "X_u": 0.0})
+    )
+    words = replaces_inertia(*(cast(Fitted, fit) for fit in fits))
+    assert words == ("beside it X_udot would be zero, and water has inertia" if said else "")
 
 
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.model.effect import Effect, Flow, Measurement
 from undertow.model.vehicle import Vehicle
@@ -184,6 +186,21 @@ def is_spring(finding: FoundEffect) -> bool:
 
 
 SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
+
+
+def replaces_inertia(before: Fitted, after: Fitted) -> str:
+    """What of the water's inertia an effect takes the place of, in words; empty where it leaves that alone.
+
+    No body moves in water without added mass: where one falls to zero beside an effect, and not without it,
+    the effect only scales forces against the inertia.
+
+    before, after: fits of the model without and with it.
+    """
+    effects = [e for e in after.vehicle.effects if e.family == "inertia"]
+    known = {p.name for e in effects for p in e.parameters}
+    free = [n for n in after.model.free if plain(n) in known]
+    gone = [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
+    return f"beside it {', '.join(gone)} would be zero, and water has inertia" if gone else ""
 
 
 def never_turned(finding: FoundEffect, bench: Bench) -> str:

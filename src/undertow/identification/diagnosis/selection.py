@@ -17,7 +17,15 @@ from undertow.identification.estimation.weak_form import WeakFit, free_parameter
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
 
-from .consistency import SPRING, agreements, is_spring, left_open, never_turned, own_variables
+from .consistency import (
+    SPRING,
+    agreements,
+    is_spring,
+    left_open,
+    never_turned,
+    own_variables,
+    replaces_inertia,
+)
 from .evidence import FoundEffect, as_good, fitted, inclusion, linear, with_effects
 from .parallel import mapped
 from .reference import captured
@@ -448,6 +456,9 @@ class _Selector:
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
         if words := left_open(finding, self._settings) or never_turned(finding, bench):
+            return words
+        fits = (self._validator.final(f)[0] for f in (bench.base, finding.trial.fit))
+        if words := replaces_inertia(*fits):
             return words
         parts = agreements(finding, bench)
         if not parts:
