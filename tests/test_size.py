@@ -32,15 +32,24 @@ def test_comments_docstrings_and_blank_lines_are_no_code() -> None:
 
 def test_a_package_is_measured(tmp_path: Path) -> None:
     package = tmp_path / "undertow"
-    (package / "cli").mkdir(parents=True)
+    commands, laws = package / "cli" / "identification", package / "cli" / "control"
+    commands.mkdir(parents=True)
+    laws.mkdir()
     (package / "model" / "effects").mkdir(parents=True)
-    for folder in (package, package / "cli", package / "model", package / "model" / "effects"):
+    for folder in (
+        package,
+        package / "cli",
+        commands,
+        laws,
+        package / "model",
+        package / "model" / "effects",
+    ):
         (folder / "__init__.py").write_text("")
     (package / "model" / "effects" / "lift.py").write_text("A = 1\n")
     (package / "model" / "vehicle.py").write_text("from .effects import lift\n" * (SMALL + 1))
-    (package / "cli" / "gains.py").write_text(PYTHON)
-    (package / "cli" / "diagnose.py").write_text(
-        "def late():\n    from undertow.model import vehicle\n    from undertow.cli import gains\n"
+    (laws / "gains.py").write_text(PYTHON)
+    (commands / "diagnose.py").write_text(
+        "def late():\n    from undertow.model import vehicle\n    from undertow.cli.control import gains\n"
     )
     (package / "control" / "conditions").mkdir(parents=True)
     for folder in (package / "control", package / "control" / "conditions"):
@@ -50,7 +59,7 @@ def test_a_package_is_measured(tmp_path: Path) -> None:
     found = measure(tmp_path)
     assert found["lines, C included"] == 1 + (SMALL + 1) + len(PYTHON.splitlines()) + 3 + 1 + 5
     assert found["lines of code"] == 1 + (SMALL + 1) + 5 + 3 + 1 + 1
-    assert found["modules"] == 11
+    assert found["modules"] == 13
     assert found["the same without effects and __init__"] == 3
     # diagnose, vehicle, gains; the effect does not count.
     assert found["modules from a log column to a verdict"] == 3
