@@ -116,9 +116,11 @@ def _signals(effect: Effect) -> dict[sm.Symbol, Signal]:
 def _nominal(statement: Statement) -> Values:
     """A value for every symbol of a statement."""
     s, effect = statement.signals, statement.effect
-    hardware = {x: 1.0 if str(x).startswith("e_x") else 0.0 for x in effect.constants}
+    # What deflects across the hull has its drag from that; all else pushes ahead.
+    way = "e_y" if "rudder_force" in effect.requires else "e_x"
+    hardware = {x: 1.0 if str(x).startswith(way) else 0.0 for x in effect.constants}
     # A rudder of 0.02 m^2 a metre behind the origin, in the slipstream of a propeller of 0.2 m.
-    sizes = {"area": 0.02, "place_x": -1.0, "diameter": 0.2}
+    sizes = {"area": 0.02, "place_x": -1.0, "diameter": 0.2, "turns": 1.0}
     hardware |= {x: v for x in hardware for name, v in sizes.items() if str(x).startswith(name)}
     # Two thrusters that push ahead, one to each side.
     arms = {x: 0.2 if str(x).endswith("port") else -0.2 for x in hardware if str(x).startswith("lever_z")}
