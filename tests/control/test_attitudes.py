@@ -165,7 +165,7 @@ def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None
     assert problem.certificate(condition, problem.sets[:1], None).bound > 0
     weak = {**problem.values, "K_V": np.array([60.0, 60, 60, -0.0685, 2, 2])}
     found = problem.changed(weak).certificate(condition, problem.sets[:1], None)
-    assert problem.changed(weak).channel_margin(condition, problem.sets[0], 3, None) > 0
+    assert problem.changed(weak).margin(condition, problem.sets[0], None, 3) > 0
     assert found.bound < 0
     assert abs(found.worst["theta"]) > np.arcsin(np.sqrt(0.0015 * 2.07) / 0.07) - 0.05
 

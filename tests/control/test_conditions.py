@@ -214,7 +214,7 @@ def test_repaired_gains_satisfy_what_they_were_repaired_for(kind: str) -> None:
     for condition in KINDS[kind].conditions:
         for one in there.sets:
             if condition.per_channel_only:
-                assert all(there.channel_margin(condition, one, i, None) > 0 for i in range(4))
+                assert all(there.margin(condition, one, None, i) > 0 for i in range(4))
             else:
                 assert there.margin(condition, one, found.iota) > 0
 
@@ -230,7 +230,7 @@ def test_the_digits_that_are_printed_repair(kind: str) -> None:
     conditions = [c for c in KINDS[kind].conditions if not c.per_channel_only]
     assert not conditions or there.iota(conditions, there.distinct) is not None
     for condition in {*KINDS[kind].conditions} - {*conditions}:
-        assert all(there.channel_margin(condition, one, i, None) > 0 for one in there.sets for i in range(4))
+        assert all(there.margin(condition, one, None, i) > 0 for one in there.sets for i in range(4))
 
 
 def test_the_repair_is_the_smallest_in_a_case_with_a_closed_form() -> None:

@@ -21,7 +21,7 @@ from undertow.identification.diagnosis.trial import (
     open_bench,
     screen,
     try_candidate,
-    without_replaced,
+    without_redundant,
 )
 from undertow.identification.diagnosis.validation import (
     Contender,
@@ -55,13 +55,13 @@ def test_a_part_that_thrust_per_command_stands_in_for_is_left_out() -> None:
     """Thrust c + a c + b |c| c: a is the scale of c, where that is estimated, too."""
     vehicle, runs, _ = _case()
     scaled = [replace(t, thrust_per_command=Value(1.0, estimate=True)) for t in vehicle.thrusters]
-    for known, replaced in ((True, ()), (False, ("curve_linear",))):
+    for known, redundant in ((True, ()), (False, ("curve_linear",))):
         model = vehicle if known else replace(vehicle, thrusters=tuple(scaled))
         train = prepare(runs[:1], model)
         bench = open_bench(model, train, prepare(runs[-1:], model, sigma=train.sigma))
-        candidate = without_replaced(Candidate(catalogue()["thruster_curve"], model), bench)
-        assert candidate.replaced == replaced
-        assert {p.name for p in candidate.parameters} == {"curve_linear", "curve_square"} - {*replaced}
+        candidate = without_redundant(Candidate(catalogue()["thruster_curve"], model), bench)
+        assert candidate.redundant == redundant
+        assert {p.name for p in candidate.parameters} == {"curve_linear", "curve_square"} - {*redundant}
 
 
 def _candidate(effect: str) -> Candidate:

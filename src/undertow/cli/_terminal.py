@@ -378,7 +378,7 @@ class _Bar:
         with self._lock:
             if self._closed:
                 return
-            # What is left is told from all that was done: minutes may pass between reports.
+            # The time left is estimated from all that was done: minutes may pass between reports.
             every = 3600.0
             self._picture = Progress(
                 console=console or _terminal(), transient=True, speed_estimate_period=every

@@ -153,10 +153,10 @@ def where_positive(margins: Margins, concave: bool = True) -> Span | None:
     """
     low, high = math.log(SEARCH.low), math.log(SEARCH.high)
 
-    def settled(x: Array, values: Array, best: int) -> bool:
+    def decided(x: Array, values: Array, best: int) -> bool:
         return bool(values[best] > 0) or (concave and _nowhere_positive(x, values, best))
 
-    peak, value = _peak(margins, settled)
+    peak, value = _peak(margins, decided)
     if not value > 0:
         return None
     return _edge(margins, peak, low, 0.0), _edge(margins, peak, high, math.inf)
@@ -168,7 +168,7 @@ def peak_of(margins: Margins) -> float:
 
 
 def _peak(
-    margins: Margins, settled: Callable[[Array, Array, int], bool] = lambda *_: False
+    margins: Margins, decided: Callable[[Array, Array, int], bool] = lambda *_: False
 ) -> tuple[float, float]:
     """Logarithm and value of the largest margin: between the neighbours of the best point of a grid."""
     low, high, count = math.log(SEARCH.low), math.log(SEARCH.high), SEARCH.points
@@ -177,7 +177,7 @@ def _peak(
         values = margins(np.exp(grid))
         best = int(np.argmax(values))
         low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, count - 1)])
-        if high - low < SEARCH.close or settled(np.exp(grid), values, best):
+        if high - low < SEARCH.close or decided(np.exp(grid), values, best):
             return float(grid[best]), float(values[best])
         count = SEARCH.finer
 
@@ -373,10 +373,6 @@ class Problem:
     ) -> float:
         """The margin for one iota; any where the condition has none."""
         return float(self.margins(condition, one, np.array([1.0 if iota is None else iota]), channel)[0])
-
-    def channel_margin(self, condition: Condition, one: SignSet, i: int, iota: float | None) -> float:
-        """Margin of a condition for one channel."""
-        return self.margin(condition, one, iota, i)
 
     def certificate(self, condition: Condition, sets: Sequence[SignSet], iota: float | None) -> Certificate:
         """The margin over all attitudes, the least of these sets, with its proof."""

@@ -155,7 +155,7 @@ def single_repairs(problem: Problem) -> list[SingleRepair]:
         for kind, condition in kinds
         for one in problem.sets[:2]
         for i in problem.driven
-        if problem.channel_margin(condition, one, i, None) <= 0
+        if problem.margin(condition, one, None, i) <= 0
         for found in (_single(problem, kind, condition, one, i, name) for name in ("K_P", "K_V", "K_I"))
     ]
 
@@ -166,7 +166,7 @@ def _single(
     def margin(value: float) -> float:
         values = {**problem.values, name: problem.values[name].copy()}
         values[name][i] = value
-        return problem.changed(values).channel_margin(condition, one, i, None)
+        return problem.changed(values).margin(condition, one, None, i)
 
     span = where_positive(lambda gains: np.array([margin(g) for g in gains]), concave=False)
     present = float(problem.values[name][i])

@@ -33,7 +33,7 @@ from undertow.typing import Array
 
 from .search import last_fit
 from .settings import DEFAULT
-from .trial import best_start, screen, without_replaced
+from .trial import best_start, screen, without_redundant
 from .validation import SimulationValidator, training_and_validation
 
 
@@ -109,7 +109,7 @@ def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = F
     """Put an effect into the model, refit all, and judge it on validation data."""
     base = setup.bench.base.model.functions.vehicle
     candidate = replace(_candidate(effect, base), runs=origins(setup.bench.train.runs))
-    candidate = without_replaced(candidate, setup.bench)
+    candidate = without_redundant(candidate, setup.bench)
     screened = screen(candidate, setup.bench)
     if not _visible(candidate, screened[0].start):
         raise UndertowError(

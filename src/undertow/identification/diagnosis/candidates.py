@@ -31,13 +31,13 @@ class Candidate:
     effect: the effect.
     base: the model without it.
     runs: names of the runs that it is fitted to, for what has a value in each.
-    replaced: parameters for which free ones of the model stand in exactly (see `trial.without_replaced`).
+    redundant: parameters for which free ones of the model stand in exactly (see `trial.without_redundant`).
     """
 
     effect: type[Effect]
     base: Vehicle
     runs: tuple[str, ...] = ()
-    replaced: tuple[str, ...] = ()
+    redundant: tuple[str, ...] = ()
 
     @property
     def id(self) -> str:
@@ -54,7 +54,7 @@ class Candidate:
         """Parameters that the effect adds to the equations and that have to be found."""
         stated = (self.base.parameter_of(n) for n in self.base.values)
         known = {p.name for p in stated if p is not None}
-        names = set(self.vehicle.parameter_names) - {*self.replaced}
+        names = set(self.vehicle.parameter_names) - {*self.redundant}
         own = next(e for e in self.vehicle.effects if e.id == self.id).parameters
         return tuple(p for p in own if p.name in names and p.name not in known and self._open(p))
 

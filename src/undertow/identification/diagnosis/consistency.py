@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from undertow.identification.estimation.between_runs import heterogeneity
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import Fitted
@@ -37,23 +38,14 @@ class Agreement:
 
     @property
     def spread(self) -> float:
-        """Standard deviation between the parts beyond that of chance (DerSimonian and Laird)."""
-        weight = 1.0 / self.error**2
-        scale = float(weight.sum() - np.sum(weight**2) / weight.sum())
-        return float(np.sqrt(max((self._q - (len(self.value) - 1)) / scale, 0.0)))
-
-    @property
-    def _q(self) -> float:
-        """Cochran's Q."""
-        weight = 1.0 / self.error**2
-        mean = float(np.sum(weight * self.value) / weight.sum())
-        return float(np.sum(weight * (self.value - mean) ** 2))
+        """Standard deviation between the parts beyond that of chance."""
+        return heterogeneity(self.value, self.error**2)[1]
 
     def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
         """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
-        if among * chi2.sf(self._q, len(self.value) - 1) > settings.as_good_chance:
-            return ""
-        if self.spread < settings.size_change:
+        q, _ = heterogeneity(self.value, self.error**2)
+        by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.as_good_chance
+        if by_chance or self.spread < settings.size_change:
             return ""
         low, high = self.value.min(), self.value.max()
         return f"its size would have to go from {low:.0%} to {high:.0%} of the fitted one between {self.over}"

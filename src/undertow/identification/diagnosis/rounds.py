@@ -51,7 +51,7 @@ from .trial import (
     screen,
     try_candidate,
     unpacked,
-    without_replaced,
+    without_redundant,
 )
 
 _log = logging.getLogger("undertow.diagnosis")
@@ -83,7 +83,7 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
     runs = origins(bench.train.runs)
     listed = [
-        without_replaced(c, bench)
+        without_redundant(c, bench)
         for c in possible(vehicle, known, derived=bench.train.velocities_derived, runs=runs)
     ]
     screened = _screened(listed, bench, report)

@@ -362,7 +362,7 @@ class _Selector:
         series = [f for f in others if _is_series_of(chosen, f)]
         rivals = [f for f in others if f not in series and f.id in doubts and _stands(f, doubts[f.id], bench)]
         alike = alternatives(chosen, worth[chosen.id], rivals, self._beside(ahead, bench), self._settings)
-        return Graded(chosen, [*series, *alike], worth[chosen.id], doubt)
+        return Graded(chosen, [*series, *alike], worth[chosen.id], "")
 
     def _dominated(
         self,
@@ -383,13 +383,11 @@ class _Selector:
 
     def _beside(self, ahead: Mapping[str, dict[float, Array]], bench: Bench) -> Beside:
         """What a candidate is worth on top of another."""
-        vehicle, both = bench.base.model.functions.vehicle, {}
+        vehicle = bench.base.model.functions.vehicle
 
         def worth(first: FoundEffect, then: FoundEffect) -> Worth:
-            pair = frozenset((first.id, then.id))
-            if pair not in both:
-                both[pair] = self._ahead([fitted(vehicle, [first, then], bench).fit])[0]
-            return Worth.of(ahead[first.id], both[pair], self._settings)
+            both = self._ahead([fitted(vehicle, [first, then], bench).fit])[0]
+            return Worth.of(ahead[first.id], both, self._settings)
 
         return worth
 

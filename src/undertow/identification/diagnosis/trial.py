@@ -351,7 +351,7 @@ def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough:
     return bench.in_all_runs(separated(fit, own))
 
 
-def without_replaced(candidate: Candidate, bench: Bench) -> Candidate:
+def without_redundant(candidate: Candidate, bench: Bench) -> Candidate:
     """The candidate without parts that are no evidence of it and for which the model's own parameters stand
     in exactly: one proportional to the command is thrust per command, where that is estimated.
     """
@@ -361,9 +361,9 @@ def without_replaced(candidate: Candidate, bench: Bench) -> Candidate:
     own = whitened(_own_columns(candidate, bench, {}, bench.train), bench.train_whitening).J[:, parts]
     J = bench.base.at.J
     left = own - J @ np.linalg.lstsq(J, own, rcond=None)[0]
-    gone = np.linalg.norm(left, axis=0) <= _REPLACED * np.linalg.norm(own, axis=0)
+    gone = np.linalg.norm(left, axis=0) <= _REDUNDANT * np.linalg.norm(own, axis=0)
     names = [candidate.parameters[i].name for i, there in zip(parts, gone, strict=True) if there]
-    return replace(candidate, replaced=tuple(names))
+    return replace(candidate, redundant=tuple(names))
 
 
 def rejected(candidate: Candidate, bench: Bench) -> Trial:
@@ -452,7 +452,7 @@ def _without(i: int, estimate: Array, information: Array, bounds: Array) -> _Wit
 
 
 # Relative difference of two residuals up to which they are the same, and of a column from what stands in.
-_SAME, _REPLACED = 1e-9, 1e-6
+_SAME, _REDUNDANT = 1e-9, 1e-6
 
 
 class Screened:

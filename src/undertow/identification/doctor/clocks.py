@@ -81,7 +81,7 @@ def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
 def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]) -> list[Latency]:
     """Latencies without which pose rates and velocities agree clearly better, all of the rest beside them.
 
-    Gauss-Newton on a lateness that is not there may come to rest where it explains an error of another kind.
+    Gauss-Newton on a delay that is not there may end where it explains an error of another kind.
     """
     clear = [one for one in found if one.clear(runs[0].step)]
     known = kinematics.rates(runs)
@@ -352,7 +352,7 @@ def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> l
     """Latencies by which no motion comes before its commands, where the commands can tell.
 
     Pose rates and velocities say how far sources are apart, and not which of them is wrong: where velocities
-    without their lateness come before the commands, and those of the log do not, the rest is early.
+    without their delay come before the commands, and those of the log do not, the rest is early.
     """
     step = runs[0].step
     late = [one for one in found if one.clear(step)]

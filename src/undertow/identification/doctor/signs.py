@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from undertow.errors import UndertowError
+from undertow.identification.estimation.between_runs import heterogeneity
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -145,11 +146,12 @@ class Signs:
 
     def _rows(self, run: Run, only: Iterable[str] | None = None) -> dict[str, _Row]:
         table = self._forces.table([run], SETTINGS)
-        names, inputs = self.vehicle.command_names, len(self.vehicle.inputs)
-        found: dict[str, _Row] = {}
-        for i, dof in enumerate(self.vehicle.degrees_of_freedom if table is not None else ()):
-            assert table is not None
-            given, own = table.commanded[:, i], len(names) - inputs
+        names, found = self.vehicle.command_names, dict[str, _Row]()
+        if table is None:
+            return found
+        own = len(names) - len(self.vehicle.inputs)
+        for i, dof in enumerate(self.vehicle.degrees_of_freedom):
+            given = table.commanded[:, i]
             acting = [k for k in range(own) if np.any(given[:, k])]
             beside = np.column_stack([table.beside, given[:, own:]])
             enough = len(given) >= 2 * (beside.shape[1] + len(acting))
@@ -178,8 +180,8 @@ class Signs:
     def _better(self, other: Weight) -> bool:
         """Whether logs contradict another reading less, certainly and in nearly all runs that tell."""
         gained = self.given.contradiction - other.contradiction
-        tells = np.abs(gained) > SETTINGS.shows**2
-        agree = np.sum(gained[tells] > 0) >= SETTINGS.agreeing * np.sum(tells)
+        clear = np.abs(gained) > SETTINGS.shows**2
+        agree = np.sum(gained[clear] > 0) >= SETTINGS.agreeing * np.sum(clear)
         more = other.explained > self.given.explained
         return bool(agree and more and gained.sum() > SETTINGS.sure**2 * other.spread)
 
@@ -209,12 +211,9 @@ def _remaining(weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight]
 
 
 def _mean(value: Array, error: Array) -> tuple[float, float]:
-    """Mean over runs that differ by more than their errors, and its error (DerSimonian and Laird 1986)."""
-    weight = 1.0 / np.maximum(error, 1e-12) ** 2
-    total = weight.sum()
-    q = float(weight @ (value - weight @ value / total) ** 2)
-    between = (q - len(value) + 1) / max(total - float(weight @ weight) / total, 1e-300)
-    weight = 1.0 / (1.0 / weight + max(between, 0.0))
+    """Mean over runs that differ by more than their errors, and its error."""
+    variance = np.maximum(error, 1e-12) ** 2
+    weight = 1.0 / (variance + heterogeneity(value, variance)[1] ** 2)
     return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
 
 

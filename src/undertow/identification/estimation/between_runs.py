@@ -42,9 +42,7 @@ class BetweenRuns:
     values: dict[str, float]  # by run, SI and SNAME signs
     standard_errors: dict[str, float]
     weights: dict[str, float]  # of the runs in the mean
-    # Standard deviation between the runs beyond the errors (DerSimonian and Laird, Controlled Clinical Trials
-    # 7, 1986)
-    spread: float
+    spread: float  # standard deviation between the runs beyond the errors
     q: float  # Cochran's Q, by the joint covariance; chi-square with one degree less than runs if all agree
     p_value: float
 
@@ -54,19 +52,29 @@ class BetweenRuns:
         return sum(self.weights[run] * value for run, value in self.values.items())
 
 
+def heterogeneity(values: Array, variance: Array) -> tuple[float, float]:
+    """How far independent estimates of one value differ, (k,) with their variances.
+
+    Cochran's Q, and the standard deviation between them beyond their errors (DerSimonian and Laird,
+    Controlled Clinical Trials 7, 1986).
+    """
+    weight = 1.0 / variance
+    mean = float(weight @ values / weight.sum())
+    q = float(weight @ (values - mean) ** 2)
+    scale = max(float(weight.sum() - weight @ weight / weight.sum()), 1e-300)
+    return q, float(np.sqrt(max(q - (len(values) - 1), 0.0) / scale))
+
+
 def between_runs(parameter: str, runs: Sequence[str], values: Array, covariance: Array) -> BetweenRuns:
     """The table of one parameter: values (r,) in r runs, and their covariance (r, r)."""
     variance = np.maximum(np.diag(covariance), 1e-300)
-    own = 1.0 / variance
-    mean = float(own @ values / own.sum())
-    apart = float(own @ (values - mean) ** 2) - (len(values) - 1)
-    spread = np.sqrt(max(apart, 0.0) / max(own.sum() - float(own @ own) / own.sum(), 1e-300))
+    spread = heterogeneity(values, variance)[1]
     weight = 1.0 / (variance + spread**2)
     q = _wald(values, covariance, [list(range(len(values)))])
     columns = values, np.sqrt(variance), weight / weight.sum()
     own_values, errors, weights = (dict(zip(runs, c.tolist(), strict=True)) for c in columns)
     chance = float(chi2.sf(q, len(values) - 1))
-    return BetweenRuns(parameter, own_values, errors, weights, float(spread), q, chance)
+    return BetweenRuns(parameter, own_values, errors, weights, spread, q, chance)
 
 
 def _wald(values: Array, covariance: Array, groups: Sequence[Sequence[int]]) -> float:

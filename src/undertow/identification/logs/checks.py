@@ -204,14 +204,11 @@ def with_distinct_names(runs: list[Run]) -> list[Run]:
     """Runs with names that tell them apart: ending or folder are added where file names are the same."""
     count = Counter(run.name for run in runs)
     ended = Counter((run.name, _ending(run)) for run in runs)
-    longer = [
-        run
-        if count[run.name] == 1
-        else replace(run, name=f"{run.name} ({_ending(run)})")
-        if ended[run.name, _ending(run)] == 1
-        else _with_folder(run)
-        for run in runs
-    ]
+
+    def longer_name(run: Run) -> Run:
+        return _with_ending(run) if ended[run.name, _ending(run)] == 1 else _with_folder(run)
+
+    longer = [longer_name(run) if count[run.name] > 1 else run for run in runs]
     again = Counter(run.name for run in longer)
     return [
         replace(r, name=f"{r.name} ({i})") if again[r.name] > 1 else r for i, r in enumerate(longer, start=1)
@@ -220,6 +217,10 @@ def with_distinct_names(runs: list[Run]) -> list[Run]:
 
 def _ending(run: Run) -> str:
     return "".join(Path(run.source).suffixes)
+
+
+def _with_ending(run: Run) -> Run:
+    return replace(run, name=f"{run.name} ({_ending(run)})")
 
 
 def _with_folder(run: Run) -> Run:

@@ -101,8 +101,8 @@ def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[
     lacking = [name for name in commands if name not in known]
     if lacking:
         motors = f"{len(log.actuators)} motors ({', '.join(n for n, _ in log.actuators)})"
-        told = f" ({'; '.join(log.notes)})" if log.notes else ""
-        unknown = f"no motors that are known{told}"
+        why = f" ({'; '.join(log.notes)})" if log.notes else ""
+        unknown = f"no motors that are known{why}"
         raise UndertowError(
             f"log {log.path} has {motors if log.actuators else unknown}, but the vehicle has commands "
             f"{', '.join(lacking)}: say in a mapping file which is which (undertow import {log.path} --out "

@@ -143,11 +143,11 @@ def _about_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Colu
     names = [name.removeprefix(f"{_PULSES}.") for name, _ in actuators if name.startswith(f"{_PULSES}.")]
     if not names:
         return []
-    told = (
+    note = (
         f"commands are those of {_PULSES} as logged: for pulses that rest at 1500 µs, give each scale = "
         "0.0025 and offset = -3.75 in the mapping file that undertow import writes"
     )
-    return [told, *switched_off(series[_PULSES].columns[name] for name in names)]
+    return [note, *switched_off(series[_PULSES].columns[name] for name in names)]
 
 
 def _stretches(
