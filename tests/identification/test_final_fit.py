@@ -63,10 +63,11 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
     ahead = setup.validator.ahead(done.vehicle)
     assert added.before.ahead == pytest.approx({h: ahead[h] for h in added.before.ahead}, rel=1e-3)
     for parameter, value in fit.values.items():
-        tolerance = 0.2 * fit.standard_errors[parameter]
+        error = fit.standard_errors[parameter]
         assert setup.validator.final(setup.bench.base)[0].values[parameter] == pytest.approx(value, abs=1e-9)
-        assert diagnosed.value_of(parameter).value == pytest.approx(value, abs=tolerance)
-        assert again.values[parameter] == pytest.approx(value, abs=tolerance)
+        assert diagnosed.value_of(parameter).value == pytest.approx(value, abs=0.2 * error)
+        # From fitted values time constants, and so the windows, are a little different.
+        assert again.values[parameter] == pytest.approx(value, abs=error)
 
 
 def test_a_fit_is_no_prior_for_another_fit_to_the_same_logs(tmp_path: Path) -> None:

@@ -36,7 +36,8 @@ def _of(effect: type[Effect], case: Case) -> Trial:
     vehicle = vehicle_of(case)
     bench = open_bench(vehicle, *_parts(case, vehicle))
     candidate = Candidate(effect, vehicle)
-    first = try_candidate(candidate, bench, screen(candidate, bench)[0].values)
+    start = best_start(candidate, bench, [look.values for look in screen(candidate, bench)])
+    first = try_candidate(candidate, bench, start)
     return try_candidate(candidate, bench.sharpened(first.full), first.full.values)
 
 

@@ -124,14 +124,7 @@ class Settings:
     )
     first_step: float = _number(1e-2, "the same before the leading candidates are known", _TIME, off=0.0)
     many_starts: int = _number(
-        4, "starts of a candidate that are all linearised in full", _TIME, off=_NO_LIMIT
-    )
-    best_starts: int = _number(
-        2,
-        "starts of a candidate that are fitted",
-        "a winch fitted below the motion instead of above it",
-        off=1,
-        one_case="micro-auv:tether_drag+constant_force:x1:n1:closed:plain:89518168",
+        4, "starts of a candidate that are linearised in full and fitted", _TIME, off=_NO_LIMIT
     )
     closer_steps: int = _number(2, "Gauss-Newton steps before several starts are compared", _DEVELOPMENT)
     line_periods: float = _number(

@@ -538,7 +538,7 @@ def _by_chance(names: Sequence[str], runs: Sequence[str]) -> float:
 
 @np.errstate(over="ignore", invalid="ignore")
 def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
-    """What a candidate promises from its best start, and from the next best one where there are several.
+    """What a candidate promises from its best start, and from the next best ones where there are several.
 
     A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
     Where the refit of the model as it is ran far away from the stated values, these are a start as well.
@@ -555,7 +555,7 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     if len(found) < 2:
         return found
     # What a step promises may not come true; what some steps have reached has.
-    closer = [s.closer() for s in found[: bench.settings.best_starts]]
+    closer = [s.closer() for s in found]
     bounded = [s for s in closer if np.isfinite(s.cost)]
     return sorted(bounded or found, key=lambda s: s.start.cost)
 
@@ -603,7 +603,7 @@ def _promising(
         cost = float(np.sum((beside.r + beside.J @ step) ** 2))
         names = _better_by_run(model, beside, cost, candidate, bench.train)
         costs.append(_cost_by_run(model, beside, names, bench.train) if names else cost)
-    return [starts[i] for i in np.argsort(costs)[: bench.settings.best_starts]]
+    return [starts[i] for i in np.argsort(costs)[: bench.settings.many_starts]]
 
 
 @dataclass(frozen=True)

@@ -416,9 +416,11 @@ def final_fit(
 
     Windows are a quarter of the slowest time constant at first, then one (see `horizons`): a fit over long
     windows alone, begun far away, ends in a local minimum. Where little more than noise is left the longest
-    ones come last, in which fewest starts have to be estimated; where more is left, disturbances add up in
-    them that no parameter explains. What is returned is the last of the fits whose `horizon_error` on
-    validation data is no worse than the least of all.
+    ones come last, and then whole stretches without gaps if they, too, leave little: each start that is
+    estimated takes information from the parameters (standard errors over windows of a time constant are ten
+    times those over a run of a minute). Where more is left, disturbances add up in them that no parameter
+    explains. What is returned is the last of the fits whose `horizon_error` on validation data is no worse
+    than the least of all.
 
     Parameters
     ----------
@@ -432,14 +434,18 @@ def final_fit(
     model = weak.model
     fits: list[WeakFit | OutputErrorFit] = [weak]
     *shorter, longest = horizons(model.functions.vehicle, runs)
-    for horizon in (*shorter, longest):
-        if horizon == longest and not _little_left(fits[-1]):
+    for horizon in (*shorter, longest, None):
+        if horizon in (longest, None) and not _little_left(fits[-1]):
             break
-        progress(0.25 * len(fits), f"output error over {horizon:.3g} s")
+        words = f"{horizon:.3g} s" if horizon else "whole runs"
+        progress(0.2 * len(fits), f"output error over {words}")
         try:
-            fits.append(_descended(model, runs, horizon, fits[-1].values, loss))
+            fit = _descended(model, runs, horizon, fits[-1].values, loss)
         except UndertowError:  # the simulation of a poor model may diverge
             break
+        if horizon is None and not _little_left(fit):
+            break
+        fits.append(fit)
     if len(fits) == 1:
         return weak
     errors = horizon_error(fits, validation)
