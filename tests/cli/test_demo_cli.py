@@ -133,7 +133,8 @@ def test_the_hull_is_not_explained_beyond_its_diagnosis(told: Told, way: str) ->
     assert diagnosis["headline"] in told.hull(), "the verdict is told word for word"
     named = diagnosis["effects"]
     assert (told.folder / f"hull/{way}.toml").exists() == bool(named)
-    assert diagnosis["verdict"] == "missing_effect" or not named
+    # A current that the tank does not have would do the same to one hull on one heading.
+    assert diagnosis["verdict"] in ("missing_effect", "indistinguishable") or not named
     assert set(named) <= {"radiation_memory"}, "the wake has a memory, and nothing else is missing by name"
     fit, judged = way.split("-to-")
     roles = {r["role"]: r["name"] for r in diagnosis["runs"]}
@@ -156,7 +157,7 @@ def test_fluid_memory_lowers_the_error_both_ways_round(told: Told) -> None:
         for n, a, b in re.findall(r"│ ([\w ]+?) │ ([\d.]+)% │ ([\d.]+)% │", told.hull())
     }
     plain, memory = rows["inertia and drag alone"], rows["radiation_memory"]
-    assert all(m < 0.7 * p for m, p in zip(memory, plain, strict=True))
+    assert all(m < 0.75 * p for m, p in zip(memory, plain, strict=True))
     masses = re.search(r"give ([\d.]+) and ([\d.]+) kg .*? with it ([\d.]+) and ([\d.]+) kg", told.hull())
     assert masses
     a, b, c, d = map(float, masses.groups())
@@ -167,5 +168,7 @@ def test_fluid_memory_lowers_the_error_both_ways_round(told: Told) -> None:
 
 def test_the_tank_says_what_the_panels_say(told: Told) -> None:
     values = load_vehicle(told.folder / "tank" / "vehicle.toml").values
-    assert values["X_udot"].value == pytest.approx(-0.6496, rel=0.05)  # 1600 panels, docs/story.md
-    assert f"{-values['X_udot'].value:.4g}" in told.words
+    for way in ("forward", "backward"):
+        found = values[f"X_udot_{way}"].value
+        assert found == pytest.approx(-0.6496, rel=0.05)  # 1600 panels, docs/story.md
+        assert f"{-found:.4g}" in told.words

@@ -101,7 +101,7 @@ def test_a_channel_is_chosen(folder: Path, capsys: Capture) -> None:
         (["--at", "u=1,u=2"], "--at names u twice"),
         (["--at", "k=1"], "'k' is not a velocity, pose or command"),
         (["--at", "u=0.5,v=0,r=0.1"], "no steady motion of 'mini-auv' has these values"),
-        (["--free", "u"], "'u' cannot be left free"),
+        (["--free", "psi"], "'psi' cannot be left free"),
         (["--current", "0.2"], "give two velocities"),
         (["--current", "0.2,0.1", "--at", "u=0.5,r=0.1"], "forces change with psi"),
         (["--direction", "u=2"], "write 1 (forward) or -1"),

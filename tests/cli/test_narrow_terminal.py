@@ -20,11 +20,15 @@ GAINS = ("paper-pd", "paper-pid", "paper-smc")
 AUV = Path(__file__).parents[2] / "src" / "undertow" / "demo_data" / "auv"
 LOG = f"{AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}"
 
+# Too buoyant or with too few thrusters to hover.
+_STEADY = {"remus100": " --at u=1.5", "glider": " --free u --free w"}
+
 
 def _commands() -> Iterator[str]:
     for vehicle in bundled_vehicles():
         yield from (f"gains {vehicle} {g}" for g in GAINS)
-        yield from (f"{command} {vehicle}" for command in ("vehicles show", "audit", "linearize"))
+        yield from (f"{command} {vehicle}" for command in ("vehicles show", "audit"))
+        yield f"linearize {vehicle}{_STEADY.get(vehicle, '')}"
     yield from (
         "vehicles",
         "effects",

@@ -154,7 +154,7 @@ def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: 
     assert row.margin > 0
     assert row.verdict == UNPROVED
     assert "NOT proved" in row.where
-    assert not found.ok
+    assert not found.conditions_hold
 
 
 @pytest.mark.slow

@@ -85,6 +85,16 @@ def test_attitude_may_be_held(rov: Vehicle) -> None:
     assert trim.states["w"] == pytest.approx(0.5 * np.tan(0.2), rel=1e-9)  # depth does not change
 
 
+def test_a_glider_glides_as_its_source_says_once_speed_and_sinking_are_free() -> None:
+    """Graver's steady glide: 0.3 m/s along a path 25 degrees down, without a command."""
+    with pytest.raises(UndertowError, match="leave one of u, w free"):
+        find_trim(load_vehicle("glider"))
+    states = find_trim(load_vehicle("glider"), free=("u", "w")).states
+    assert np.hypot(states["u"], states["w"]) == pytest.approx(0.3, rel=0.01)
+    path = states["theta"] - np.arctan2(states["w"], states["u"])
+    assert np.degrees(path) == pytest.approx(-25.0, abs=0.1)
+
+
 def test_a_dead_band_does_not_hide_the_trim(auv: Vehicle) -> None:
     from undertow.model.effects.thruster_deadband import ThrusterDeadband
 
@@ -102,7 +112,7 @@ def test_a_dead_band_does_not_hide_the_trim(auv: Vehicle) -> None:
         ({"uu": 0.5}, (), "'uu' is not a velocity, pose or command of 'mini-auv' (did you mean 'u'?)"),
         ({"u": float("nan")}, (), "u = nan cannot be a value"),
         ({"x": 1.0}, (), "x cannot be held"),
-        ({"u": 0.5}, ("u",), "'u' cannot be left free"),
+        ({"u": 0.5}, ("psi",), "'psi' cannot be left free"),
         ({"r": 0.5}, ("r",), "r is both held and free"),
     ],
 )

@@ -17,7 +17,7 @@ from undertow.typing import Array
 from .numeric import Numeric, in_direction, reversing, with_ideal_thrust
 
 _HOVER = {"u": 0.0, "v": 0.0, "w": 0.0, "r": 0.0}
-_FREE = ("r", "w", "z")
+_FREE = ("u", "v", "w", "r", "z")
 _PLACE = ("x", "y")
 _FARTHEST = 1e6
 
@@ -33,7 +33,8 @@ class Request:
 
 def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection[str]) -> Request:
     """A checked request; what neither is held nor may be free by itself is zero."""
-    given = {n: v for n, v in _HOVER.items() if n in vehicle.velocity_names} if held is None else dict(held)
+    hover = {n: v for n, v in _HOVER.items() if n in vehicle.velocity_names and n not in free}
+    given = hover if held is None else dict(held)
     known = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
     for name, value in given.items():
         _check(vehicle, name, value, known)
@@ -70,7 +71,8 @@ class TrimSettings:
     tilt: float = 1.0  # the same of a pose coordinate: tilt is avoided before command
     command: float = 1e-4  # the same of a command
     effect_state: float = 1e-6  # the same of a state of an effect
-    # Degrees from which the search begins where the heading is to be found.
+    # From which the search begins where speed and heading are to be found: m/s, degrees.
+    speeds: tuple[float, ...] = (0.0, 0.5)
     headings: tuple[float, ...] = (0.0, 90.0, 180.0, -90.0)
     balanced: float = 1e-9  # rates of change below this are none, SI
     rounds: int = 12  # Newton's steps, and halvings of each
@@ -176,17 +178,24 @@ def _tidied(balance: Balance, y: Array) -> tuple[Array, Array]:
 
 
 def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
-    """Where the search begins: at rest, with several headings where the heading is to be found."""
+    """Where the search begins: at rest and, where that is to be found, at some speed and several headings."""
     places = {balance.names[i]: k for k, i in enumerate(balance.unknown)}
     begin = np.zeros(len(places))
     for name, value in zip(balance.numeric.commands, () if commands is None else commands, strict=False):
         if name in places:
             begin[places[name]] = value
-    if "psi" not in places:
-        return [begin]
-    turns = np.tile(begin, (len(SETTINGS.headings), 1))
-    turns[:, places["psi"]] = np.radians(SETTINGS.headings)
-    return list(turns)
+    ways = {"u": SETTINGS.speeds, "psi": tuple(np.radians(SETTINGS.headings))}
+    starts = [begin]
+    for name, values in ways.items():
+        if name in places:
+            starts = [_with(start, places[name], value) for start in starts for value in values]
+    return starts
+
+
+def _with(y: Array, place: int, value: float) -> Array:
+    changed = y.copy()
+    changed[place] = value
+    return changed
 
 
 def _from(balance: Balance, y: Array) -> Array:
@@ -246,11 +255,15 @@ def _reason(balance: Balance, y: Array) -> str:
             return _beyond(balance, far[0])
     value = np.abs(balance(y))
     worst = balance.rows[int(np.argmax(value))]
-    held = balance.wanted.given
     return (
         f"no steady motion of '{balance.numeric.vehicle.name}' has these values: {worst} keeps changing by "
-        f"{value.max():.3g} (SI) a second, whatever the commands; let go of one of {', '.join(held)}"
+        f"{value.max():.3g} (SI) a second, whatever the commands; {_remedy(balance.wanted.given)}"
     )
+
+
+def _remedy(held: Collection[str]) -> str:
+    free = [n for n in held if n in _FREE]
+    return f"hold other values, or leave one of {', '.join(free)} free" if free else "hold something else"
 
 
 def _beyond(balance: Balance, y: Array) -> str:
@@ -325,7 +338,8 @@ def find_trim(
         name, SI. ``{"u": 0.5}`` is steady speed, ``{"u": 0.5, "r": 0.1}`` a turn,
         ``{"u": 0, "v": 0, "w": 0}`` hovering, also in a current. None is hovering.
     free : collection of str
-        "r": the vehicle may turn as it likes; "w": it may rise or sink; "z": depth is found.
+        "u", "v": without `held`, the vehicle need not hover; "r": it may turn as it likes; "w": it may rise or
+        sink; "z": depth is found.
     direction : mapping
         1 or -1 by velocity: whose set of parameters holds where forward and backward ones differ and the
         motion does not tell; forward unless stated.
