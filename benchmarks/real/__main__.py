@@ -121,6 +121,8 @@ def _planned(options: argparse.Namespace) -> list[Case]:
 
 def _run(options: argparse.Namespace) -> int:
     limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
+    if options.keep is not None:
+        options.keep.mkdir(parents=True, exist_ok=True)
     work = worker(_sets(options), options.data, options.keep)
     return int(run(_planned(options), options.out, work, report=_report, **limits) > 0)
 

@@ -147,8 +147,8 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     sentences: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
         "missing_effect": f"{change}{also if helping else ''}.",
-        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same: record the run that tells "
-        "them apart before one of them is taken for the cause.",
+        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same or much of it: record the "
+        "run that tells them apart before one of them is taken for the cause.",
         "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "
         "explain.",
         "not_identifiable": f"Something is missing and these logs do not say what: {left}; record a run with "
