@@ -59,7 +59,9 @@ if TYPE_CHECKING:
 Plot = Literal["bode", "nyquist", "nichols", "singular-values", "step", "poles", "root-locus"]
 _AT = typer.Option("--at", metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
 _FREE = typer.Option(
-    "--free", metavar="NAME", help="u, v: need not hover; r: may turn; w: may rise or sink; z: depth is found."
+    "--free",
+    metavar="NAME",
+    help="u, v: need not hover; r: may turn; w: may rise or sink; z: depth is found.",
 )
 DIRECTION = typer.Option(
     "--direction",

@@ -338,8 +338,8 @@ def find_trim(
         name, SI. ``{"u": 0.5}`` is steady speed, ``{"u": 0.5, "r": 0.1}`` a turn,
         ``{"u": 0, "v": 0, "w": 0}`` hovering, also in a current. None is hovering.
     free : collection of str
-        "u", "v": without `held`, the vehicle need not hover; "r": it may turn as it likes; "w": it may rise or
-        sink; "z": depth is found.
+        "u", "v": without `held`, the vehicle need not hover; "r": it may turn as it likes; "w": it may rise
+        or sink; "z": depth is found.
     direction : mapping
         1 or -1 by velocity: whose set of parameters holds where forward and backward ones differ and the
         motion does not tell; forward unless stated.

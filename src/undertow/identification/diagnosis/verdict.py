@@ -172,7 +172,9 @@ def _named(
         return f"Missing: {names}; {rest}."
     choice = "; ".join(" or ".join(s.effects) for s in sets)
     certain = f"Missing: {names}. Beside it these data cannot tell" if names else "These data cannot tell"
-    alike = "Any of them brings the error down alike" if residual_is_noise else "Each gives half or more of that"
+    alike = (
+        "Any of them brings the error down alike" if residual_is_noise else "Each gives half of that or more"
+    )
     return f"{certain}: {choice}. {alike}; {rest}."
 
 
