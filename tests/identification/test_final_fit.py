@@ -142,3 +142,14 @@ def test_output_error_is_kept_where_it_predicts_no_worse() -> None:
     assert after <= 1.01 * before
     default = Estimator().fit(vehicle, train, validation=[test])
     assert default.values == pytest.approx(final.values)
+
+
+def test_where_only_noise_is_left_the_end_is_sharper_than_the_weak_form_and_right() -> None:
+    case = make_case("usv", (), 4, duration=40.0)
+    vehicle, (*train, test) = vehicle_of(case), runs_of(case)
+    weak = fit_weak(vehicle, prepare(train, vehicle))
+    final = final_fit(weak, train, [test])
+    for name, value in final.values.items():
+        # Over windows of a time constant, each with a start of its own, errors are ten times as large.
+        assert final.standard_errors[name] < weak.standard_errors[name]
+        assert value == pytest.approx(case.truth["parameters"][name], abs=4.0 * final.standard_errors[name])
