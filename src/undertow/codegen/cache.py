@@ -55,20 +55,6 @@ def library_for(source: str, compiler: LibraryBuilder, folder: Path | None = Non
     A library is taken from the cache only if the manifest beside it names this source and this compiler,
     and the library's own hash fits; otherwise it is built again. Processes may race: files appear whole,
     under names that carry their hashes.
-
-    Parameters
-    ----------
-    source : str
-        C source.
-    compiler : LibraryBuilder
-        Compiler to use.
-    folder : Path, optional
-        Folder of the cache; by default the user's own.
-
-    Raises
-    ------
-    UndertowError
-        If the compiler fails or there is no room.
     """
     place = folder or cache_folder()
     _forget_old(place)
@@ -180,12 +166,7 @@ def _sha256(path: Path) -> str:
 def remembered(question: str, find_out: Callable[[], str]) -> str:
     """The answer to a question that always has the same one, found out once and kept beside the libraries.
 
-    Parameters
-    ----------
-    question : str
-        All that the answer depends on.
-    find_out : callable
-        Gives the answer where none is kept; an empty one is not kept.
+    `question` states all that the answer depends on. An empty answer is not kept.
     """
     note = cache_folder() / f"{digest(question)[:24]}.note"
     try:
@@ -209,11 +190,6 @@ def cache_folder() -> Path:
     """The user's own folder for compiled libraries, or a private temporary one if that is not safe.
 
     Links on the way to it are followed first, so that what is checked is what is used.
-
-    Raises
-    ------
-    UndertowError
-        If not even a temporary folder can be made.
     """
     place = _user_cache()
     wanted = Path(os.path.realpath(place), "undertow")

@@ -23,15 +23,8 @@ class Functions:
 
     The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the
     commands (thrusters, surfaces, known forces, logged inputs), p the parameters as in `parameter_names`, t
-    the time in s.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    equal : mapping, optional
-        Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs. Their
-        own entry of p has no effect.
+    the time in s. `equal` has parameters that are a multiple of another one: name to (name of the other,
+    factor), SNAME signs; their own entry of p has no effect.
     """
 
     def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:

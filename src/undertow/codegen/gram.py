@@ -59,20 +59,7 @@ class Layout:
 
 
 def layout(functions: Functions, places: Sequence[int]) -> Layout:
-    """The rows H theta = target of a model: forces by what is sought, and what all else leaves.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    places : sequence of int
-        Indices of the parameters that are sought.
-
-    Raises
-    ------
-    UndertowError
-        If a parameter does not enter linearly.
-    """
+    """The rows H theta = target of a model: forces by what is sought (`places` in p), and what is left."""
     f, chosen = functions, list(places)
     sought = f.p[chosen]
     slope = ca.jacobian(f.driven_residual, f.p)[:, chosen]

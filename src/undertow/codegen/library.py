@@ -25,20 +25,7 @@ _REAL = "real"  # the module with the type of the numbers
 
 
 class Library:
-    """The generated files of a vehicle.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    more : sequence of (str, function), optional
-        Further parts (controllers, observers): their names, and what writes them.
-
-    Raises
-    ------
-    UndertowError
-        If a name holds neither a letter nor a digit, or two parts have the same one.
-    """
+    """The generated files of a vehicle, with further parts (controllers, observers) by name."""
 
     def __init__(self, vehicle: Vehicle, more: Iterable[tuple[str, Writer]] = ()) -> None:
         self.vehicle, self._functions = vehicle, Functions(vehicle)
@@ -87,11 +74,6 @@ class Library:
         """Write the files to a folder of the vehicle's own in `out`, and say what has changed.
 
         Examples that somebody has edited are kept.
-
-        Raises
-        ------
-        UndertowError
-            If the folder cannot be written, or holds files of these names that were not generated.
         """
         report, recorded = self._compare(out)
         compiler = find_compiler()

@@ -64,15 +64,7 @@ class Manifest:
     rows: Mapping[Printable, tuple[float, ...]]
 
     def to_json(self, files: Mapping[str, str], compiler: str) -> str:
-        """Text of the manifest file.
-
-        Parameters
-        ----------
-        files : mapping
-            Text of every generated file by name.
-        compiler : str
-            Compiler of this machine, for the record.
-        """
+        """Text of the manifest file, with hashes of the generated files, and the compiler for the record."""
         hashes = {name: digest(text) for name, text in files.items()}
         versions = {"undertow": __version__, "casadi": ca.__version__, "compiler": compiler}
         content = {"schema": SCHEMA, **versions, **asdict(self), "files": hashes}
@@ -81,13 +73,7 @@ class Manifest:
 
     @classmethod
     def from_json(cls, text: str) -> tuple[Manifest, dict[str, str]]:
-        """The manifest and the hashes of the files beside it.
-
-        Raises
-        ------
-        UndertowError
-            If the text is not a manifest.
-        """
+        """The manifest and the hashes of the files beside it."""
         try:
             content = json.loads(text)
             if content["schema"] != SCHEMA:

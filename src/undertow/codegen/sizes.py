@@ -21,13 +21,7 @@ class Size(NamedTuple):
 
 
 def sizes(library: Library, compiler: str, *flags: str) -> tuple[dict[str, int], list[Size]]:
-    """Bytes of code and constants of each module, and of stack of each function, with -Os.
-
-    Raises
-    ------
-    UndertowError
-        If the compiler is not there or fails.
-    """
+    """Bytes of code and constants of each module, and of stack of each function, with -Os."""
     if shutil.which(compiler) is None:
         raise UndertowError(f"compiler '{compiler}' is not there: install it (Debian: gcc-arm-none-eabi)")
     with TemporaryDirectory() as place:

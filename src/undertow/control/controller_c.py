@@ -25,13 +25,7 @@ _RULES = {
 
 
 def controller_c(controller: Controller, c: Dialect) -> Part:
-    """The part of a controller.
-
-    Raises
-    ------
-    UndertowError
-        If the law cannot be stated in C.
-    """
+    """The part of a controller."""
     return _ControllerC(controller, c).part()
 
 

@@ -355,13 +355,7 @@ def refit(
     *,
     trust_log: bool = False,
 ) -> Refit:
-    """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it.
-
-    Raises
-    ------
-    UndertowError
-        If nothing is to be estimated, a channel is missing, a log is too short, or nothing moves.
-    """
+    """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it."""
     if not free_parameters(vehicle):
         raise UndertowError(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "

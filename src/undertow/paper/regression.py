@@ -268,13 +268,7 @@ class Regression:
         self._take(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
 
     def signals(self, run: Run, case: Case, edges: Edges) -> tuple[Array, Array, Array]:
-        """Time, velocity and acceleration as a case smooths them, shape (n,) each; NaN between stretches.
-
-        Raises
-        ------
-        UndertowError
-            If no stretch of the run is long enough for the filters.
-        """
+        """Time, velocity and acceleration as a case smooths them, shape (n,) each; NaN between stretches."""
         pieces = self._pieces(run, case, edges)
         if not pieces:
             raise UndertowError(self._short(run, case, edges))

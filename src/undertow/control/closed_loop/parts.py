@@ -21,19 +21,8 @@ _ALIKE = math.sqrt(0.5) - 1e-9
 class Parts:
     """Model and controller with the signals of one wired to those of the other by name.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle that moves.
-    controller : Controller
-        The controller; the vehicle that it knows may have fewer degrees of freedom.
-    observer : Design, optional
-        Between the sensors and the controller, which then gets the estimate.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle lacks a motion or a command of the controller.
+    The vehicle that the controller knows may have fewer degrees of freedom than the one that moves. With an
+    observer between sensors and controller, the controller gets the estimate.
     """
 
     def __init__(self, vehicle: Vehicle, controller: Controller, observer: Design | None = None) -> None:

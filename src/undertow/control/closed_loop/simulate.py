@@ -440,25 +440,9 @@ class Choices:
     ) -> ClosedLoop:
         """A closed loop with these choices.
 
-        Parameters
-        ----------
-        gains : str or Path
-            Gain file, or the name of a bundled set.
-        vehicle : Vehicle
-            The vehicle that the controller knows.
-        plant : Vehicle, optional
-            The vehicle that moves; by default the same.
-        mission : Mission, optional
-            What is followed; its current holds where none is chosen.
-        compiled : bool, optional
-            As for `ClosedLoop`.
-        observer : str or Path, optional
-            Observer file, for the vehicle that the controller knows.
-
-        Raises
-        ------
-        UndertowError
-            If a file is none, or vehicle, gains and choices do not fit.
+        `gains` and `observer` are files, or names of bundled ones, for the vehicle that the controller knows;
+        `plant` is the vehicle that moves, by default the same. The current of a mission holds where none is
+        chosen.
         """
         known = self.with_sway(vehicle)
         wet = replace(self, current=mission.current) if mission and self.current is None else self
@@ -494,13 +478,7 @@ class Choices:
 
 
 def without(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:
-    """The vehicle with some of its effects left out.
-
-    Raises
-    ------
-    UndertowError
-        If it does not have one of them, or another one needs it.
-    """
+    """The vehicle with some of its effects left out."""
     present = [e.id for e in vehicle.effects]
     for wanted in ids:
         if wanted not in present:

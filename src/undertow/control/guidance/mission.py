@@ -114,13 +114,7 @@ class Mission:
         return 1.1 * self.profile(names).duration + 5.0
 
     def reference(self, gains: GainSet) -> Reference:
-        """What a controller with these gains follows.
-
-        Raises
-        ------
-        UndertowError
-            If the vehicle cannot follow a mission of this kind, or way-points do not fit.
-        """
+        """What a controller with these gains follows."""
         vehicle = gains.plant.vehicle
         names = vehicle.pose_names
         _require(self, names, vehicle.name)

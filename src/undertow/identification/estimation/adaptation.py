@@ -46,21 +46,8 @@ def adapted(vehicle: Vehicle, run: Run, *, least: float = 0.0) -> tuple[Vehicle,
     part of the run, all else being as stated; the stated value with its sigma, the mean and the spread of the
     runs that were fitted, holds what this part leaves open. Nothing is estimated from what judges. Where
     nothing belongs to each run, or nothing of it may be estimated, vehicle and run are returned as they are.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model, with the mean over other runs of what belongs to each.
-    run : Run
-        A run that it was not fitted to.
-    least : float
-        Least length of the first part, s, such as some of the vehicle's slowest time constants; it is never
-        more than half of the run.
-
-    Returns
-    -------
-    (Vehicle, Run)
-        The vehicle with the values of this run, and the rest of the run.
+    The first part is `least` s long or more, such as some of the vehicle's slowest time constants, but never
+    more than half of the run.
     """
     names = of_each_run(vehicle)
     if not names:

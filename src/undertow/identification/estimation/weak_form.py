@@ -164,29 +164,12 @@ def fit_weak(
     enough: float = 0.0,
     constraints: Constraints = _PLAIN,
 ) -> WeakFit:
-    """Fit the free parameters of a vehicle.
+    """Fit the free parameters of a vehicle, by default those that it marks with `estimate`.
 
-    Parameters
-    ----------
-    vehicle : Vehicle or WeakModel
-        Model with starting values; a WeakModel has its own free parameters.
-    data : WeakData
-        Prepared logs.
-    free : sequence of str, optional
-        Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
-    start : mapping, optional
-        Starting values that differ from the vehicle's.
-    whitening, disturbance : optional
-        Noise model to use; estimated from the residual of the fit itself where not given.
-    enough : float
-        Predicted reduction, as a share of the sum of squares, below which the search ends.
-    constraints : Constraints
-        Constraints on the parameters of a vehicle; a WeakModel has its own.
-
-    Raises
-    ------
-    UndertowError
-        If the model has no finite force somewhere in the logs, and no noise model is given.
+    A `WeakModel` has its own free parameters and constraints. `start` has starting values that differ from
+    the vehicle's; `whitening` and `disturbance` are the noise model, estimated from the residual of the fit
+    itself where not given. The search ends where the predicted reduction is less than `enough`, as a share of
+    the sum of squares.
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     p = model.started(start or {})

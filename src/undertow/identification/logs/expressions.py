@@ -49,15 +49,8 @@ _COLUMN = "column"  # column("any name") stands for a column whose name is no id
 class Formula:
     """An arithmetic expression in columns.
 
-    Parameters
-    ----------
-    text : str
-        Numbers, names of columns, ``+ - * / **``, parentheses, `column("a name")` and the functions above.
-
-    Raises
-    ------
-    UndertowError
-        If it is anything else.
+    Numbers, names of columns, ``+ - * / **``, parentheses, `column("a name")` and the functions above;
+    anything else is refused.
     """
 
     text: str

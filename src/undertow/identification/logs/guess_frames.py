@@ -62,15 +62,7 @@ class Axes:
 
 
 def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
-    """The axes that position, heading and velocity agree with, as far as they have been logged.
-
-    Parameters
-    ----------
-    channels : mapping
-        Pose and velocities by channel, SI, shape (n,) each.
-    t : Array, shape (n,)
-        Time, s.
-    """
+    """The axes that position, heading and velocity (by channel, SI) agree with, as far as logged."""
     if not {"x", "y", "psi"} <= channels.keys():
         turning = any(name in channels for name in ("psi", "r", "v", "w", "y", "z"))
         return Axes(questions=(f"{_WHICH} Position and heading, which tell, are not both logged",) * turning)

@@ -22,23 +22,12 @@ FieldLogs = dict[Path, FieldLog]
 
 @dataclass(frozen=True)
 class Opened:
-    """Rows of a log, and what they mean.
+    """Rows of a log, and what they mean."""
 
-    Attributes
-    ----------
-    table : DataFrame
-        A row for every time; of a vehicle's own log the columns that are read.
-    mapping : LogMapping
-        The one that was given, or what the format of the log says.
-    sha256 : str
-        Of the bytes of the file.
-    notes : tuple of str
-        What the reader of a vehicle's own log said, its format first; empty for a table.
-    """
-
-    table: pl.DataFrame
-    mapping: LogMapping
-    sha256: str
+    table: pl.DataFrame  # a row for every time; of a vehicle's own log the columns that are read
+    mapping: LogMapping  # the one that was given, or what the format of the log says
+    sha256: str  # of the bytes of the file
+    # what the reader of a vehicle's own log said, its format first; empty for a table
     notes: tuple[str, ...] = ()
 
 
@@ -61,21 +50,8 @@ def opened_field_log(
 ) -> Opened:
     """The table of a vehicle's own log, by a mapping or by what its format says.
 
-    Parameters
-    ----------
-    log : FieldLog
-        The log.
-    mapping : LogMapping, optional
-        What its columns mean.
-    commands, also : sequence of str
-        Commands that it must have, and those that are read where it has them.
-    window : (float or None, float or None)
-        Part that is used, s on the clock of the run.
-
-    Raises
-    ------
-    UndertowError
-        If its motors cannot be the commands, or its table is too large for memory.
+    It must have the `commands`; those in `also` are read where it has them. The window is in s on the clock
+    of the run.
     """
     meaning = mapping or log.mapping_for([*commands, *also])
     if mapping is None:

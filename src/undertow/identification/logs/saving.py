@@ -14,23 +14,11 @@ from .run import Run
 
 
 def save_log(run: Run, out: Path) -> Path | None:
-    """Write a run as CSV with the channel names and SI units of undertow.
+    """Write a run as CSV with the channel names and SI units of undertow; the path of its mapping file.
 
     Of a channel that does not report in every row only the reports are written, and nothing that was derived
     from other channels: whoever reads the file derives it again. Noise of sensors and disturbance that were
     stated go into a mapping file beside it, called the same but for its ending.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    out : Path
-        The table to write.
-
-    Returns
-    -------
-    Path or None
-        The mapping file; None where nothing was stated: then the table needs none.
     """
     measured = {name: run.reports(name) for name in run.channels if name not in run.derived}
     table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)

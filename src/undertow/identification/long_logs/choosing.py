@@ -98,13 +98,7 @@ def _size(log: LongLog) -> tuple[int, int]:
 
 
 def read_in_parts(log: LongLog) -> Run:
-    """A log of which the part that is used is short: as it would be read, but from a file of any size.
-
-    Raises
-    ------
-    UndertowError
-        If what is used is more than memory is meant for.
-    """
+    """A log of which the part that is used is short: as it would be read, but from a file of any size."""
     parts: list[Run] = []
     for part in log.parts(CUTTING.rows, 0):
         parts.append(part.run)
@@ -165,28 +159,13 @@ def choose(
     budget: Budget = FIT,
     progress: Progress = lambda done, words: None,
 ) -> Chosen:
-    """Choose the stretches of long logs that tell most of a vehicle's parameters.
+    """Choose the stretches of long logs that tell most of a vehicle's estimated (or else all) parameters.
 
     The logs are read once, in parts. They are thinned to the rate that the vehicle's fastest time constant
     asks for and cut into stretches long enough for its slowest one. The stretches that make the determinant
-    of the information largest, equation by equation, are taken until the budget is used up.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; its parameters marked as estimated (or else all) are those to be told.
-    logs, holdout : sequence of LongLog
-        Logs to work on, and for validation. Without `holdout`, and where the budget has room for judges,
-        one log in four is kept, the last first; of a single one every third part.
-    budget : Budget
-        Samples to work on and to judge by.
-    progress : callable
-        Told the share of the work that is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If a log cannot be read, lacks what the vehicle needs, or is given twice.
+    of the information largest, equation by equation, are taken until the budget is used up. Without
+    `holdout`, and where the budget has room for judges, one log in four is kept for validation, the last
+    first; of a single one every third part.
     """
     every = [*logs, *holdout]
     progress(0.0, "finding the vehicle's band")

@@ -96,16 +96,8 @@ def most_informative(information: Array, samples: Sequence[int], budget: int) ->
 
     The sum over the equations of log det(A^T A) is submodular: taking what adds most for a sample, again and
     again, comes close to the best choice there is, and what a stretch adds only falls as others are taken, so
-    that most need not be looked at again.
-
-    Parameters
-    ----------
-    information : (S, E, n, n) array
-        Of every stretch and equation.
-    samples : sequence of int
-        How many samples each stretch has.
-    budget : int
-        How many all those chosen may have.
+    that most need not be looked at again. `information` is of every stretch and equation, shape (S, E, n, n);
+    `budget` is how many samples all those chosen may have.
     """
     parts = [_as_shares(information[:, e]) for e in range(information.shape[1])]
     state = [SETTINGS.before * np.eye(part.shape[1]) for part in parts]

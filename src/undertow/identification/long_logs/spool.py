@@ -19,15 +19,7 @@ from .thinning import BAND
 
 
 class Spool:
-    """A log after it was thinned: rows in a temporary file, of which any can be had back as a run.
-
-    Parameters
-    ----------
-    parts : iterable of Run
-        Parts of the log that follow each other.
-    thin : callable
-        What thins them.
-    """
+    """A log after it was thinned: rows in a temporary file, of which any can be had back as a run."""
 
     like: Run  # one row, with the name, source and notes of the log
 

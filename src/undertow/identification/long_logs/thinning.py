@@ -91,24 +91,14 @@ def _quickest_lag(vehicle: Vehicle) -> float:
 
 
 def thinned(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) -> Iterator[Run]:
-    """Parts of a log, thinned.
+    """Parts of a log that follow each other, thinned.
 
     A measurement becomes the mean of `by` rows, at the mean of their times: an odd number of them has no
     delay, what is faster than the new rate is averaged away, and the noise stays white. Where some of these
     rows are empty, the mean of the others is moved to that time along the slope to the means beside it. A
     command, which is held from row to row, is averaged likewise, and over the time until the next of the new
-    rows: what changes the mean velocity from one of them to the next is exactly the command there.
-
-    Parameters
-    ----------
-    runs : iterable of Run
-        Parts that follow each other without overlap.
-    by : int
-        Rows that become one.
-    step : float
-        Usual step of the rows, s; much longer ones are gaps, over which nothing is averaged.
-    commands : sequence of str
-        Names of the channels that are held between rows.
+    rows: what changes the mean velocity from one of them to the next is exactly the command there. Steps much
+    longer than the usual `step`, s, are gaps, over which nothing is averaged.
     """
     rest: Run | None = None
     for run in runs:

@@ -321,11 +321,6 @@ def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog]
     """One row for each pose coordinate: rate of the pose against what the velocities make of it.
 
     Above them, a row for each of the vehicle's own logs: when its motors drove, and which parts are used.
-
-    Raises
-    ------
-    UndertowError
-        If the logs have no pose with a velocity of its own.
     """
     kinematics = Kinematics(examined.given, vehicle)
     if not kinematics and not logs:

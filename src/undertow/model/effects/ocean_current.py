@@ -45,13 +45,7 @@ class OceanCurrent(Flow):
 
 
 def check_current(north: float, east: float) -> None:
-    """Refuse a velocity of the water, m/s, that none has.
-
-    Raises
-    ------
-    UndertowError
-        If one is beyond the limit.
-    """
+    """Refuse a velocity of the water, m/s, that none has."""
     for way, value in (("north", north), ("east", east)):
         if not abs(value) <= FASTEST:
             raise UndertowError(

@@ -66,22 +66,10 @@ def motors(parameters: Parameters) -> dict[int, int]:
 def actuators(
     parameters: Parameters, outputs: Mapping[int, tuple[str, Array]], firmware: str = ""
 ) -> tuple[tuple[tuple[str, Column], ...], list[str]]:
-    """Outputs of motors as commands from -1 to 1.
+    """Outputs of motors as commands from -1 to 1, in the order of the motors, and notes.
 
-    Parameters
-    ----------
-    parameters : mapping
-        Of the autopilot.
-    outputs : mapping of (str, array)
-        Name of the column and pulses, microseconds, by the number of the output.
-    firmware : str
-        Its name, such as ArduSub V4.1.0; empty if the log does not say.
-
-    Returns
-    -------
-    actuators : tuple of (str, Column)
-        In the order of the motors.
-    notes : list of str
+    `outputs` has the name of the column and the pulses, microseconds, by the number of the output; `firmware`
+    is such as ArduSub V4.1.0, empty if the log does not say.
     """
     found, notes = [], []
     by_motor = {motor: output for motor, output in motors(parameters).items() if output in outputs}
@@ -115,20 +103,7 @@ def _rest(trim: float | str | None, pulses: Array) -> float:
 
 # --- the vehicle ----------------------------------------------------------------------------------
 def vehicle_text(log: FieldLog, name: str) -> str:
-    """A vehicle file for the frame, the directions of the motors and the battery that a log states.
-
-    Parameters
-    ----------
-    log : FieldLog
-        Of ArduSub.
-    name : str
-        Of the vehicle.
-
-    Raises
-    ------
-    UndertowError
-        If the log does not state a frame, or one whose motors are not known.
-    """
+    """A vehicle file for the frame, directions of the motors and battery that an ArduSub log states."""
     frame = _frame(log)
     document = tomlkit.parse(resolve_vehicle(frame.base).read_text(encoding="utf-8"))
     curve, why = _curve(log)

@@ -10,12 +10,9 @@ ANGLES = ("phi", "theta", "psi")
 
 
 def angles(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:
-    """Roll, pitch and yaw, rad, of rotations from body axes to those of the earth (Fossen 2021, section 2.2).
+    """Roll, pitch and yaw, rad, of quaternions from body to earth axes (Fossen 2021, section 2.2).
 
-    Parameters
-    ----------
-    w, x, y, z : (n,) arrays
-        Quaternions of any length; one of no length gives NaN.
+    Quaternions may have any length; one of no length gives NaN.
     """
     square = w**2 + x**2 + y**2 + z**2
     length = np.where(square > 0.0, square, np.nan)

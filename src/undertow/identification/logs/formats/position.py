@@ -12,12 +12,7 @@ _RADIUS, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563  # WGS 84: m at the equa
 def north_east(latitude: Array, longitude: Array) -> tuple[Array, Array]:
     """Distances from the first fix on the plane that touches the ellipsoid there, m.
 
-    Ten kilometres away they are wrong by some metres.
-
-    Parameters
-    ----------
-    latitude, longitude : (n,) arrays
-        Degrees; NaN where there is no fix.
+    Ten kilometres away they are wrong by some metres. Degrees are NaN where there is no fix.
     """
     there = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not len(there):

@@ -22,14 +22,8 @@ SETTINGS = PressureSettings()
 def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, str]:
     """What makes depth of a pressure, and what is to be said of it.
 
-    Parameters
-    ----------
-    pascal : float
-        Pa in one of its unit.
-    absolute : bool
-        Whether it has the air above the water in it.
-    down : float
-        1 where z counts downwards in the log, -1 where it counts upwards.
+    `pascal` is Pa in one of its unit, `absolute` whether it has the air above the water in it, `down` 1 where
+    z counts downwards in the log and -1 where it counts upwards.
     """
     metre = SETTINGS.density * SETTINGS.gravity
     above = SETTINGS.surface if absolute else 0.0
