@@ -42,9 +42,8 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
-from undertow.tank.coefficients import coefficients
+from undertow.tank.coefficients import coefficients, tank_vehicle
 from undertow.tank.settings import read_tank
-from undertow.tank.vehicle import tank_vehicle
 from undertow.typing import Array, Progress
 
 DATA = Path(str(files("undertow") / "demo_data"))

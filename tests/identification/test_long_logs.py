@@ -22,10 +22,15 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.identification.long_logs.checking import checked
-from undertow.identification.long_logs.choosing import Budget, at_full_rate, choose, read_in_parts, too_long
-from undertow.identification.long_logs.information import most_informative
-from undertow.identification.long_logs.spool import Spool
-from undertow.identification.long_logs.thinning import band, thinned
+from undertow.identification.long_logs.choosing import (
+    Budget,
+    at_full_rate,
+    choose,
+    most_informative,
+    read_in_parts,
+    too_long,
+)
+from undertow.identification.long_logs.thinning import Spool, band, thinned
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 

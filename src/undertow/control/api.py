@@ -23,8 +23,7 @@ from undertow.typing import Progress
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
 from .conditions.whole import certify, verdicts
-from .controller import Controller
-from .controller_c import controller_c
+from .controller import Controller, controller_c
 from .gains import GainSet, load_gains
 from .guidance.mission import Mission
 

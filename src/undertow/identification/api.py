@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
@@ -23,6 +22,7 @@ from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
 from .diagnosis.result import Role, RunInfo, ValuesByRun, run_info
+from .diagnosis.validation import training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
@@ -40,9 +40,9 @@ from .logs.checks import check_fit
 from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
 from .logs.mapping import LogMapping, read_mapping
+from .logs.opening import save_log as save_log
 from .logs.reading import read_log as read
 from .logs.run import Run
-from .logs.saving import save_log as save_log
 from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest

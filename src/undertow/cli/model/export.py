@@ -212,7 +212,7 @@ def _say(lines: Sequence[str]) -> None:
 
 
 def _print_sizes(library: Library, compiler: str) -> None:
-    from undertow.codegen.sizes import sizes
+    from undertow.codegen.library import sizes
 
     flash, stacks = sizes(library, *shlex.split(compiler))
     section("Flash", table(("module", "bytes"), ((name, str(size)) for name, size in flash.items())))

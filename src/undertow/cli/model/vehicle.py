@@ -286,9 +286,8 @@ def _of_log(log: Path, out: Path | None, force: bool) -> None:
 def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool) -> None:
     """Write a vehicle file from the logs of a towing tank."""
     from undertow.files import write_whole
-    from undertow.tank.coefficients import coefficients
+    from undertow.tank.coefficients import coefficients, tank_vehicle
     from undertow.tank.settings import read_tank
-    from undertow.tank.vehicle import tank_vehicle
 
     assert root is not None
     made = read_tank(root)
@@ -300,9 +299,8 @@ def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool)
 
 def _tests(root: Path, spec: HullSpec, origin: str) -> list[EffectTable]:
     """What a towing tank has found of the same hull."""
-    from undertow.tank.coefficients import coefficients
+    from undertow.tank.coefficients import coefficients, tested
     from undertow.tank.settings import read_tank
-    from undertow.tank.vehicle import tested
 
     if origin != "buoyancy":
         raise UndertowError(f"--tank {root} is about the centre of buoyancy: leave out --origin {origin}")

@@ -23,9 +23,8 @@ from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
 
 from .measures import CREDIBLE, Measures
-from .parts import Parts
+from .parts import Parts, SampledLoop, check_interval, check_steps, offsets
 from .record import Record, Recorder
-from .sampling import SampledLoop, check_interval, check_steps, offsets
 from .scenario import Scenario, heading
 from .stepping import ALL, Block, CompiledLoop, LoopProblem, LoopStepper, VirtualLoop, problem_of
 

@@ -18,8 +18,7 @@ from undertow.model.tables import FileTable, Quantity
 from undertow.model.units import si_of
 
 from .line_of_sight import Guidance, LineOfSight
-from .reference import Limits, Profile, TimedReference, spline, stretches, times_of, within
-from .signals import Reference
+from .reference import Limits, Profile, Reference, TimedReference, spline, stretches, times_of, within
 
 
 class WaypointTable(FileTable):

@@ -19,7 +19,7 @@ from undertow.typing import Array, Progress
 
 from .choosing import Chosen
 from .result import LongLogs, ModelOnTheRest, Rest
-from .spool import without
+from .thinning import without
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
 from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
+from .conversions import north_east
 from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
-from .position import north_east
 from .stretches import armed_stretches, runs_of, used_stretches
 
 # --- frames ---------------------------------------------------------------------------------------
