@@ -30,7 +30,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _LOG = logging.getLogger("undertow")
-_OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+|numba-[0-9a-f]{16}")
+_OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
 # Seconds after which a folder of a build, which may last ten minutes, counts as left where nothing is locked.
@@ -49,14 +49,14 @@ class LibraryBuilder(Protocol):
     def build(self, source: Path, library: Path) -> None: ...
 
 
-def library_for(source: str, compiler: LibraryBuilder, folder: Path | None = None) -> Path:
+def library_for(source: str, compiler: LibraryBuilder) -> Path:
     """Path of the shared library of a C source, from the cache or compiled now.
 
     A library is taken from the cache only if the manifest beside it names this source and this compiler,
     and the library's own hash fits; otherwise it is built again. Processes may race: files appear whole,
     under names that carry their hashes.
     """
-    place = folder or cache_folder()
+    place = cache_folder()
     _forget_old(place)
     expected = {"source": digest(source), "compiler": compiler.identity}
     manifest = place / f"{digest(json.dumps(expected))[:24]}.json"

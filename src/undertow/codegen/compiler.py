@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -304,40 +304,19 @@ class Compiled:
     """
 
     def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
-        self._functions = functions
-        self._wish = compiled
+        self._functions, self._wish = functions, compiled
+        self._ready: dict[str, ca.Function] = {}
 
-    @cached_property
-    def dynamics(self) -> ca.Function:
-        """`x_dot = dynamics(x, u, p, t)`."""
-        return self._ready(self._functions.dynamics)
-
-    @cached_property
-    def jacobians(self) -> ca.Function:
-        """`(x_dot, A, B, P) = jacobians(x, u, p, t)`."""
-        return self._ready(self._functions.jacobians)
-
-    @cached_property
-    def regressor(self) -> ca.Function:
-        """`Y = regressor(x, nu_dot, u, p, t)`."""
-        return self._ready(self._functions.regressor)
-
-    @cached_property
-    def residual(self) -> ca.Function:
-        """`r = residual(x, nu_dot, u, p, t)`."""
-        return self._ready(self._functions.residual_function)
-
-    @cached_property
-    def outputs(self) -> ca.Function:
-        """`y = outputs(x, u, p, t)`."""
-        return self._ready(self._functions.outputs)
+    def function(self, name: str) -> ca.Function:
+        """One of the functions by its name, such as `dynamics`."""
+        if name not in self._ready:
+            own = getattr(self._functions, name)
+            self._ready[name] = compiled_or_virtual(self._wish, lambda c: load(own, c), lambda: own)
+        return self._ready[name]
 
     def evaluator(self, name: str, batch: int = 1) -> Evaluator:
         """One of the functions for NumPy arrays, `batch` evaluations in a call, through its buffer."""
-        return Evaluator(getattr(self, name), batch)
-
-    def _ready(self, function: ca.Function) -> ca.Function:
-        return compiled_or_virtual(self._wish, lambda compiler: load(function, compiler), lambda: function)
+        return Evaluator(self.function(name), batch)
 
 
 def load(function: ca.Function, compiler: Compiler) -> ca.Function:

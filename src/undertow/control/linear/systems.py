@@ -389,7 +389,6 @@ def close_loop(
     *,
     pade: int = 0,
     dt: float = 0.0,
-    nominal: Vehicle | None = None,
     observer: Design | None = None,
 ) -> LinearLoop:
     """A law that keeps a vehicle at a trim, as linear systems.
@@ -399,15 +398,13 @@ def close_loop(
     vehicle : Vehicle
         The model.
     gains : GainSet
-        The law; it knows the same vehicle unless `nominal` says otherwise.
+        The law, which knows the same vehicle.
     trim : Trim or mapping
         The steady motion, or what it holds (see `find_trim`).
     pade : int
         Order of the approximation of a dead time between command and thrust.
     dt : float
         Sampling time, s: the law runs as its C code does, its commands are held; 0 is continuous time.
-    nominal : Vehicle, optional
-        What the law takes for the vehicle.
     observer : Design, optional
         Gives the law an estimate in place of the reports: the Kalman filter that it settles to at this trim.
 
@@ -421,7 +418,7 @@ def close_loop(
             f"the filter of an observer has no sampled form here (dt = {dt:g} s): leave out one of the two"
         )
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
-    law = law_for(gains, nominal or vehicle, found.direction)
+    law = law_for(gains, vehicle, found.direction)
     plant = with_commands(linearize(vehicle, found, pade=pade, dt=dt), law.commands)
     return LinearLoop(plant, law, found, observer)
 

@@ -1,7 +1,5 @@
 """A steady current."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.errors import UndertowError
