@@ -49,14 +49,14 @@ class LibraryBuilder(Protocol):
     def build(self, source: Path, library: Path) -> None: ...
 
 
-def library_for(source: str, compiler: LibraryBuilder) -> Path:
+def library_for(source: str, compiler: LibraryBuilder, folder: Path | None = None) -> Path:
     """Path of the shared library of a C source, from the cache or compiled now.
 
     A library is taken from the cache only if the manifest beside it names this source and this compiler,
     and the library's own hash fits; otherwise it is built again. Processes may race: files appear whole,
     under names that carry their hashes.
     """
-    place = cache_folder()
+    place = folder or cache_folder()
     _forget_old(place)
     expected = {"source": digest(source), "compiler": compiler.identity}
     manifest = place / f"{digest(json.dumps(expected))[:24]}.json"
