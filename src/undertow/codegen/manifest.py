@@ -172,14 +172,11 @@ def changes(old: Manifest, new: Manifest) -> list[str]:
         lines += _membership(what, _names(before), _names(after)) + _altered(what, before, after)
     if old.input_delay != new.input_delay:
         lines.append(f"input delay: {old.input_delay:g} -> {new.input_delay:g} s")
-    late = [(n, old.output_delay.get(n, 0.0), new.output_delay.get(n, 0.0)) for n in _outputs(old, new)]
+    delayed = dict.fromkeys((*old.output_delay, *new.output_delay))
+    late = [(n, old.output_delay.get(n, 0.0), new.output_delay.get(n, 0.0)) for n in delayed]
     lines += [f"output delay of {n}: {a:g} -> {b:g} s" for n, a, b in late if a != b]
     rows = [n for n, values in new.rows.items() if n in old.rows and not _same(old.rows[n], values)]
     return lines + ([f"rows changed: {', '.join(rows)} ({len(rows)} of {len(new.rows)})"] if rows else [])
-
-
-def _outputs(old: Manifest, new: Manifest) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*old.output_delay, *new.output_delay)))
 
 
 def _names(entries: Iterable[Entry]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .figures import thinned
+from .figures import plain, thinned
 from .session import FORCE, REFITTED, ModelStep, Workspace
 
 if TYPE_CHECKING:
@@ -467,20 +467,14 @@ TASKS: dict[str, tuple[Callable[[Job], Result], str]] = {
 
 
 # --- numbers for JSON -----------------------------------------------------------------------------
-def _plain(values: Array | Sequence[float]) -> list[float | None]:
+def _plain(values: Iterable[float]) -> list[float | None]:
     """Numbers in six digits, which is more than a screen shows; None where there is none."""
-    return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
+    return plain(values, 6)
 
 
 def _finite(table: Mapping[str, Any]) -> dict[str, Any]:
     """A table without numbers that JSON does not have."""
-    return {k: v for k, v in _kept(table)}
-
-
-def _kept(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for name, value in table.items():
-        if not isinstance(value, float) or math.isfinite(value):
-            yield name, value
+    return {n: v for n, v in table.items() if not isinstance(v, float) or math.isfinite(v)}
 
 
 def _share(report: Progress, low: float, high: float) -> Progress:
