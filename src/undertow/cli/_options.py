@@ -218,20 +218,20 @@ class ReadOptions:
         from undertow.identification.long_logs import choosing
 
         with progress("reading logs", total=len(logs) + len(holdout)) as report:
-            work, judges = (
+            work, validation = (
                 self.in_parts(model, paths, opened, report, in_any_order=in_any_order, required=True)
                 for paths in (logs, holdout)
             )
-        long = [*work, *judges]
+        long = [*work, *validation]
         most = choosing.MEASURABLE.samples
         if not to_fit:
             most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
         with progress("reading logs") as report:
             if choosing.too_long(long, most):
                 _say_notes({str(log.path): log.reader_notes for log in long})
-                chosen = choosing.choose(model, work, judges, budget, report)
+                chosen = choosing.choose(model, work, validation, budget, report)
                 runs = choosing.at_full_rate(chosen, long) if budget.raw else chosen.runs
-                return Loaded(model, runs, chosen.judges, chosen)
+                return Loaded(model, runs, chosen.validation, chosen)
             if choosing.beyond_memory(long):
                 runs = choosing.short_parts(model, long)
                 _say_notes({run.source: run.reader_notes for run in runs})
@@ -300,8 +300,8 @@ class LogOptions(ReadOptions):
         pairs = [*self._named.items(), *(("--effects", path) for path in self.effects or ())]
         options = [str(word) for name, value in pairs if value is not None for word in (name, value)]
         options += ["--trust-log"] if self.trust_log else []
-        kept, judges = (tuple(map(str, paths or ())) for paths in (logs, holdout))
-        return CommandLine(vehicle, kept, judges, tuple(options), str(written or ""))
+        kept, validation = (tuple(map(str, paths or ())) for paths in (logs, holdout))
+        return CommandLine(vehicle, kept, validation, tuple(options), str(written or ""))
 
 
 @dataclass(frozen=True)

@@ -82,16 +82,16 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
 
 def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict[str, str]) -> Path:
     try:
-        with _workshop(manifest.parent) as workshop:
-            (workshop / "model.c").write_text(source, encoding="utf-8")
-            built = workshop / f"model{LIBRARY_SUFFIX}"
-            compiler.build(workshop / "model.c", built)
+        with _build_folder(manifest.parent) as place:
+            (place / "model.c").write_text(source, encoding="utf-8")
+            built = place / f"model{LIBRARY_SUFFIX}"
+            compiler.build(place / "model.c", built)
             found = _sha256(built)
             library = manifest.parent / f"{manifest.stem}-{found[:16]}{LIBRARY_SUFFIX}"
             os.replace(built, library)
             content = json.dumps({**expected, "library": found})
-            (workshop / "manifest.json").write_text(content, encoding="utf-8")
-            os.replace(workshop / "manifest.json", manifest)
+            (place / "manifest.json").write_text(content, encoding="utf-8")
+            os.replace(place / "manifest.json", manifest)
     except OSError as error:
         raise UndertowError(
             f"cannot keep compiled code in '{manifest.parent}': {error}; make room or set XDG_CACHE_HOME"
@@ -100,7 +100,7 @@ def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict
 
 
 @contextmanager
-def _workshop(folder: Path) -> Iterator[Path]:
+def _build_folder(folder: Path) -> Iterator[Path]:
     """A folder for one build, locked while its process lives, however that ends."""
     while True:
         with tempfile.TemporaryDirectory(prefix="build-", dir=folder, ignore_cleanup_errors=True) as name:
@@ -146,12 +146,12 @@ def _forget_old(folder: Path) -> None:
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-def _remove_left(workshop: Path) -> None:
+def _remove_left(place: Path) -> None:
     """Remove the folder of a build whose process is gone; without locks, one older than any build lasts."""
-    old = workshop.lstat().st_mtime < time.time() - _LEFT_FOR
-    lock = _lock(workshop)
+    old = place.lstat().st_mtime < time.time() - _LEFT_FOR
+    lock = _lock(place)
     if lock is not None or old:
-        shutil.rmtree(workshop, ignore_errors=True)
+        shutil.rmtree(place, ignore_errors=True)
     if lock is not None:
         os.close(lock)
 

@@ -567,22 +567,22 @@ def try_effect(
     """
     wanted = lookup(effect, catalogue() if known is None else known)
     report(0.0, "fitting the model as it is")
-    ground = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
+    setup = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
     report(0.3, f"fitting it with {wanted.id}")
-    return ground, added(wanted, ground, keep_all=keep_all)
+    return setup, added(wanted, setup, keep_all=keep_all)
 
 
-def result_of(ground: AdditionSetup, addition: Addition) -> AdditionResult:
+def result_of(setup: AdditionSetup, addition: Addition) -> AdditionResult:
     """An addition as it is written to JSON."""
-    runs = [run_info(run, role) for role, run in roles(ground.train, ground.test)]
-    return addition_result(addition, ground.vehicle, runs)
+    runs = [run_info(run, role) for role, run in roles(setup.train, setup.test)]
+    return addition_result(addition, setup.vehicle, runs)
 
 
-def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
+def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
     """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
     entry = history(
         "undertow add",
-        roles(ground.train, ground.test),
+        roles(setup.train, setup.test),
         (addition.before.error, addition.after.error),
         *known_by(addition.fit),
         added=[addition.effect],

@@ -159,8 +159,10 @@ class OwnStates:
     @cached_property
     def _rates(self) -> ca.Function:
         f, points = self._functions, self._points
-        driven = ca.substitute(f.memory_rates, f.actuation, f.chain_output)
-        rates = ca.substitute(ca.vertcat(driven, f.chain_rates), ca.vertcat(f.eta, f.nu), points.true_motion)
+        driven = ca.substitute(f.memory_rates, f.actuation, f.actuator_output)
+        rates = ca.substitute(
+            ca.vertcat(driven, f.actuator_rates), ca.vertcat(f.eta, f.nu), points.true_motion
+        )
         own = ca.vertcat(f.memory, f.actuator_states)
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
 

@@ -571,7 +571,7 @@ def _rates_seen(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
     """M^-1 d(forcing)/d(nu), averaged over the motion in each run, 1/s."""
     functions = Functions(vehicle)
     rates = ca.jacobian(functions.x_dot[functions.acceleration_rows], functions.nu)
-    rates = ca.substitute(rates, functions.actuator_states, functions.chain_rest)
+    rates = ca.substitute(rates, functions.actuator_states, functions.actuator_rest)
     rates = ca.substitute(rates, functions.memory, ca.SX.zeros(functions.memory.shape))
     inputs = [functions.eta, functions.nu, functions.u, functions.p, functions.t]
     function = ca.Function("rates", inputs, [ca.densify(rates)])

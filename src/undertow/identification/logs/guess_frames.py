@@ -74,11 +74,11 @@ def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
         return Axes(questions=(_WHICH, _HEADING))
     best, other, *_ = sorted(left, key=lambda name: left[name])
     shares = f"{best} {left[best]:.0%}, {other} {left[other]:.0%}"
-    told = f"of the change of position, velocity and heading leave: {shares}"
+    finding = f"of the change of position, velocity and heading leave: {shares}"
     if left[best] > SETTINGS.agrees or left[best] > SETTINGS.clearly * left[other]:
-        return Axes(questions=(f"{told}. That decides nothing: which axes are they?", _HEADING))
+        return Axes(questions=(f"{finding}. That decides nothing: which axes are they?", _HEADING))
     doubts = [_HEADING] if best in (_HERE, _EARTH) else []
-    return Axes(_ENTRIES[best][0], (f"{told}. Hence these axes; is it so?", *doubts))
+    return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes; is it so?", *doubts))
 
 
 def _left(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:

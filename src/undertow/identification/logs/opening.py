@@ -167,8 +167,8 @@ def _stated(run: Run) -> LogMapping | None:
     if run.mapping is None:
         named = set(run.sigma)
     else:  # that of slow channels is estimated where it is not stated
-        told = (c.channel for c in given.columns.values() if c.noise is not None)
-        named = {turned_name(channel, given.frames.position) for channel in told}
+        stated_noise = (c.channel for c in given.columns.values() if c.noise is not None)
+        named = {turned_name(channel, given.frames.position) for channel in stated_noise}
     noise = {name: sigma for name, sigma in run.sigma.items() if name in named and run.has(name)}
     if not (noise or given.disturbance or run.held):
         return None

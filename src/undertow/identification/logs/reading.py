@@ -193,11 +193,11 @@ def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
     outputs = [run.channels[name] for name in plain if run.has(name)]
     if not outputs or not run.reader_notes or not np.nanmax(np.abs(outputs), initial=0.0) <= 1.0:
         return run
-    told = (
+    remark = (
         f"commands {', '.join(plain)} lie within -1 and 1, and the vehicle takes them for newtons: give its "
         'thrusters a curve ("t200-16v") or thrust_per_command, as undertow vehicle new --log does'
     )
-    return replace(run, reader_notes=(*run.reader_notes, told))
+    return replace(run, reader_notes=(*run.reader_notes, remark))
 
 
 def run_of_table(

@@ -149,10 +149,10 @@ class Chosen:
 
     vehicle: Vehicle
     runs: list[Run]  # stretches to work on, thinned
-    judges: list[Run]  # stretches for validation
+    validation: list[Run]  # stretches for validation
     result: LongLogs
     spools: list[Spool]  # all of the logs, thinned
-    used: list[Stretch]  # what `runs` and `judges` are of them
+    used: list[Stretch]  # what `runs` and `validation` are of them
 
 
 def choose(
@@ -167,7 +167,7 @@ def choose(
     The logs are read once, in parts. They are thinned to the rate that the vehicle's fastest time constant
     asks for and cut into stretches long enough for its slowest one. The stretches that make the determinant
     of the information largest, equation by equation, are taken until the budget is used up. Without
-    `holdout`, and where the budget has room for judges, one log in four is kept for validation, the last
+    `holdout`, and where the budget has room for validation, one log in four is kept for validation, the last
     first; of a single one every third part.
     """
     every = [*logs, *holdout]
@@ -184,9 +184,9 @@ def choose(
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
     progress(0.95, "taking stretches")
     taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]
-    runs, judges = ([_run(vehicle, spools, s) for s in merged(own)] for own in taken)
+    runs, validation = ([_run(vehicle, spools, s) for s in merged(own)] for own in taken)
     result = _result(vehicle, spools, found, cut, kept, pools, choices)
-    return Chosen(vehicle, runs, judges, result, spools, [*taken[0], *taken[1]])
+    return Chosen(vehicle, runs, validation, result, spools, [*taken[0], *taken[1]])
 
 
 def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: Progress) -> list[Spool]:

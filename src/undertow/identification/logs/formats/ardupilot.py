@@ -85,8 +85,8 @@ def actuators(
             # outputs, which it turns.
             heeded = not firmware.startswith("ArduSub")
             travel *= -1.0 if heeded else 1.0
-            told = "the command is turned" if heeded else "ArduSub does not heed it for motors"
-            notes.append(f"SERVO{output}_REVERSED is set for motor {motor}: {told}")
+            remark = "the command is turned" if heeded else "ArduSub does not heed it for motors"
+            notes.append(f"SERVO{output}_REVERSED is set for motor {motor}: {remark}")
         off = OFF if np.any(pulses == OFF) else None
         column = Column(channel=f"motor{motor}", scale=1.0 / travel, offset=-rest / travel, off=off)
         found.append((name, column))
@@ -145,9 +145,11 @@ def _frame(log: FieldLog) -> Frame:
 
 def _turn(table: Table, way: Vector, direction: float | str | None, motor: int) -> None:
     sign = -1.0 if direction == -1.0 else 1.0
-    told = f"MOT_{motor}_DIRECTION {sign:g}" if direction is not None else "direction of the motor not logged"
+    remark = (
+        f"MOT_{motor}_DIRECTION {sign:g}" if direction is not None else "direction of the motor not logged"
+    )
     table["direction"] = [sign * axis + 0.0 for axis in way]
-    table["source"] = f"{table['source']}; {told}"
+    table["source"] = f"{table['source']}; {remark}"
 
 
 def _curve(log: FieldLog) -> tuple[str, str]:

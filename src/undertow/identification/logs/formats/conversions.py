@@ -68,5 +68,5 @@ def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, 
     column = Column(
         channel="z", unit="m", scale=down * pascal / metre, offset=-down * above / metre if above else 0.0
     )
-    told = f"{SETTINGS.density:g} kg/m^3 and {above:g} Pa at the surface"
-    return column, f"{told}: for other water change `scale` in a mapping file"
+    assumed = f"{SETTINGS.density:g} kg/m^3 and {above:g} Pa at the surface"
+    return column, f"{assumed}: for other water change `scale` in a mapping file"
