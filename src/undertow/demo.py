@@ -161,7 +161,7 @@ def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     names = (data.before, data.after)
     run = data.runs[0]
     velocities = replace(run, traces=tuple(t for t in run.traces if t.channel in VELOCITY))
-    sway = [c for c in data.residuals if c.degree_of_freedom == "sway"]
+    sway = [c for c in data.residuals if c.before.degree_of_freedom == "sway"]
     yield output.text("auv/report.html", render_report(outcome.diagnosis, data), "the full report")
     yield output.picture(
         "auv/error-map.png",
