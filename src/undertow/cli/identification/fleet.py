@@ -23,9 +23,9 @@ from .._terminal import console, progress, say, section, table, text
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
+    from undertow.fleet.changes import FleetReport, Parameter, Period, VehicleReport
     from undertow.fleet.engine import Engine
     from undertow.fleet.rollouts import Band
-    from undertow.fleet.verdicts import FleetReport, Parameter, Period, VehicleReport
 
 app = typer.Typer(add_completion=False)
 
