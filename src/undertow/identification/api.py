@@ -63,22 +63,14 @@ _FAMILIES = {"default": test_functions, "weak": test_functions, "integral": boxe
 class Estimator:
     """How parameters are estimated.
 
-    Attributes
-    ----------
-    method : str
-        "default" (the weak form, then output error over windows from the vehicle's own time constants, as
-        far as that predicts validation data no worse), "weak", "integral" (the weak form with boxes for test
-        functions), "instrumental" (the weak form with simulated regressors), "output-error" or
-        "prediction-error" (output error with a disturbance).
-    horizon : float or None
-        Length of the windows that output error and instrumental variables simulate, s; None for whole
-        stretches. The default method chooses its own.
-    constraints : Constraints
-        What is asked of the parameters.
-    loss : str
-        "gaussian", or "huber" or "student-t" where there are outliers. Output error then weighs every sample
-        by its error; the weak form, whose residuals are sums over many samples, leaves samples out that stand
-        more than five standard deviations off their neighbours.
+    `method` is "default" (the weak form, then output error over windows from the vehicle's own time
+    constants, as far as that predicts validation data no worse), "weak", "integral" (the weak form with
+    boxes for test functions), "instrumental" (the weak form with simulated regressors), "output-error" or
+    "prediction-error" (output error with a disturbance). `horizon` is the length of the windows that output
+    error and instrumental variables simulate, s; None for whole stretches. `loss` is "gaussian", or "huber"
+    or "student-t" where there are outliers: output error then weighs every sample by its error; the weak
+    form, whose residuals are sums over many samples, leaves samples out that stand more than five standard
+    deviations off their neighbours.
     """
 
     method: Method = "default"
@@ -98,26 +90,8 @@ class Estimator:
     ) -> Fitted:
         """Fit the free parameters of a vehicle, by default those that its file marks.
 
-        Parameters
-        ----------
-        vehicle : Vehicle
-            Model with starting values and priors.
-        runs : sequence of Run
-            Logs with the velocities and commands of the vehicle.
-        free : sequence of str, optional
-            Names of the parameters to fit.
-        progress : callable
-            Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
-        validation : sequence of Run
-            Logs by which the default method decides where to end; `runs` where there are none.
-        trust_log : bool
-            Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-        Raises
-        ------
-        UndertowError
-            If a channel is missing, a log is too short or cannot be, constraints contradict each other, or
-            the method has no such loss.
+        By `validation` the default method decides where to end, by `runs` where there is none. `trust_log`
+        takes logs that `undertow.identification.doctor.refuse_impossible` refuses.
         """
         refuse_impossible(vehicle, runs, trust_log=trust_log)
         if self.method in _FAMILIES:

@@ -329,33 +329,13 @@ class ClosedLoop:
     ) -> Runs:
         """Simulate many runs that differ, side by side in the lanes of vectors and in threads.
 
-        Parameters
-        ----------
-        scenario : Scenario
-            What is asked of all. Run i has the noise of seed + i, so that it is what `run` with that seed is.
-        parameters, gains, starts : mapping, optional
-            What differs, an array of a value for each run by name: parameters of the vehicle that moves (m,
-            X_udot ..., SNAME signs), gains (K_P_x ...), and first pose and velocity (x ... psi, u ... r), SI.
-        threads : int, optional
-            How many; by default as many as there are processors.
-        progress : callable, optional
-            Called with the number of runs that are done and a few words.
+        `parameters` (of the vehicle that moves: m, X_udot ..., SNAME signs), `gains` (K_P_x ...) and
+        `starts` (first pose and velocity: x ... psi, u ... r, SI) have an array of a value for each run by
+        name. Run i has the noise of seed + i, so that it is what `run` with that seed is. By default as many
+        threads as there are processors. For example::
 
-        Returns
-        -------
-        Runs
-            The rows of all runs.
-
-        Raises
-        ------
-        UndertowError
-            As for `run`, and if a name is not known, numbers of values differ, or dead times do.
-
-        Examples
-        --------
-        >>> masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
-        >>> runs = loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses})
-        >>> runs.state("z")[:, -1].std()
+            masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
+            loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses}).state("z")[:, -1].std()
         """
         return run_many(self, scenario, Differences(parameters, gains, starts), threads, progress)
 

@@ -255,14 +255,9 @@ _GATE_PASSED = 1.0
 class LawSystem:
     """A gain set as it is in continuous time, its gate passed.
 
-    Attributes
-    ----------
-    references, measured, states, forces : list of str
-        Names of set-points, of pose and velocity, of the law's own states, and of the forces it asks for.
-    acting : tuple of int
-        Places of the degrees of freedom that commands push in.
-    share : ndarray, shape (nu, n)
-        Commands for a unit of each force, without limits.
+    `references`, `measured`, `states` and `forces` name set-points, pose and velocity, the law's own states
+    and the forces it asks for; `acting` are the places of the degrees of freedom that commands push in;
+    `share`, shape (nu, n), has the commands for a unit of each force, without limits.
     """
 
     def __init__(self, gains: GainSet) -> None:
@@ -523,15 +518,9 @@ class LinearLoop:
 class SettledObserver:
     """The Kalman filter that an observer settles to at a trim, in continuous time.
 
-    Reports every T s with variance r say as much as a continuous report with spectral density r T
-    (Simon 2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`.
-
-    Attributes
-    ----------
-    a, b, c : ndarray
-        dx/dt = a x + b u and the reports c x of its process, deviations from the trim.
-    gain : ndarray, shape (nx, k)
-        Of the innovations.
+    Reports every T s with variance r say as much as a continuous report with spectral density r T (Simon
+    2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`. Deviations from
+    the trim follow dx/dt = a x + b u, with reports c x; `gain`, shape (nx, k), is that of the innovations.
     """
 
     def __init__(self, observer: Design, trim: Trim) -> None:
