@@ -311,7 +311,6 @@ class RigOptions(LogOptions):
     held: Annotated[
         str | None,
         typer.Option(
-            "--held",
             metavar="unlogged|NAME,NAME",
             help="Motions that a rig (towing carriage) holds at rest, or moves as their columns say; "
             "unlogged: all without a column.",

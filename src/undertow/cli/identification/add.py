@@ -40,8 +40,8 @@ _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow eff
 _ALL = typer.Option("--all", help="Keep parameters that prove to be zero, too.")
 _FORCE = typer.Option("--force", help="Write the effect even where it does not help.")
 _CODEGEN = typer.Option("--codegen/--no-codegen", help="Regenerate the C code of the new vehicle.")
-_BUILD = typer.Option("--build", metavar="FOLDER", help="Folder that gets a folder NAME with the code.")
-_PICTURE = typer.Option("--picture", metavar="FILE.png", help="Draw the error before and after.")
+_BUILD = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME with the code.")
+_PICTURE = typer.Option(metavar="FILE.png", help="Draw the error before and after.")
 
 
 @bundled

@@ -28,13 +28,12 @@ if TYPE_CHECKING:
     from undertow.identification.logs.mapping import LogMapping
 
 _LOG = typer.Argument(metavar="LOG", help="The log, in any format but a table.")
-_OUT = typer.Option("--out", metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
+_OUT = typer.Option(metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
 _LIST = typer.Option("--list", help="Show what the log holds, and write nothing.")
 _VEHICLE = typer.Option(
-    "--vehicle", metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
+    metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
 )
 _MESSAGES = typer.Option(
-    "--messages",
     metavar="FOLDER",
     help="Definitions that a log does not hold itself: messages of ROS (.msg), sensors of gliders (.cac).",
 )

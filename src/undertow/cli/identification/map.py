@@ -23,9 +23,9 @@ app = typer.Typer(add_completion=False)
 
 _LOG = typer.Argument(metavar="LOG", help="The log: CSV, CSV.gz or Parquet.")
 _VEHICLE = typer.Option(
-    "--vehicle", metavar="VEHICLE", help="Vehicle file or name, whose commands are looked for in the log."
+    metavar="VEHICLE", help="Vehicle file or name, whose commands are looked for in the log."
 )
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Where to write it.")
+_OUT = typer.Option(metavar="NEW.toml", help="Where to write it.")
 
 
 @app.command()

@@ -22,8 +22,8 @@ import typer
 from .._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
 from .._terminal import progress, say
 
-_SESSION = typer.Option("--session", metavar="FOLDER", help="Folder that the session is kept in.")
-_PORT = typer.Option("--port", min=1, max=65535, help="Port of the page.")
+_SESSION = typer.Option(metavar="FOLDER", help="Folder that the session is kept in.")
+_PORT = typer.Option(min=1, max=65535, help="Port of the page.")
 _BROWSER = typer.Option("--browser/--no-browser", help="Open the page in the browser.")
 
 

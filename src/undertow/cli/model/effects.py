@@ -31,7 +31,7 @@ _ID = typer.Argument(metavar="ID", help="Id of the effect; 'undertow effects' li
 _FILE = typer.Argument(metavar="FILE", help="Python file with effects of your own; it is executed.")
 _NEW_ID = typer.Argument(metavar="ID", help="Id of the new effect, such as turning_drag.")
 _FROM = typer.Option("--from", metavar="DIAGNOSIS.json", help="What 'undertow diagnose --json' wrote.")
-_OUT = typer.Option("--out", metavar="FILE", help="Where to write it.", show_default="ID.py")
+_OUT = typer.Option(metavar="FILE", help="Where to write it.", show_default="ID.py")
 _FAMILIES = ("inertia", "damping", "statics", "water", "tether", "actuation", "measurement", "memory")
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
-_FMI = typer.Option("--fmi", help="Version of FMI.")
+_FMI = typer.Option(help="Version of FMI.")
 
 
 def _out(ending: str) -> object:
@@ -127,13 +127,13 @@ def mujoco(
 
 
 _CONTROLLER = typer.Option(
-    "--controller", metavar="GAINS", help="Gain file (TOML), or name of a bundled one; may be repeated."
+    metavar="GAINS", help="Gain file (TOML), or name of a bundled one; may be repeated."
 )
-_OBSERVER = typer.Option("--observer", metavar="FILE", help="Observer file (TOML); may be repeated.")
-_PATH = typer.Option("--path", metavar="MISSION.toml", help="The controllers follow this mission.")
-_FOLDER = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
+_OBSERVER = typer.Option(metavar="FILE", help="Observer file (TOML); may be repeated.")
+_PATH = typer.Option(metavar="MISSION.toml", help="The controllers follow this mission.")
+_FOLDER = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
 _CHECK = typer.Option("--check", help="Write nothing; exit with 1 when the code is missing or stale.")
-_SIZES = typer.Option("--sizes", metavar="COMPILER", help="Print flash and stack with this compiler and -Os.")
+_SIZES = typer.Option(metavar="COMPILER", help="Print flash and stack with this compiler and -Os.")
 
 
 @app.command()

@@ -67,55 +67,44 @@ app = typer.Typer(add_completion=False)
 
 Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv"]
 
-_MESH = typer.Option("--mesh", metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
+_MESH = typer.Option(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
 _TYPE = typer.Option(
     "--type", help="In place of a mesh: a type, of which --length, --beam and --height are asked."
 )
 _LOG = typer.Option(
-    "--log",
     metavar="LOG",
     help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters give frame and motors.",
 )
 _TANK = typer.Option(
-    "--tank",
     metavar="FOLDER",
     help="Virtual towing tank that was run (undertow tank): alone, or for what of --mesh was tested.",
 )
-_LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
-_BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width, of two hulls across both.")
-_HEIGHT = typer.Option("--height", metavar="M", help="With --type: overall; of ship and asv the draught.")
-_MASS = typer.Option("--mass", metavar="KG", help="Of the vehicle, dry.")
-_CG = typer.Option(
-    "--cg", metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down."
-)
-_ORIGIN = typer.Option("--origin", help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
-_DENSITY = typer.Option("--density", metavar="KG/M3", help="Of the water.")
-_DOF = typer.Option("--dof", metavar="NAME,NAME", help="Motions of the model.")
+_LENGTH = typer.Option(metavar="M", help="With --type: overall, of ships in the waterline.")
+_BEAM = typer.Option(metavar="M", help="With --type: overall width, of two hulls across both.")
+_HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship and asv the draught.")
+_MASS = typer.Option(metavar="KG", help="Of the vehicle, dry.")
+_CG = typer.Option(metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down.")
+_ORIGIN = typer.Option(help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
+_DENSITY = typer.Option(metavar="KG/M3", help="Of the water.")
+_DOF = typer.Option(metavar="NAME,NAME", help="Motions of the model.")
 _VOLUME = typer.Option(
-    "--volume",
     metavar="M3",
     help="What a hull that floods displaces; the rest of it is water carried along.",
     show_default="what the hull encloses",
 )
 _CD = typer.Option(
-    "--cd",
-    metavar="X,Y,Z",
-    help="Drag coefficients on the silhouettes.",
-    show_default="by the form of the hull",
+    metavar="X,Y,Z", help="Drag coefficients on the silhouettes.", show_default="by the form of the hull"
 )
-_ADDED = typer.Option(
-    "--added-mass", help="By panels, or of a body of the same extents; auto: panels if installed."
-)
+_ADDED = typer.Option(help="By panels, or of a body of the same extents; auto: panels if installed.")
 _FLOATING = typer.Option(
     "--floating", help="The hull floats at the surface: waterline, memory of the waves that it makes."
 )
 _WAVE = typer.Option(
-    "--wave",
     metavar="RAD/S,M,DEGREES",
     help="With --floating: forces of a regular wave of this frequency, amplitude and direction of travel.",
 )
-_NAME = typer.Option("--name", metavar="NAME", help="Of the vehicle.", show_default="name of the mesh file")
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Where to write it.", show_default="NAME.toml")
+_NAME = typer.Option(metavar="NAME", help="Of the vehicle.", show_default="name of the mesh file")
+_OUT = typer.Option(metavar="NEW.toml", help="Where to write it.", show_default="NAME.toml")
 
 
 def three(text: str, option: str) -> tuple[float, float, float]:
