@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 _ERROR = typer.Option(metavar="NAME=VALUE", help="Acceptable error of x, z, psi ..., m and rad.")
 _FORCE = typer.Option(metavar="NAME=VALUE", help="Available force in surge, heave ..., N and N m.")
-_NAME = typer.Option(metavar="NAME", help="Of the gain set.")
-_OUT = typer.Option(metavar="NEW.toml", help="Write the gain file.")
 
 
 def design(
@@ -37,8 +35,8 @@ def design(
     force: Annotated[list[str], _FORCE],
     law: Annotated[Literal["pd", "pid"], typer.Option(help="Law of the gain file.")] = "pd",
     direction: Annotated[list[str] | None, DIRECTION] = None,
-    name: Annotated[str, _NAME] = "lqr",
-    out: Annotated[Path | None, _OUT] = None,
+    name: Annotated[str, typer.Option(metavar="NAME", help="Of the gain set.")] = "lqr",
+    out: Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write the gain file.")] = None,
     effects: EffectsOption = None,
 ) -> None:
     from undertow.control.conditions.check import derived_conditions_hold

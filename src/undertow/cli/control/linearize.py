@@ -68,14 +68,12 @@ DIRECTION = typer.Option(
 _GAINS = typer.Option(metavar="GAINS", help="Gain file, or name of a bundled one: closed loop.")
 _OBSERVER = typer.Option(metavar="FILE", help="Observer file: the law gets its estimate.")
 _INPUT = typer.Option(metavar="NAME", help="Command, force (surge ...) or, with gains, set-point.")
-_OUTPUT = typer.Option(metavar="NAME", help="Reported pose or velocity.")
 _SENSORS = typer.Option(metavar="NAME,NAME", help="What is measured, for observability.", show_default="all")
 _FAMILY = typer.Option(metavar="N", help="Draw N vehicles as uncertain as this one.", min=1, max=10_000)
 _PADE = typer.Option(metavar="ORDER", help="Approximate dead time to this order.", min=0, max=8)
 _DT = typer.Option(metavar="TIME", help="Sampled: commands are held for this time, s.")
 _TOGETHER = typer.Option("--together", help="Disk margin of all forces at once (extra slycot).")
 _STABLE = typer.Option("--require-stable", help="Refuse a trim, or a closed loop, that is unstable.")
-_OUT = typer.Option(metavar="FILE.png", help="Where to write the picture.")
 
 
 def linearize(
@@ -87,7 +85,7 @@ def linearize(
     gains: Annotated[str | None, _GAINS] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
     input: Annotated[str | None, _INPUT] = None,
-    output: Annotated[str | None, _OUTPUT] = None,
+    output: Annotated[str | None, typer.Option(metavar="NAME", help="Reported pose or velocity.")] = None,
     sensors: Annotated[str | None, _SENSORS] = None,
     family: Annotated[int | None, _FAMILY] = None,
     seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
@@ -96,7 +94,7 @@ def linearize(
     together: Annotated[bool, _TOGETHER] = False,
     require_stable: Annotated[bool, _STABLE] = False,
     plot: Annotated[Plot | None, typer.Option(help="Draw a picture.")] = None,
-    out: Annotated[Path | None, _OUT] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where to write the picture.")] = None,
     json: JsonOption = False,
     effects: EffectsOption = None,
 ) -> None:

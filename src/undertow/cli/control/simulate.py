@@ -64,12 +64,9 @@ if TYPE_CHECKING:
 
 
 _GAINS = typer.Argument(metavar="GAINS", help="Gain files (TOML), or names of bundled ones (paper-pd ...).")
-_TO = typer.Option(metavar="X,Y,Z[,PSI]", help="Set-point.")
-_PATH = typer.Option(metavar="MISSION.toml", help="Follow this mission.")
 _FOR = typer.Option(
     "--for", metavar="SECONDS", help="Length of the run.", show_default="240, or the mission's"
 )
-_DT = typer.Option(metavar="SECONDS", help="Sampling interval of the controller.")
 _START = typer.Option("--from", metavar="X,Y,Z[,PSI]", help="Where the vehicle begins.", show_default="0")
 _MOVING = typer.Option(metavar="NAME=VALUE", help="A velocity that it begins with, as u=0.2.")
 _WITHOUT = typer.Option(metavar="EFFECT", help="Leave an effect of the vehicle out.")
@@ -91,7 +88,6 @@ _CONTINUOUS = typer.Option(
     "--continuous", help="The law acts without sampling, in Runge-Kutta steps of at most --dt."
 )
 _LOG = typer.Option(metavar="SECONDS", help="Interval of the rows of --out.", show_default="~5000 rows")
-_OUT = typer.Option(metavar="LOG.csv", help="Write the run as a log.")
 _FIGURES = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
 
 
@@ -122,10 +118,10 @@ class ScheduleOptions:
 class ScenarioOptions:
     """What is simulated."""
 
-    to: Annotated[str | None, _TO] = None
-    path: Annotated[Path | None, _PATH] = None
+    to: Annotated[str | None, typer.Option(metavar="X,Y,Z[,PSI]", help="Set-point.")] = None
+    path: Annotated[Path | None, typer.Option(metavar="MISSION.toml", help="Follow this mission.")] = None
     duration: Annotated[float | None, _FOR] = None
-    dt: Annotated[float, _DT] = 0.001
+    dt: Annotated[float, typer.Option(metavar="SECONDS", help="Sampling interval of the controller.")] = 0.001
     start: Annotated[str | None, _START] = None
     moving: Annotated[list[str] | None, _MOVING] = None
     push: Annotated[list[str] | None, _PUSH] = None
@@ -173,7 +169,7 @@ def simulate(
     without: Annotated[list[str] | None, _WITHOUT] = None,
     plant: Annotated[str | None, _PLANT] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
-    out: Annotated[Path | None, _OUT] = None,
+    out: Annotated[Path | None, typer.Option(metavar="LOG.csv", help="Write the run as a log.")] = None,
     figures: Annotated[Path | None, _FIGURES] = None,
     json: JsonFileOption = None,
     effects: EffectsOption = None,

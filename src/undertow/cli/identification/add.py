@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from undertow.identification.diagnosis.addition import Addition
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
-_ALL = typer.Option("--all", help="Keep parameters that prove to be zero, too.")
 _FORCE = typer.Option("--force", help="Write the effect even where it does not help.")
 _CODEGEN = typer.Option("--codegen/--no-codegen", help="Regenerate the C code of the new vehicle.")
 _BUILD = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME with the code.")
@@ -53,7 +52,7 @@ def add(
     holdout: HoldoutOption = None,
     out: OutOption = None,
     in_place: InPlaceOption = False,
-    all: Annotated[bool, _ALL] = False,
+    all: Annotated[bool, typer.Option("--all", help="Keep parameters that prove to be zero, too.")] = False,
     force: Annotated[bool, _FORCE] = False,
     codegen: Annotated[bool, _CODEGEN] = True,
     build: Annotated[Path, _BUILD] = Path("build"),

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from undertow.identification.observe import Observed
     from undertow.model.vehicle import Vehicle
 
-_LOG = typer.Argument(metavar="LOG", help="A table, or a log as a vehicle wrote it.")
 _PROCESS = typer.Option(help="What moves: kinematics alone, or the model.")
 _FILTER = typer.Option(
     help="Extended or unscented Kalman filter.",
@@ -56,7 +55,7 @@ _PLOT = typer.Option(metavar="OUT.png", help="Draw estimates with two sigma, and
 @bundled
 def observe(
     vehicle: VehicleArgument,
-    log: Annotated[Path, _LOG],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A table, or a log as a vehicle wrote it.")],
     options: ReadOptions,
     process: Annotated[Literal["kinematics", "model"], _PROCESS] = "kinematics",
     filter: Annotated[Literal["ekf", "ukf"] | None, _FILTER] = None,

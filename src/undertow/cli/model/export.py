@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
-_FMI = typer.Option(help="Version of FMI.")
-
 
 def _out(ending: str) -> object:
     return typer.Option(
@@ -41,7 +39,7 @@ def _out(ending: str) -> object:
 def fmu(
     vehicle: VehicleArgument,
     out: Annotated[Path | None, _out("fmu")] = None,
-    fmi: Annotated[Literal["2.0", "3.0"], _FMI] = "3.0",
+    fmi: Annotated[Literal["2.0", "3.0"], typer.Option(help="Version of FMI.")] = "3.0",
     force: NewForceOption = False,
     effects: EffectsOption = None,
 ) -> None:

@@ -82,10 +82,8 @@ _TANK = typer.Option(
 _LENGTH = typer.Option(metavar="M", help="With --type: overall, of ships in the waterline.")
 _BEAM = typer.Option(metavar="M", help="With --type: overall width, of two hulls across both.")
 _HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship and asv the draught.")
-_MASS = typer.Option(metavar="KG", help="Of the vehicle, dry.")
 _CG = typer.Option(metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down.")
 _ORIGIN = typer.Option(help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
-_DENSITY = typer.Option(metavar="KG/M3", help="Of the water.")
 _DOF = typer.Option(metavar="NAME,NAME", help="Motions of the model.")
 _VOLUME = typer.Option(
     metavar="M3",
@@ -130,7 +128,7 @@ def read(path: Path, unit: str | None, frame: str) -> Hull:
 
 @app.command()
 def new(
-    mass: Annotated[float | None, _MASS] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="Of the vehicle, dry.")] = None,
     mesh: Annotated[Path | None, _MESH] = None,
     log: Annotated[Path | None, _LOG] = None,
     tank: Annotated[Path | None, _TANK] = None,
@@ -142,7 +140,7 @@ def new(
     frame: FrameOption = "FRD",
     cg: Annotated[str, _CG] = "0,0,0",
     origin: Annotated[Literal["buoyancy", "mesh"], _ORIGIN] = "buoyancy",
-    density: Annotated[float, _DENSITY] = 1000.0,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Of the water.")] = 1000.0,
     dof: Annotated[str, _DOF] = "surge,sway,heave,roll,pitch,yaw",
     volume: Annotated[float | None, _VOLUME] = None,
     cd: Annotated[str | None, _CD] = None,
