@@ -36,20 +36,19 @@ LogsArgument = Annotated[
 ]
 HoldoutOption = Annotated[
     list[Path] | None,
-    typer.Option("--holdout", metavar="LOG", help="Logs for validation, up to the next option."),
+    typer.Option(metavar="LOG", help="Logs for validation, up to the next option."),
 ]
 MapOption = Annotated[
     Path | None,
-    typer.Option("--map", metavar="FILE", help="Mapping file: columns, units and frames of the logs."),
+    typer.Option(metavar="FILE", help="Mapping file: columns, units and frames of the logs."),
 ]
 EffectsOption = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE", help="Python file with effects of your own; it is executed."),
+    typer.Option(metavar="FILE", help="Python file with effects of your own; it is executed."),
 ]
 FillOption = Annotated[
     Fill | None,
     typer.Option(
-        "--fill",
         help="Where a command has no sample: refuse the log, hold the last value, or leave a gap.",
         show_default="refuse, or what the mapping file says",
     ),
@@ -58,18 +57,14 @@ TrustOption = Annotated[
     bool,
     typer.Option("--trust-log", help="Use logs that would be refused: wrong units, contradicting channels."),
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
-]
+OutOption = Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write a new vehicle file.")]
 InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Change the vehicle file itself.")]
 CurrentOption = Annotated[
     str | None,
-    typer.Option("--current", metavar="NORTH,EAST", help="Velocity of the water over ground, m/s."),
+    typer.Option(metavar="NORTH,EAST", help="Velocity of the water over ground, m/s."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-JsonFileOption = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write the whole result as JSON.")
-]
+JsonFileOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the whole result as JSON.")]
 NewForceOption = Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")]
 
 
