@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -102,14 +101,6 @@ class Sums:
         return np.asarray(self.value + self.lost)
 
 
-class RowSource(Protocol):
-    """Passes over columns of samples."""
-
-    def gram(self, columns: list[Array], p: Array, sums: Sums) -> None: ...
-
-    def build(self, columns: list[Array], p: Array) -> tuple[Array, int]: ...
-
-
 class CompiledRows:
     """Passes over the data in C."""
 
@@ -203,3 +194,6 @@ class VirtualRows:
         table[:, list(known.row), list(known.column)] = entries
         table[~whole] = 0.0
         return table.reshape(-1, known.size + 1), int(whole.sum())
+
+
+RowSource = CompiledRows | VirtualRows
