@@ -10,9 +10,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undertow.fleet.changes import ChangeTests, Day, by_month, days_of, shift, trend
+from undertow.fleet.changes import (
+    ChangeTests,
+    Day,
+    SpanTest,
+    Statement,
+    by_month,
+    days_of,
+    shift,
+    statements,
+    trend,
+)
 from undertow.fleet.reduction import Job, Panel, reduce_runs, with_fingerprint
-from undertow.fleet.verdicts import SpanTest, Statement, statements
 
 from .made import THRUSTERS, days, folder_with_vehicle, fouling, run
 

@@ -66,9 +66,9 @@ def drag(vehicle: Vehicle, axis: str, speeds: Array) -> Array:
 def thrust(vehicle: Vehicle, names: tuple[str, ...], setpoints: Array) -> Array:
     """Steady thrust of several thrusters at a common set-point, at zero speed, N."""
     f = Functions(vehicle)
-    steady = f.chain_output
+    steady = f.actuator_output
     if f.actuator_states.numel():
-        steady = ca.substitute(steady, f.actuator_states, f.chain_rest)
+        steady = ca.substitute(steady, f.actuator_states, f.actuator_rest)
     # Every thruster has its own line of action: what counts here is the sum of their thrusts.
     per_command = [vehicle.value_of(f"thrust_{t.name}").value for t in vehicle.thrusters]
     output = ca.Function("thrust", [f.u, f.p], [steady])

@@ -15,10 +15,9 @@ from matplotlib.figure import Figure
 from undertow.errors import UndertowError
 from undertow.figures import COLOURS, FAINT, figure, look, save_png
 from undertow.files import write_whole
-from undertow.shape.afloat import heading_error
+from undertow.shape.afloat import fit_memory, heading_error
 from undertow.shape.bodies import AddedMass
 from undertow.shape.floating import Afloat, FloatingBody
-from undertow.shape.memory import fit_memory
 from undertow.typing import Progress
 
 from ..progress import clear, teller

@@ -33,11 +33,11 @@ def time_evaluator_call(speed: Speed) -> None:
 def time_function_call(speed: Speed) -> None:
     compiled = Compiled(vehicle.functions(), compiled=True)
     x, u, p = _point()
-    found = np.array(compiled.dynamics(x, u, p, 0.0)).ravel()
+    found = np.array(compiled.function("dynamics")(x, u, p, 0.0)).ravel()
     speed(
         CALL,
         "CasADi Function.__call__",
-        lambda: compiled.dynamics(x, u, p, 0.0),
+        lambda: compiled.function("dynamics")(x, u, p, 0.0),
         apart=_apart(found),
         limit=EXACT,
     )

@@ -18,7 +18,7 @@ from undertow.codegen import Compiled
 from undertow.codegen.gram import layout
 from undertow.codegen.source import FORMS
 from undertow.identification.estimation.fitted import Triangle
-from undertow.paper.linear_fit import LinearFit
+from undertow.paper.regression import LinearFit
 
 from . import vehicle
 from .conftest import Speed

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look
 from undertow.shape.mesh import read_hull
-from undertow.tank.coefficients import coefficients
-from undertow.tank.records import read_record
+from undertow.tank.coefficients import coefficients, read_record
 from undertow.tank.settings import log_of, read_tank
 from undertow.typing import Array
 

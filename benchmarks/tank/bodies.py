@@ -18,10 +18,8 @@ from undertow.model.symbols import DOFS
 from undertow.shape.bodies import box, prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, mended, stl_bytes
 from undertow.tank.case import Orders, make_tank, write_tank
-from undertow.tank.coefficients import coefficients
-from undertow.tank.convergence import convergence
+from undertow.tank.coefficients import coefficients, convergence, read_record
 from undertow.tank.pictures import picture
-from undertow.tank.records import read_record
 from undertow.tank.run import run_tank
 from undertow.tank.settings import FILE, Tank, log_of, read_tank
 from undertow.typing import Progress

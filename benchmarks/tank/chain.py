@@ -16,9 +16,8 @@ from undertow.model.loading import load_vehicle
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.model.vehicle import Value, Vehicle
 from undertow.paper.least_squares import identify
-from undertow.tank.coefficients import Coefficient, coefficients
+from undertow.tank.coefficients import Coefficient, coefficients, tank_vehicle
 from undertow.tank.settings import Case, Tank, log_of, read_tank
-from undertow.tank.vehicle import tank_vehicle
 
 SPACING = 0.2  # s, between samples, as in the paper
 START, WIDE = 0.5, 3.0  # fits begin at half the truth, and hardly hold on to it: sigma over the truth

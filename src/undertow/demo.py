@@ -42,9 +42,8 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
-from undertow.tank.coefficients import coefficients
+from undertow.tank.coefficients import coefficients, tank_vehicle
 from undertow.tank.settings import read_tank
-from undertow.tank.vehicle import tank_vehicle
 from undertow.typing import Array, Progress
 
 DATA = Path(str(files("undertow") / "demo_data"))
@@ -129,8 +128,8 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
     yield from _pictures(output, outcome)
     if outcome.effects:
         yield output.vehicle("auv/vehicle.toml", outcome, _AUV / "vehicle.toml", "the vehicle file, now with")
-        ground = set_up_addition(vehicle, train, [test])
-        yield from _falling(output, add_effect(catalogue()[outcome.effects[0]], ground))
+        setup = set_up_addition(vehicle, train, [test])
+        yield from _falling(output, add_effect(catalogue()[outcome.effects[0]], setup))
     # What was hidden, read only now that all has been said.
     values = json.loads((_AUV / "truth.json").read_text(encoding="utf-8"))["values"]
     hidden = "; ".join(
@@ -162,7 +161,7 @@ def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     names = (data.before, data.after)
     run = data.runs[0]
     velocities = replace(run, traces=tuple(t for t in run.traces if t.channel in VELOCITY))
-    sway = [c for c in data.residuals if c.degree_of_freedom == "sway"]
+    sway = [c for c in data.residuals if c.before.degree_of_freedom == "sway"]
     yield output.text("auv/report.html", render_report(outcome.diagnosis, data), "the full report")
     yield output.picture(
         "auv/error-map.png",
@@ -208,7 +207,7 @@ class Way:
 
     profile: str
     other: str
-    ground: AdditionSetup
+    setup: AdditionSetup
     outcome: DiagnosisResult
     additions: dict[str, Addition]
 
@@ -218,10 +217,10 @@ class Way:
         vehicle = load_vehicle(_VEHICLE)
         logs = [_HULL / f"surge_{name}_coarse.csv.gz" for name in (profile, other)]
         run, held_out = read_logs(logs, vehicle, read_mapping(_HULL / "log.toml"))
-        ground = set_up_addition(vehicle, [run], [held_out])
-        additions = [add_effect(effect, ground) for effect in visible_effects(ground, catalogue())]
+        setup = set_up_addition(vehicle, [run], [held_out])
+        additions = [add_effect(effect, setup) for effect in visible_effects(setup, catalogue())]
         outcome = diagnose(vehicle, [run], [held_out])
-        return cls(profile, other, ground, outcome, {a.effect: a for a in additions})
+        return cls(profile, other, setup, outcome, {a.effect: a for a in additions})
 
     @property
     def name(self) -> str:
@@ -230,12 +229,12 @@ class Way:
     @cached_property
     def plain(self) -> Vehicle:
         """The fitted model of inertia and drag."""
-        return self.ground.bench.base.vehicle
+        return self.setup.bench.base.vehicle
 
     @cached_property
     def without(self) -> float:
         """Velocity error ahead of the model of inertia and drag."""
-        return self.ground.validator.prediction(self.plain)[0]
+        return self.setup.validator.prediction(self.plain)[0]
 
     def ahead(self, effect: str) -> float:
         """Velocity error ahead with an effect in the model."""
@@ -243,7 +242,7 @@ class Way:
 
     def missing(self, vehicle: Vehicle) -> Forces:
         """Force that a model lacks on the profile that judges."""
-        return residual_forces(vehicle, self.ground.test)
+        return residual_forces(vehicle, self.setup.test)
 
 
 Ways = tuple[Way, Way]
@@ -284,7 +283,7 @@ def _where(ways: Ways) -> Iterator[Piece]:
     rows = [
         (phase, *(f"{f[phase]:.2f} N" if phase in f else "–" for f in found)) for phase in found[0] | found[1]
     ]
-    push = max(float(np.max(np.abs(r.channels["tau_X"]))) for way in ways for r in way.ground.test)
+    push = max(float(np.max(np.abs(r.channels["tau_X"]))) for way in ways for r in way.setup.test)
     yield (
         "text",
         f"Force that the fitted model lacks on the other profile (rms; the push reaches {push:.2g} N):",
@@ -341,7 +340,7 @@ def _effects(
 
 def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
     """What the effect that lowers the error most does to the parameters, and what remains with it."""
-    prior = ways[0].ground.vehicle.value_of("X_udot")
+    prior = ways[0].setup.vehicle.value_of("X_udot")
     plain = " and ".join(f"{-way.plain.value_of('X_udot').value:.1f}" for way in ways)
     fits = [way.additions[best].fit for way in ways]
     helped = " and ".join(f"{-fit.values['X_udot']:.1f}" for fit in fits)
@@ -369,7 +368,7 @@ def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
     yield "text", "What is left is not noise, for these logs have next to none."
     for way in ways:
         models = (way.plain, way.additions[best].fit.vehicle)
-        pair = (compare(v, way.ground.test, compiled=False) for v in models)
+        pair = (compare(v, way.setup.test, compiled=False) for v in models)
         picture = measured_vs_simulated(traces(*pair, free=True)[0], ("inertia and drag", f"with {best}"))
         what = f"{way.other}, simulated from its push alone by models fitted to {way.profile}"
         yield output.picture(f"hull/{way.other}.png", picture, what)

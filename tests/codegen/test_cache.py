@@ -420,7 +420,7 @@ for name in ("mini-auv", "box-hull"):
     functions = functions_of(name)
     x, u, p = np.ones(len(functions.state_names)), np.ones((9, functions.u.numel())), functions.values()
     Simulator(functions, compiled=True).run_with_sensitivities(x, np.arange(9.0), u, p, [0])
-    assert Compiled(functions, compiled=True).dynamics(x, u[0], p, 0).shape == (x.size, 1)
+    assert Compiled(functions, compiled=True).function("dynamics")(x, u[0], p, 0).shape == (x.size, 1)
 print("alive")
 """
 
@@ -486,7 +486,7 @@ def test_without_a_compiler_the_virtual_machine_runs_and_one_line_says_so(
     for _ in range(2):
         simulator = Simulator(functions)
         assert not simulator.compiled
-        assert Compiled(functions).dynamics is functions.dynamics
+        assert Compiled(functions).function("dynamics") is functions.dynamics
     x, _ = simulator.run_with_sensitivities(
         np.zeros(2), np.arange(3.0), np.ones((3, 1)), np.array(functions.values()), [0]
     )

@@ -11,34 +11,28 @@ from tests.quick import quick_if
 from undertow.codegen import Compiled
 from undertow.codegen.compiler import Compiler, Evaluator
 
-KINDS = {
-    "dynamics": "dynamics",
-    "jacobians": "jacobians",
-    "regressor": "regressor",
-    "residual": "residual_function",
-    "outputs": "outputs",
-}
+KINDS = ("dynamics", "jacobians", "regressor", "residual_function", "outputs")
 
 
 @pytest.mark.parametrize("name", quick_if(("cybership2", "mini-auv").__contains__, [*BUNDLED, "full"]))
 def test_compiled_functions_equal_the_virtual_machine(name: str, c_compiler: Compiler) -> None:
     functions = functions_of(name)
     compiled = Compiled(functions, compiled=True)
-    for kind, virtual in KINDS.items():
-        function = getattr(compiled, kind)
+    for kind in KINDS:
+        function = compiled.function(kind)
         assert function.is_a("External")
         for seed in range(3):
             point = random_point(functions, seed)
             values = {"x": point.x, "nu_dot": point.nu_dot, "u": point.u, "p": point.p, "t": point.t}
             arguments = [values[n] for n in function.name_in()]
-            expected = getattr(functions, virtual).call(arguments)
+            expected = getattr(functions, kind).call(arguments)
             for a, b in zip(function.call(arguments), expected, strict=True):
                 assert_close(np.array(a), np.array(b))
 
 
 def test_without_compiled_code_the_functions_are_the_models_own() -> None:
     functions = functions_of("box-hull")
-    assert Compiled(functions, compiled=False).dynamics is functions.dynamics
+    assert Compiled(functions, compiled=False).function("dynamics") is functions.dynamics
 
 
 def test_the_evaluator_takes_many_points_in_one_call(c_compiler: Compiler) -> None:

@@ -18,8 +18,7 @@ from tests.observer.test_design import with_current as usbl
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen import Functions
-from undertow.codegen.library import Library
-from undertow.codegen.sizes import sizes
+from undertow.codegen.library import Library, sizes
 from undertow.control.api import library_of
 from undertow.control.controller import Controller, Sharing, thruster_commands
 from undertow.control.gains import load_gains

@@ -12,10 +12,20 @@ import pytest
 
 from benchmarks.fleet.made import folder_with_vehicle, fouling
 from benchmarks.fleet.names import asked, logged
-from undertow.fleet.changes import Change, ChangeTests, Direction, Kind, Span, two_sided_p
+from undertow.fleet.changes import (
+    Change,
+    ChangeTests,
+    Direction,
+    Kind,
+    Span,
+    SpanTest,
+    Statement,
+    holm,
+    statements,
+    two_sided_p,
+)
 from undertow.fleet.diagnose import summary
 from undertow.fleet.reduction import Job, Panel, with_fingerprint
-from undertow.fleet.verdicts import SpanTest, Statement, holm, statements
 
 Drift = Mapping[str, float]
 

@@ -17,11 +17,11 @@ from benchmarks.trust.cases import Planned
 from benchmarks.trust.run import records, run
 from tests.quick import first_quick
 from undertow.errors import UndertowError
+from undertow.fleet.changes import FleetReport
 from undertow.fleet.diagnose import Store, diagnose
 from undertow.fleet.engine import DaskEngine, Failure, InProcess, Waiting, engine
 from undertow.fleet.reduction import Job
 from undertow.fleet.rollouts import RolloutJob, rollouts
-from undertow.fleet.verdicts import FleetReport
 
 
 def question(fleet: Path) -> tuple[list[str], Job]:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.expressions import Formula
-from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.mapping import Formula, read_mapping
 from undertow.identification.logs.reading import read_log
 
 LOG = "t,u,pwm1,cmd 2,east,north\n" + "\n".join(

@@ -16,11 +16,10 @@ from benchmarks.shape.usv import CG, MASS, usv_hull
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.symbols import VELOCITY, signals, symbol
-from undertow.shape.afloat import FloatingVehicle, WaveSpec, floating_vehicle, under_water
+from undertow.shape.afloat import FloatingVehicle, Memory, WaveSpec, fit_memory, floating_vehicle, under_water
 from undertow.shape.bodies import AddedMass
 from undertow.shape.first import HullSpec
 from undertow.shape.floating import Afloat, FloatingBody
-from undertow.shape.memory import Memory, fit_memory
 from undertow.shape.mesh import has_capytaine
 
 panels = pytest.mark.skipif(not has_capytaine(), reason="needs capytaine")

@@ -15,7 +15,7 @@ from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import Triangle
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
-from undertow.paper.linear_fit import LinearFit
+from undertow.paper.regression import LinearFit
 
 NAMES = (
     *("X_udot", "Y_vdot", "Z_wdot", "K_pdot", "M_qdot", "N_rdot", "X_u", "Y_v", "Z_w", "K_p", "M_q", "N_r"),

@@ -10,8 +10,8 @@ import pytest
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import LogMapping, read_mapping
+from undertow.identification.logs.opening import save_log
 from undertow.identification.logs.reading import read_log, stated_disturbance
-from undertow.identification.logs.saving import save_log
 
 RATE, PERIOD = 6.0, 1.0  # rows a second; seconds between reports
 

@@ -22,10 +22,15 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.identification.long_logs.checking import checked
-from undertow.identification.long_logs.choosing import Budget, at_full_rate, choose, read_in_parts, too_long
-from undertow.identification.long_logs.information import most_informative
-from undertow.identification.long_logs.spool import Spool
-from undertow.identification.long_logs.thinning import band, thinned
+from undertow.identification.long_logs.choosing import (
+    Budget,
+    at_full_rate,
+    choose,
+    most_informative,
+    read_in_parts,
+    too_long,
+)
+from undertow.identification.long_logs.thinning import Spool, band, thinned
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
@@ -203,14 +208,14 @@ def test_the_stretches_that_move_are_taken_and_the_fit_is_the_truth(vehicle: Veh
     times = np.concatenate([run.t for run in chosen.runs]) * RATE
     moving = np.any([(times > a.start) & (times < a.stop + 500) for a in active], axis=0)
     assert np.mean(moving) > 0.5  # of the log, a tenth moves
-    done = fit(vehicle, chosen.runs, chosen.judges)
+    done = fit(vehicle, chosen.runs, chosen.validation)
     row = done.parameters.row(by_predicate=pl.col("parameter") == "X_u", named=True)
     assert row["value"] == pytest.approx(-20.0, rel=0.01)
     found = checked(chosen, {"as given": vehicle, "refitted": done.vehicle})
     assert found.rest is not None
     given, refitted = (m.error for m in found.rest.models)
     assert refitted < 0.2 * given
-    used = sum(len(run.t) for run in (*chosen.runs, *chosen.judges))
+    used = sum(len(run.t) for run in (*chosen.runs, *chosen.validation))
     thin = sum(spool.rows for spool in chosen.spools)
     assert found.rest.samples + used == pytest.approx(thin, rel=0.01)
 
@@ -218,8 +223,8 @@ def test_the_stretches_that_move_are_taken_and_the_fit_is_the_truth(vehicle: Veh
 def test_what_judges_lies_apart_from_what_is_fitted(vehicle: Vehicle, tmp_path: Path) -> None:
     path = written(surge(dull_but_for([slice(0, 400_000)], 400_000)), tmp_path / "a.parquet")
     chosen = choose(vehicle, [long_log(path)], budget=SMALL)
-    assert chosen.judges
-    for judge in chosen.judges:
+    assert chosen.validation
+    for judge in chosen.validation:
         for run in chosen.runs:
             apart = max(judge.t[0] - run.t[-1], run.t[0] - judge.t[-1])
             assert apart > 0.9 * chosen.result.seconds
@@ -231,7 +236,7 @@ def test_of_several_logs_one_is_kept_as_a_whole(vehicle: Vehicle, tmp_path: Path
         for seed in (5, 6, 7)
     ]
     chosen = choose(vehicle, logs, budget=SMALL)
-    assert {run.origin for run in chosen.judges} == {"7"}
+    assert {run.origin for run in chosen.validation} == {"7"}
     assert {run.origin for run in chosen.runs} == {"5", "6"}
     assert [log.holdout for log in chosen.result.logs] == [False, False, True]
     text = "\n".join(chosen.result.sentences())

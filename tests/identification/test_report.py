@@ -16,6 +16,7 @@ from tests.quick import first_quick
 from undertow.cli.identification.diagnose import _content  # words for verdicts that no log here has
 from undertow.errors import UndertowError
 from undertow.figures import plain, save_png, svg, unit_text, with_unit
+from undertow.identification.compare.comparison import Profile
 from undertow.identification.diagnose import _with_doctor  # for findings that no log here has
 from undertow.identification.diagnosis.result import (
     ChannelNoise,
@@ -145,12 +146,12 @@ def _trace(channel: str = "u", n: int = 4000) -> Trace:
 def _data(name: str = "run1", runs: int = 1) -> ReportData:
     map_ = ErrorMap(("surge", name), ("slow", name), np.array([[4.0, np.nan], [2.0, 9.0]]), np.ones((2, 2)))
     centre = np.linspace(-1, 1, 7)
-    curves = [
-        ResidualCurve(
-            dof, "N", name, "m/s", centre, 2 * centre, 0.1 + 0 * centre, 0 * centre, 0.1 + 0 * centre
-        )
-        for dof in ("surge", "yaw")
-    ]
+
+    def profile(dof: str, slope: float) -> Profile:
+        error = np.full(7, 0.05)
+        return Profile(dof, name, "m/s", centre, slope * centre, error, np.full(7, 9))
+
+    curves = [ResidualCurve("N", profile(dof, 2.0), profile(dof, 0.0)) for dof in ("surge", "yaw")]
     return ReportData(
         before=name,
         after="better",
@@ -338,14 +339,12 @@ def test_a_comparison_becomes_a_report() -> None:
     run = Run("surge " + EVIL, t, channels, sha256="cd" * 32)
     vehicle = load_vehicle("box-hull")
     before = compare(vehicle, [run], compiled=False)
-    data = report_data(
-        before, compare(vehicle, [run], compiled=False), names=("old", "new"), settings={"a": "b"}
-    )
+    data = report_data(before, compare(vehicle, [run], compiled=False), names=("old", "new"))
     assert data.maps[0].rows == ("surge",)
     assert np.nanmax(data.maps[0].before) > 3
     assert [trace.channel for trace in data.runs[0].traces] == ["u", "x"]
     assert {curve.unit for curve in data.residuals} == {"N"}
-    assert data.settings["a"] == "b"
+    assert data.settings["prediction ahead"].startswith("over 5 s, from ")
     assert {"Python", "numpy", "casadi"} <= set(data.versions)
     page = _Page(render_report(_diagnosis(), data))
     assert not page.open

@@ -109,7 +109,7 @@ def test_saturation_that_nothing_is_said_of_limits_nothing() -> None:
     vehicle = craft(("surge",), {}, "thruster_saturation")
     f = Functions(vehicle)
     assert vehicle.value_of("saturation_limit").value == np.inf
-    output = ca.Function("output", [f.u, f.p], [f.chain_output, ca.jacobian(f.chain_output, f.u)])
+    output = ca.Function("output", [f.u, f.p], [f.actuator_output, ca.jacobian(f.actuator_output, f.u)])
     value, slope = output([1e6, -3.0], f.values())
     np.testing.assert_array_equal(np.array(value).ravel(), [1e6, -3.0])
     np.testing.assert_array_equal(np.array(slope), np.eye(2))
@@ -493,8 +493,8 @@ def test_searches_start_where_derivatives_are_finite(effect_id: str) -> None:
     )
     f = Functions(vehicle)
     own = {p.name: p for p in cls(NAMES).parameters}
-    reported = ca.vertcat(f.residual, f.chain_output, f.reported)
-    slope = ca.jacobian(ca.substitute(reported, f.actuation, f.chain_output), ca.vertcat(f.p, f.x))
+    reported = ca.vertcat(f.residual, f.actuator_output, f.reported)
+    slope = ca.jacobian(ca.substitute(reported, f.actuation, f.actuator_output), ca.vertcat(f.p, f.x))
     function = ca.Function("slope", [f.x, f.nu_dot, f.u, f.p, f.t], [slope])
     for pick in (0, -1):
         values = dict(zip(f.parameter_names, f.values(), strict=True))

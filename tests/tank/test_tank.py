@@ -20,14 +20,10 @@ from undertow.model.loading import load_vehicle
 from undertow.shape.bodies import prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, read_hull, stl_bytes
 from undertow.tank.case import Orders, case_files, make_tank, write_tank
-from undertow.tank.coefficients import coefficients
-from undertow.tank.convergence import convergence, observed_order
+from undertow.tank.coefficients import coefficients, convergence, observed_order, read_record, tank_vehicle
 from undertow.tank.pictures import picture, read_section
-from undertow.tank.profiles import duration, motion, read_signal, signal
-from undertow.tank.records import read_record
 from undertow.tank.run import read_forces, read_motion, run_tank
-from undertow.tank.settings import Tank, folder_of, log_of, read_tank
-from undertow.tank.vehicle import tank_vehicle
+from undertow.tank.settings import Tank, duration, folder_of, log_of, motion, read_signal, read_tank, signal
 
 BOX = box_mesh((0.60, 0.42, 0.24))
 PUSHED = Orders(60.48, profiles=("push", "step"), prescribed=True)

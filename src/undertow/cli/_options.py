@@ -36,20 +36,19 @@ LogsArgument = Annotated[
 ]
 HoldoutOption = Annotated[
     list[Path] | None,
-    typer.Option("--holdout", metavar="LOG", help="Logs for validation, up to the next option."),
+    typer.Option(metavar="LOG", help="Logs for validation, up to the next option."),
 ]
 MapOption = Annotated[
     Path | None,
-    typer.Option("--map", metavar="FILE", help="Mapping file: columns, units and frames of the logs."),
+    typer.Option(metavar="FILE", help="Mapping file: columns, units and frames of the logs."),
 ]
 EffectsOption = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE", help="Python file with effects of your own; it is executed."),
+    typer.Option(metavar="FILE", help="Python file with effects of your own; it is executed."),
 ]
 FillOption = Annotated[
     Fill | None,
     typer.Option(
-        "--fill",
         help="Where a command has no sample: refuse the log, hold the last value, or leave a gap.",
         show_default="refuse, or what the mapping file says",
     ),
@@ -58,18 +57,14 @@ TrustOption = Annotated[
     bool,
     typer.Option("--trust-log", help="Use logs that would be refused: wrong units, contradicting channels."),
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="NEW.toml", help="Write a new vehicle file.")
-]
+OutOption = Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write a new vehicle file.")]
 InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Change the vehicle file itself.")]
 CurrentOption = Annotated[
     str | None,
-    typer.Option("--current", metavar="NORTH,EAST", help="Velocity of the water over ground, m/s."),
+    typer.Option(metavar="NORTH,EAST", help="Velocity of the water over ground, m/s."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-JsonFileOption = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write the whole result as JSON.")
-]
+JsonFileOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the whole result as JSON.")]
 NewForceOption = Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")]
 
 
@@ -218,20 +213,20 @@ class ReadOptions:
         from undertow.identification.long_logs import choosing
 
         with progress("reading logs", total=len(logs) + len(holdout)) as report:
-            work, judges = (
+            work, validation = (
                 self.in_parts(model, paths, opened, report, in_any_order=in_any_order, required=True)
                 for paths in (logs, holdout)
             )
-        long = [*work, *judges]
+        long = [*work, *validation]
         most = choosing.MEASURABLE.samples
         if not to_fit:
             most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
         with progress("reading logs") as report:
             if choosing.too_long(long, most):
                 _say_notes({str(log.path): log.reader_notes for log in long})
-                chosen = choosing.choose(model, work, judges, budget, report)
+                chosen = choosing.choose(model, work, validation, budget, report)
                 runs = choosing.at_full_rate(chosen, long) if budget.raw else chosen.runs
-                return Loaded(model, runs, chosen.judges, chosen)
+                return Loaded(model, runs, chosen.validation, chosen)
             if choosing.beyond_memory(long):
                 runs = choosing.short_parts(model, long)
                 _say_notes({run.source: run.reader_notes for run in runs})
@@ -300,8 +295,8 @@ class LogOptions(ReadOptions):
         pairs = [*self._named.items(), *(("--effects", path) for path in self.effects or ())]
         options = [str(word) for name, value in pairs if value is not None for word in (name, value)]
         options += ["--trust-log"] if self.trust_log else []
-        kept, judges = (tuple(map(str, paths or ())) for paths in (logs, holdout))
-        return CommandLine(vehicle, kept, judges, tuple(options), str(written or ""))
+        kept, validation = (tuple(map(str, paths or ())) for paths in (logs, holdout))
+        return CommandLine(vehicle, kept, validation, tuple(options), str(written or ""))
 
 
 @dataclass(frozen=True)
@@ -311,7 +306,6 @@ class RigOptions(LogOptions):
     held: Annotated[
         str | None,
         typer.Option(
-            "--held",
             metavar="unlogged|NAME,NAME",
             help="Motions that a rig (towing carriage) holds at rest, or moves as their columns say; "
             "unlogged: all without a column.",

@@ -14,7 +14,7 @@ import typer
 
 from ._terminal import progress
 
-_OUT = typer.Option("--out", metavar="FOLDER", help="Folder for what is written; it is made.")
+_OUT = typer.Option(metavar="FOLDER", help="Folder for what is written; it is made.")
 
 
 def demo(out: Annotated[Path, _OUT] = Path("demo-output")) -> None:

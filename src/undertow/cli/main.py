@@ -151,15 +151,8 @@ _BUG = 1
 def run(action: Callable[[], object]) -> int:
     """Run a command line and turn what it raises into a message on stderr and an exit code.
 
-    Parameters
-    ----------
-    action
-        Runs the command; an int it returns is the exit code, anything else means 0.
-
-    Returns
-    -------
-    int
-        2 for a foreseeable failure (one line ``error: ...``), 130 for Ctrl-C, 1 for a bug (with traceback).
+    An int that `action` returns is the exit code, anything else means 0. 2 for a foreseeable failure (one
+    line ``error: ...``), 130 for Ctrl-C, 1 for a bug (with traceback).
     """
     try:
         with insisting():
@@ -240,17 +233,9 @@ _app = typer.Typer(help=_ABOUT, rich_markup_mode=None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
+    """Run the command line, by default that of the process, and return its exit code.
 
-    Parameters
-    ----------
-    arguments
-        The words after ``undertow``; those of the process if None.
-
-    Returns
-    -------
-    int
-        0 done; 1 the answer is no (``export c --check``) or a bug; 2 a mistake in the input; 130 interrupted.
+    0 done; 1 the answer is no (``export c --check``) or a bug; 2 a mistake in the input; 130 interrupted.
     """
     # Matrices are small here: threads of the linear algebra only get into each other's way.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -17,12 +17,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
 from .source import LIBRARY_SUFFIX, digest
+
+if TYPE_CHECKING:
+    from .compiler import Compiler
 
 try:
     import fcntl
@@ -30,45 +33,19 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _LOG = logging.getLogger("undertow")
-_OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+|numba-[0-9a-f]{16}")
+_OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
 # Seconds after which a folder of a build, which may last ten minutes, counts as left where nothing is locked.
 _LEFT_FOR = 3600.0
 
 
-class LibraryBuilder(Protocol):
-    """What makes a library out of a source: a command with its options."""
-
-    @property
-    def command(self) -> tuple[str, ...]: ...
-
-    @property
-    def identity(self) -> str: ...
-
-    def build(self, source: Path, library: Path) -> None: ...
-
-
-def library_for(source: str, compiler: LibraryBuilder, folder: Path | None = None) -> Path:
+def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
     """Path of the shared library of a C source, from the cache or compiled now.
 
     A library is taken from the cache only if the manifest beside it names this source and this compiler,
     and the library's own hash fits; otherwise it is built again. Processes may race: files appear whole,
     under names that carry their hashes.
-
-    Parameters
-    ----------
-    source : str
-        C source.
-    compiler : LibraryBuilder
-        Compiler to use.
-    folder : Path, optional
-        Folder of the cache; by default the user's own.
-
-    Raises
-    ------
-    UndertowError
-        If the compiler fails or there is no room.
     """
     place = folder or cache_folder()
     _forget_old(place)
@@ -94,18 +71,18 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
     return library if fits else None
 
 
-def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict[str, str]) -> Path:
+def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, str]) -> Path:
     try:
-        with _workshop(manifest.parent) as workshop:
-            (workshop / "model.c").write_text(source, encoding="utf-8")
-            built = workshop / f"model{LIBRARY_SUFFIX}"
-            compiler.build(workshop / "model.c", built)
+        with _build_folder(manifest.parent) as place:
+            (place / "model.c").write_text(source, encoding="utf-8")
+            built = place / f"model{LIBRARY_SUFFIX}"
+            compiler.build(place / "model.c", built)
             found = _sha256(built)
             library = manifest.parent / f"{manifest.stem}-{found[:16]}{LIBRARY_SUFFIX}"
             os.replace(built, library)
             content = json.dumps({**expected, "library": found})
-            (workshop / "manifest.json").write_text(content, encoding="utf-8")
-            os.replace(workshop / "manifest.json", manifest)
+            (place / "manifest.json").write_text(content, encoding="utf-8")
+            os.replace(place / "manifest.json", manifest)
     except OSError as error:
         raise UndertowError(
             f"cannot keep compiled code in '{manifest.parent}': {error}; make room or set XDG_CACHE_HOME"
@@ -114,7 +91,7 @@ def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict
 
 
 @contextmanager
-def _workshop(folder: Path) -> Iterator[Path]:
+def _build_folder(folder: Path) -> Iterator[Path]:
     """A folder for one build, locked while its process lives, however that ends."""
     while True:
         with tempfile.TemporaryDirectory(prefix="build-", dir=folder, ignore_cleanup_errors=True) as name:
@@ -160,12 +137,12 @@ def _forget_old(folder: Path) -> None:
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-def _remove_left(workshop: Path) -> None:
+def _remove_left(place: Path) -> None:
     """Remove the folder of a build whose process is gone; without locks, one older than any build lasts."""
-    old = workshop.lstat().st_mtime < time.time() - _LEFT_FOR
-    lock = _lock(workshop)
+    old = place.lstat().st_mtime < time.time() - _LEFT_FOR
+    lock = _lock(place)
     if lock is not None or old:
-        shutil.rmtree(workshop, ignore_errors=True)
+        shutil.rmtree(place, ignore_errors=True)
     if lock is not None:
         os.close(lock)
 
@@ -180,12 +157,7 @@ def _sha256(path: Path) -> str:
 def remembered(question: str, find_out: Callable[[], str]) -> str:
     """The answer to a question that always has the same one, found out once and kept beside the libraries.
 
-    Parameters
-    ----------
-    question : str
-        All that the answer depends on.
-    find_out : callable
-        Gives the answer where none is kept; an empty one is not kept.
+    `question` states all that the answer depends on. An empty answer is not kept.
     """
     note = cache_folder() / f"{digest(question)[:24]}.note"
     try:
@@ -209,11 +181,6 @@ def cache_folder() -> Path:
     """The user's own folder for compiled libraries, or a private temporary one if that is not safe.
 
     Links on the way to it are followed first, so that what is checked is what is used.
-
-    Raises
-    ------
-    UndertowError
-        If not even a temporary folder can be made.
     """
     place = _user_cache()
     wanted = Path(os.path.realpath(place), "undertow")

@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -84,13 +84,7 @@ class Compiler:
         return (*(_MSVC_FLAGS if self.is_msvc else _GNU_FLAGS), *self.more)
 
     def build(self, source: Path, library: Path) -> None:
-        """Compile `source` to the shared library `library`; both lie in one folder.
-
-        Raises
-        ------
-        UndertowError
-            If the compiler fails; the first line of its complaint is given.
-        """
+        """Compile `source` to the shared library `library`; both lie in one folder."""
         target = [f"/Fe{library.name}"] if self.is_msvc else ["-o", library.name]
         libraries = [] if self.is_msvc else ["-lm"]
         done = _run([*self.command, *self._flags, *target, source.name, *libraries], source.parent)
@@ -106,11 +100,6 @@ def find_compiler() -> Compiler | None:
     """The C compiler to use, or None.
 
     UNDERTOW_CC names one ("ccache gcc"); UNDERTOW_NO_COMPILER=1 says that there is none.
-
-    Raises
-    ------
-    UndertowError
-        If UNDERTOW_CC names something that does not run.
     """
     if os.environ.get("UNDERTOW_NO_COMPILER", "0") not in ("", "0"):
         return None
@@ -214,22 +203,7 @@ def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def compiled_or_virtual(wish: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], T]) -> T:
-    """Compiled code if wished for (True) or possible (None); else what runs without, and a logged line.
-
-    Parameters
-    ----------
-    wish : bool, optional
-        True for compiled code only, False for none.
-    build : callable
-        Compiles.
-    otherwise : callable
-        What runs without: the engine's instructions, or CasADi's virtual machine.
-
-    Raises
-    ------
-    UndertowError
-        If compiled code is wished for and there is no C compiler or it fails.
-    """
+    """Compiled code if wished for (True) or possible (None); else what runs without, and a logged line."""
     if wish is False:
         return otherwise()
     try:
@@ -254,13 +228,7 @@ def _say_who_runs(reason: str) -> None:
 
 
 def loaded(library: Path) -> ctypes.CDLL:
-    """A compiled library, ready to be called.
-
-    Raises
-    ------
-    UndertowError
-        If the system cannot load it.
-    """
+    """A compiled library, ready to be called."""
     try:
         return ctypes.CDLL(str(library))
     except OSError as error:
@@ -297,15 +265,7 @@ def _map_over(function: ca.Function, count: int) -> ca.Function:
 
 
 class Evaluator:
-    """A CasADi function evaluated through its buffer for a fixed number of runs at once.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        The function.
-    batch : int
-        Number of evaluations in one call.
-    """
+    """A CasADi function evaluated through its buffer for `batch` runs at once."""
 
     def __init__(self, function: ca.Function, batch: int = 1) -> None:
         self._bound = Bound(function, batch)
@@ -339,65 +299,28 @@ class _Places:
 class Compiled:
     """The functions of a vehicle, each compiled when it is first asked for.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    compiled : bool, optional
-        True compiles (and fails without a C compiler), False uses CasADi's virtual machine; by default
-        compiled code is used where a compiler is found, and one logged line says so where none is.
-
-    Raises
-    ------
-    UndertowError
-        On access, if `compiled` is True and there is no C compiler or it fails.
+    With `compiled` they have to be, without they run in CasADi's virtual machine; by default they are
+    compiled where there is a compiler, and one logged line says so where there is none.
     """
 
     def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
-        self._functions = functions
-        self._wish = compiled
+        self._functions, self._wish = functions, compiled
+        self._ready: dict[str, ca.Function] = {}
 
-    @cached_property
-    def dynamics(self) -> ca.Function:
-        """`x_dot = dynamics(x, u, p, t)`."""
-        return self._ready(self._functions.dynamics)
-
-    @cached_property
-    def jacobians(self) -> ca.Function:
-        """`(x_dot, A, B, P) = jacobians(x, u, p, t)`."""
-        return self._ready(self._functions.jacobians)
-
-    @cached_property
-    def regressor(self) -> ca.Function:
-        """`Y = regressor(x, nu_dot, u, p, t)`."""
-        return self._ready(self._functions.regressor)
-
-    @cached_property
-    def residual(self) -> ca.Function:
-        """`r = residual(x, nu_dot, u, p, t)`."""
-        return self._ready(self._functions.residual_function)
-
-    @cached_property
-    def outputs(self) -> ca.Function:
-        """`y = outputs(x, u, p, t)`."""
-        return self._ready(self._functions.outputs)
+    def function(self, name: str) -> ca.Function:
+        """One of the functions by its name, such as `dynamics`."""
+        if name not in self._ready:
+            own = getattr(self._functions, name)
+            self._ready[name] = compiled_or_virtual(self._wish, lambda c: load(own, c), lambda: own)
+        return self._ready[name]
 
     def evaluator(self, name: str, batch: int = 1) -> Evaluator:
         """One of the functions for NumPy arrays, `batch` evaluations in a call, through its buffer."""
-        return Evaluator(getattr(self, name), batch)
-
-    def _ready(self, function: ca.Function) -> ca.Function:
-        return compiled_or_virtual(self._wish, lambda compiler: load(function, compiler), lambda: function)
+        return Evaluator(self.function(name), batch)
 
 
 def load(function: ca.Function, compiler: Compiler) -> ca.Function:
-    """The same function from a compiled library.
-
-    Raises
-    ------
-    UndertowError
-        If the compiler fails.
-    """
+    """The same function from a compiled library."""
     # CasADi's declarations export a symbol from a library that hides the others only where this is defined.
     text = "#define GCC_HASCLASSVISIBILITY\n" + c_source(function)
     source, prefix = with_unique_symbols(text, [function.name()])

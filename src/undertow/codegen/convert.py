@@ -32,13 +32,7 @@ _FUNCTIONS: dict[type[sm.Basic], Callable[..., ca.SX]] = {
 
 
 class Converter:
-    """Turns SymPy expressions into CasADi ones; equal subexpressions become one node.
-
-    Parameters
-    ----------
-    symbols : mapping
-        What each SymPy symbol becomes.
-    """
+    """Turns SymPy expressions into CasADi ones; equal subexpressions become one node."""
 
     def __init__(self, symbols: Mapping[sm.Symbol, ca.SX]) -> None:
         self._known: dict[sm.Basic, ca.SX] = dict(symbols)

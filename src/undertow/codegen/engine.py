@@ -147,16 +147,9 @@ def blockwise(function: ca.Function) -> Blockwise | None:
 
 
 def at_samples(function: ca.Function, arguments: Sequence[Array], count: int) -> list[Array]:
-    """Structural nonzeros of the outputs at `count` samples, each of shape (count, nnz).
+    """Structural nonzeros of the outputs of a function at `count` samples, each of shape (count, nnz).
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Function of one sample.
-    arguments : sequence of ndarray
-        (count, k) for what differs from sample to sample, (k,) for what is the same for all.
-    count : int
-        Number of samples.
+    Arguments are (count, k) where they differ from sample to sample, (k,) where they are the same for all.
     """
     run = blockwise(function)
     return _in_chunks(function, arguments, count) if run is None else run(arguments, count)

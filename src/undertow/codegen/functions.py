@@ -23,27 +23,20 @@ class Functions:
 
     The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the
     commands (thrusters, surfaces, known forces, logged inputs), p the parameters as in `parameter_names`, t
-    the time in s.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    equal : mapping, optional
-        Parameters that are a multiple of another one: name to (name of the other, factor), SNAME signs. Their
-        own entry of p has no effect.
+    the time in s. `equal` has parameters that are a multiple of another one: name to (name of the other,
+    factor), SNAME signs; their own entry of p has no effect.
     """
 
     def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:
         self.vehicle, self.equal = vehicle, dict(equal or {})
         composition = vehicle.composition
-        self._chain, self._chain_rates, self._chain_rest = composition.chain
+        self._actuator_output, self._actuator_rates, self._actuator_rest = composition.chain
         self._memory = composition.wrench_states
         self.eta, self.nu, self.nu_dot = (
             ca.SX.sym(name, len(getattr(composition, name))) for name in ("eta", "nu", "nu_dot")
         )
         self.memory = ca.SX.sym("memory", len(self._memory))
-        self.actuator_states = ca.SX.sym("actuator", len(self._chain_rates))
+        self.actuator_states = ca.SX.sym("actuator", len(self._actuator_rates))
         self.u = ca.SX.sym("u", len(composition.commands))
         self.p = ca.SX.sym("p", len(vehicle.parameter_names))
         self.t = ca.SX.sym("t")
@@ -63,7 +56,7 @@ class Functions:
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the entries of x."""
-        owned = (*map(str, self._memory), *map(str, self._chain_rates))
+        owned = (*map(str, self._memory), *map(str, self._actuator_rates))
         return (*self.vehicle.pose_names, *self.vehicle.velocity_names, *owned)
 
     @property
@@ -81,7 +74,7 @@ class Functions:
             (composition.commands, self.u),
             (composition.actuation, self.actuation),
             (list(self._memory), self.memory),
-            (list(self._chain_rates), self.actuator_states),
+            (list(self._actuator_rates), self.actuator_states),
             (names, self._own_or_tied() if self.equal else self.p),
             ([composition.signals.t], self.t),
         )
@@ -102,7 +95,7 @@ class Functions:
         parameters = [symbol(n) for n in self.vehicle.declared_parameters]
         known = {symbol(n) for n in self.parameter_names}
         directional = {x: e for x, e in composition.directional.items() if e.free_symbols & known}
-        kept = {*self._memory, *self._chain_rates, *known, *directional}
+        kept = {*self._memory, *self._actuator_rates, *known, *directional}
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
         # It may be divided by what is constant in the world, so that this is no zero.
@@ -150,19 +143,19 @@ class Functions:
         return ca.cse(ca.substitute(self.residual, self.nu_dot, ca.SX.zeros(self.nu_dot.shape)))
 
     @cached_property
-    def chain_output(self) -> ca.SX:
+    def actuator_output(self) -> ca.SX:
         """What reaches the thrusters, in units of the command, from u and the actuator states."""
-        return self.convert.matrix(self._chain)
+        return self.convert.matrix(self._actuator_output)
 
     @cached_property
-    def chain_rates(self) -> ca.SX:
+    def actuator_rates(self) -> ca.SX:
         """Time derivative of the actuator states."""
-        return self.convert.matrix(sm.Matrix(list(self._chain_rates.values()) or sm.zeros(0, 1)))
+        return self.convert.matrix(sm.Matrix(list(self._actuator_rates.values()) or sm.zeros(0, 1)))
 
     @cached_property
-    def chain_rest(self) -> ca.SX:
+    def actuator_rest(self) -> ca.SX:
         """Actuator states that belong to commands held for a long time."""
-        values = [v.xreplace(self._chain_rest) for v in self._chain_rest.values()]
+        values = [v.xreplace(self._actuator_rest) for v in self._actuator_rest.values()]
         return self.convert.matrix(sm.Matrix(values or sm.zeros(0, 1)))
 
     @cached_property
@@ -201,12 +194,12 @@ class Functions:
     @property
     def _driven_forcing(self) -> ca.SX:
         """Residual at rest of the acceleration, as the commands drive it."""
-        return ca.substitute(self.forcing, self.actuation, self.chain_output)
+        return ca.substitute(self.forcing, self.actuation, self.actuator_output)
 
     def with_acceleration(self, rows: ca.SX) -> ca.SX:
         """x_dot with these in the rows of the acceleration."""
-        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        return ca.vertcat(self.pose_rate, rows, memory, self.chain_rates)
+        memory = ca.substitute(self.memory_rates, self.actuation, self.actuator_output)
+        return ca.vertcat(self.pose_rate, rows, memory, self.actuator_rates)
 
     @property
     def acceleration_rows(self) -> slice:
@@ -248,8 +241,8 @@ class Functions:
         d(rates)/d(states) in 1/s, in one block for the velocities and one for the states.
         """
         own = ca.vertcat(self.memory, self.actuator_states)
-        memory = ca.substitute(self.memory_rates, self.actuation, self.chain_output)
-        slopes = ca.jacobian(ca.vertcat(memory, self.chain_rates), own)
+        memory = ca.substitute(self.memory_rates, self.actuation, self.actuator_output)
+        slopes = ca.jacobian(ca.vertcat(memory, self.actuator_rates), own)
         return self._function("quickest", [ca.cse(ca.diagcat(self._slopes_at_rest, slopes))], ["slopes"])
 
     @cached_property
@@ -291,7 +284,7 @@ class Functions:
     @cached_property
     def rest(self) -> ca.Function:
         """`z = rest(u, p, t)`: states of the actuation that belong to commands held for long."""
-        return ca.Function("rest", [self.u, self.p, self.t], [ca.densify(self.chain_rest)])
+        return ca.Function("rest", [self.u, self.p, self.t], [ca.densify(self.actuator_rest)])
 
     @cached_property
     def dead_time(self) -> ca.Function:
@@ -311,7 +304,7 @@ class Functions:
     @property
     def driven_residual(self) -> ca.SX:
         """Sum of the wrenches as the commands drive them, N and N m."""
-        return ca.substitute(self.residual, self.actuation, self.chain_output)
+        return ca.substitute(self.residual, self.actuation, self.actuator_output)
 
     def _with_acceleration(self, name: str, output: ca.SX, output_name: str) -> ca.Function:
         inputs = [self.x, self.nu_dot, self.u, self.p, self.t]
@@ -358,7 +351,7 @@ def acceleration(functions: Functions) -> ca.SX:
     composition = f.vehicle.composition
     inertia = find_inertia(f.stated, composition.signals, f.convert, f.p, rows, composition.inputs)
     others = sum((w for i, w in f.wrenches.items() if i not in inertia.ids), ca.SX(len(rows), 1))
-    others = ca.substitute(others, f.actuation, f.chain_output)
+    others = ca.substitute(others, f.actuation, f.actuator_output)
     other_mass = -ca.jacobian(others, f.nu_dot)
     still = ca.substitute(others, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
     mass = (inertia.mass + inertia.water_mass)[list(rows), list(rows)] + other_mass

@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -59,20 +58,7 @@ class Layout:
 
 
 def layout(functions: Functions, places: Sequence[int]) -> Layout:
-    """The rows H theta = target of a model: forces by what is sought, and what all else leaves.
-
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    places : sequence of int
-        Indices of the parameters that are sought.
-
-    Raises
-    ------
-    UndertowError
-        If a parameter does not enter linearly.
-    """
+    """The rows H theta = target of a model: forces by what is sought (`places` in p), and what is left."""
     f, chosen = functions, list(places)
     sought = f.p[chosen]
     slope = ca.jacobian(f.driven_residual, f.p)[:, chosen]
@@ -113,14 +99,6 @@ class Sums:
     def total(self) -> Array:
         """The sums."""
         return np.asarray(self.value + self.lost)
-
-
-class RowSource(Protocol):
-    """Passes over columns of samples."""
-
-    def gram(self, columns: list[Array], p: Array, sums: Sums) -> None: ...
-
-    def build(self, columns: list[Array], p: Array) -> tuple[Array, int]: ...
 
 
 class CompiledRows:
@@ -216,3 +194,6 @@ class VirtualRows:
         table[:, list(known.row), list(known.column)] = entries
         table[~whole] = 0.0
         return table.reshape(-1, known.size + 1), int(whole.sum())
+
+
+RowSource = CompiledRows | VirtualRows

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, together, write_whole
@@ -17,28 +21,14 @@ from .functions import Functions
 from .manifest import Manifest, Report, changes, describe
 from .source import digest
 from .spelling import Dialect, Part, Writer, comment, filled, identifier, listing, slug
-from .thruster_c import has_inverse, thrusters_c
-from .vehicle_c import jacobians_c, vehicle_c
+from .vehicle_c import has_inverse, jacobians_c, thrusters_c, vehicle_c
 
 _MANIFEST = "manifest.json"
 _REAL = "real"  # the module with the type of the numbers
 
 
 class Library:
-    """The generated files of a vehicle.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    more : sequence of (str, function), optional
-        Further parts (controllers, observers): their names, and what writes them.
-
-    Raises
-    ------
-    UndertowError
-        If a name holds neither a letter nor a digit, or two parts have the same one.
-    """
+    """The generated files of a vehicle, with further parts (controllers, observers) by name."""
 
     def __init__(self, vehicle: Vehicle, more: Iterable[tuple[str, Writer]] = ()) -> None:
         self.vehicle, self._functions = vehicle, Functions(vehicle)
@@ -87,11 +77,6 @@ class Library:
         """Write the files to a folder of the vehicle's own in `out`, and say what has changed.
 
         Examples that somebody has edited are kept.
-
-        Raises
-        ------
-        UndertowError
-            If the folder cannot be written, or holds files of these names that were not generated.
         """
         report, recorded = self._compare(out)
         compiler = find_compiler()
@@ -232,3 +217,41 @@ def _refuse_foreign(folder: Path, names: Mapping[str, str]) -> None:
         raise UndertowError(
             f"'{folder / taken[0]}' was there before and was not generated: name another folder with --out"
         )
+
+
+# --- what it takes on a board --------------------------------------------------------------------------
+class Size(NamedTuple):
+    """Bytes of stack of one function."""
+
+    function: str
+    stack: int
+
+
+def sizes(library: Library, compiler: str, *flags: str) -> tuple[dict[str, int], list[Size]]:
+    """Bytes of code and constants of each module, and of stack of each function, with -Os."""
+    if shutil.which(compiler) is None:
+        raise UndertowError(f"compiler '{compiler}' is not there: install it (Debian: gcc-arm-none-eabi)")
+    with TemporaryDirectory() as place:
+        folder = library.write(Path(place)).folder
+        modules: dict[str, int] = {}
+        stacks: list[Size] = []
+        for source in sorted((folder / "src").glob("*.c")):
+            command = [compiler, "-std=c99", "-Os", "-fstack-usage", *flags, "-c", source.name]
+            done = subprocess.run(command, cwd=source.parent, capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise UndertowError(
+                    f"{compiler} fails on {source.name}: {done.stderr.strip().splitlines()[0]}"
+                )
+            modules[source.name] = _flash(compiler, source.with_suffix(".o"))
+            for line in source.with_suffix(".su").read_text().splitlines():
+                where, size, _ = line.split("\t")
+                stacks.append(Size(where.rpartition(":")[2], int(size)))
+    return modules, stacks
+
+
+def _flash(compiler: str, module: Path) -> int:
+    """Bytes of code and constants of an object file."""
+    tool = f"{compiler.removesuffix('gcc')}size" if compiler.endswith("gcc") else "size"
+    done = subprocess.run([tool, str(module)], capture_output=True, text=True, check=True)
+    text, data = done.stdout.splitlines()[1].split()[:2]
+    return int(text) + int(data)

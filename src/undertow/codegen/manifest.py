@@ -64,15 +64,7 @@ class Manifest:
     rows: Mapping[Printable, tuple[float, ...]]
 
     def to_json(self, files: Mapping[str, str], compiler: str) -> str:
-        """Text of the manifest file.
-
-        Parameters
-        ----------
-        files : mapping
-            Text of every generated file by name.
-        compiler : str
-            Compiler of this machine, for the record.
-        """
+        """Text of the manifest file, with hashes of the generated files, and the compiler for the record."""
         hashes = {name: digest(text) for name, text in files.items()}
         versions = {"undertow": __version__, "casadi": ca.__version__, "compiler": compiler}
         content = {"schema": SCHEMA, **versions, **asdict(self), "files": hashes}
@@ -81,13 +73,7 @@ class Manifest:
 
     @classmethod
     def from_json(cls, text: str) -> tuple[Manifest, dict[str, str]]:
-        """The manifest and the hashes of the files beside it.
-
-        Raises
-        ------
-        UndertowError
-            If the text is not a manifest.
-        """
+        """The manifest and the hashes of the files beside it."""
         try:
             content = json.loads(text)
             if content["schema"] != SCHEMA:
@@ -186,14 +172,11 @@ def changes(old: Manifest, new: Manifest) -> list[str]:
         lines += _membership(what, _names(before), _names(after)) + _altered(what, before, after)
     if old.input_delay != new.input_delay:
         lines.append(f"input delay: {old.input_delay:g} -> {new.input_delay:g} s")
-    late = [(n, old.output_delay.get(n, 0.0), new.output_delay.get(n, 0.0)) for n in _outputs(old, new)]
+    delayed = dict.fromkeys((*old.output_delay, *new.output_delay))
+    late = [(n, old.output_delay.get(n, 0.0), new.output_delay.get(n, 0.0)) for n in delayed]
     lines += [f"output delay of {n}: {a:g} -> {b:g} s" for n, a, b in late if a != b]
     rows = [n for n, values in new.rows.items() if n in old.rows and not _same(old.rows[n], values)]
     return lines + ([f"rows changed: {', '.join(rows)} ({len(rows)} of {len(new.rows)})"] if rows else [])
-
-
-def _outputs(old: Manifest, new: Manifest) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*old.output_delay, *new.output_delay)))
 
 
 def _names(entries: Iterable[Entry]) -> tuple[str, ...]:

@@ -82,31 +82,11 @@ def plain_c(
     structs: Structs | None = None,
     by_value: Collection[str] = ("t",),
 ) -> str:
-    """C99 source of a CasADi function with dense inputs.
+    """C99 source of a CasADi function with dense inputs, called `name`, with `prefix` before the signature.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        The function.
-    name : str
-        Name in C.
-    packed : collection of str
-        Outputs of which only the structural nonzeros are written, column by column (compressed columns).
-    prefix : str
-        What stands before the signature ("static ").
-    words : Words
-        Plain C, or that of lanes.h.
-    shared : collection of str
-        Inputs that are doubles, the same in all lanes.
-    structs : mapping, optional
-        Inputs that are structs: type and members by name of the input.
-    by_value : collection of str
-        Inputs that are numbers and no pointers to them.
-
-    Raises
-    ------
-    UndertowError
-        If the function has an operation without a counterpart in C.
+    Of `packed` outputs only the structural nonzeros are written, column by column (compressed columns).
+    `shared` inputs are doubles, the same in all lanes; inputs in `structs` are structs (type and members);
+    those in `by_value` are numbers and no pointers to them.
     """
     flat = function if function.is_a("SXFunction") else function.expand()
     body = _Body(flat, packed, words, shared, structs or {}, by_value)

@@ -43,20 +43,10 @@ _MOST_PARTS, _STABLE, _MOST_STEPS = 16, 2.0, 20_000
 class Simulator:
     """Simulates a vehicle over a log by fourth-order Runge-Kutta with inputs held between samples.
 
-    Parameters
-    ----------
-    functions : Functions
-        The model.
-    compiled : bool, optional
-        True compiles the model (and fails without a C compiler). False does not: its instructions are run
-        by a loop in C that is the same for all models, which begins at once and is slower. By default the
-        model is compiled where a compiler is found; else its instructions are run, where a wheel brings that
-        loop along, or else CasADi's virtual machine runs, and one logged line says so.
-
-    Raises
-    ------
-    UndertowError
-        If `compiled` is True and there is no C compiler or it fails.
+    With `compiled` the model is compiled, or it fails. Without, its instructions are run by a loop in C that
+    is the same for all models, which begins at once and is slower. By default the model is compiled where a
+    compiler is found; else its instructions are run, where a wheel brings that loop along, or else CasADi's
+    virtual machine runs, and one logged line says so.
     """
 
     def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
@@ -100,18 +90,12 @@ class Simulator:
     def run(
         self, x0: Array, t: Array, u: Array, p: Array, *, max_step: float = 0.05, threads: int | None = None
     ) -> Array:
-        """Simulate one run, or a batch of runs side by side in the lanes of vectors and in threads.
+        """Simulate one run, or a batch of b runs side by side in the lanes of vectors and in threads.
 
         Parameters
         ----------
-        x0 : ndarray, shape (nx,) or (b, nx)
-            Initial states.
-        t : ndarray, shape (n,) or (b, n)
-            Times of the samples in s, not decreasing; intervals may differ.
-        u : ndarray, shape (n, nu) or (b, n, nu)
-            Inputs; u[i] is held over [t[i], t[i+1]).
-        p : ndarray, shape (np,) or (b, np)
-            Parameters.
+        x0, t, u, p : ndarray, shapes (nx,), (n,), (n, nu), (np,), or with b in front
+            First states; times in s, not decreasing; inputs, u[i] held over [t[i], t[i+1]); parameters.
         max_step : float
             Longest Runge-Kutta step, s; dry friction and states that effects own (lags, memory) may ask for
             shorter ones.
@@ -122,11 +106,6 @@ class Simulator:
         -------
         ndarray, shape (n, nx) or (b, n, nx)
             States at the samples; NaN from the first sample on where a run has diverged.
-
-        Raises
-        ------
-        UndertowError
-            If a shape does not fit, or the times are not finite or decrease.
         """
         problem = self._problem(x0, t, u, p, max_step)
         self._advance(problem, self._stepper(()), threads)
@@ -145,26 +124,9 @@ class Simulator:
     ) -> tuple[Array, Array]:
         """Simulate and differentiate: exact derivatives of the discrete Runge-Kutta solution.
 
-        Parameters
-        ----------
-        x0, t, u, p, max_step
-            As for `run`.
-        wrt : sequence of int
-            Indices of the parameters to differentiate by.
-        initial : sequence of int
-            Indices of the states whose initial values are differentiated by, too.
-
-        Returns
-        -------
-        x : ndarray, shape (..., n, nx)
-            States.
-        s : ndarray, shape (..., n, nx, len(wrt) + len(initial))
-            Derivatives of the states, parameters first.
-
-        Raises
-        ------
-        UndertowError
-            As for `run`, and for an index that does not exist.
+        As `run`, with derivatives in the parameters `wrt` and the initial values of the states `initial`, by
+        index. Returns states, shape (..., n, nx), and their derivatives, parameters first, shape
+        (..., n, nx, len(wrt) + len(initial)).
         """
         problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
@@ -186,22 +148,10 @@ class Simulator:
     ) -> Products:
         """Simulate windows and differentiate, keeping only the sums that a Gauss-Newton step needs.
 
-        Parameters
-        ----------
-        x0, t, u, p, wrt, max_step
-            As for `run_with_sensitivities`, of a batch of runs; derivatives in the initial values of pose
-            and velocity follow those in the parameters.
-        measured : ndarray, shape (b, n, 2 dof)
-            Pose and velocity; finite wherever the weight is not zero.
-        weight : ndarray, shape (b, n, 2 dof)
-            What errors are multiplied with; zero for what does not count.
-        group : ndarray of int, shape (b, n)
-            Sum of its window that a sample is part of, counted from zero, never falling.
-
-        Raises
-        ------
-        UndertowError
-            As for `run`.
+        As `run_with_sensitivities`, of a batch of b runs; derivatives in the initial pose and velocity follow
+        those in the parameters. `measured` has pose and velocity, `weight` what errors are multiplied with,
+        zero for what does not count, shape (b, n, 2 dof) each; `group`, shape (b, n), says of which sum of
+        its window a sample is part, counted from zero, never falling.
         """
         problem = self._problem(x0, t, u, p, max_step)
         size = 2 * self._functions.nu_dot.numel()
@@ -354,12 +304,8 @@ def runge_kutta(
 ) -> list[Any]:
     """One step of the classical fourth-order Runge-Kutta method, on numbers or on CasADi's expressions.
 
-    Parameters
-    ----------
-    rates : callable
-        Time derivatives of the parts of a state, given these and the part of the step that has passed.
-    state, h : sequence
-        The parts, and the length of the step in a form that each can be multiplied with.
+    `rates` gives the time derivatives of the parts of a state at a part of the step; `h` has the length of
+    the step in a form that each part can be multiplied with.
     """
     stage, total = state, [0.0] * len(state)
     for reach, weight, ahead in _STAGES:

@@ -28,13 +28,7 @@ _SCALARS = ("t", "dt", "y")
 
 # --- names from files in C --------------------------------------------------------------------
 def slug(name: str) -> str:
-    """A folder name for a vehicle or a controller.
-
-    Raises
-    ------
-    UndertowError
-        If the name holds neither a letter nor a digit.
-    """
+    """A folder name for a vehicle or a controller."""
     slug = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60].strip("-")
     if not slug:
         raise UndertowError(f"the name '{name}' gives no folder name: use letters and digits")
@@ -82,13 +76,7 @@ class Struct:
 
 
 class Dialect:
-    """C of one library, in which every constant has the type of the library's numbers.
-
-    Parameters
-    ----------
-    library : str
-        Name of the library in C: what all its names begin with.
-    """
+    """C of one library, whose names begin with its own; every constant has the type of its numbers."""
 
     def __init__(self, library: str) -> None:
         self.library, self.real, self.call = library, f"{library}_real", f"{library.upper()}_CALL"

@@ -105,21 +105,8 @@ def in_threads(
 ) -> None:
     """Do the parts of a work in threads; compiled code runs outside Python's lock.
 
-    Parameters
-    ----------
-    work : callable
-        Does one part.
-    parts : sequence
-        The parts.
-    threads : int, optional
-        How many at a time; by default as many as there are processors.
-    done : callable, optional
-        Called with every part that is done, in the thread of the caller.
-
-    Raises
-    ------
-    UndertowError
-        If there is no thread.
+    By default as many threads as there are processors. `done` is called with every part that is done, in the
+    thread of the caller.
     """
     wanted = processors() if threads is None else threads
     if wanted < 1:
@@ -267,14 +254,8 @@ class Products:
 def products_of(value: Array, slope: Array, measured: Array, weight: Array, group: Integers) -> Products:
     """The same sums from what was simulated.
 
-    Parameters
-    ----------
-    value : (b, n, 2 dof) array
-        Pose and velocity, or what the sensors report of them.
-    slope : (b, n, 2 dof, m) array
-        Derivatives of it.
-    measured, weight, group : arrays
-        As for `Simulator.products`.
+    `value` is pose and velocity, or what the sensors report of them, shape (b, n, 2 dof); `slope` its
+    derivatives, shape (b, n, 2 dof, m); the others as for `Simulator.products`.
     """
     b, n, channels, m = slope.shape
     unused = weight == 0
@@ -473,12 +454,7 @@ def _parts(functions: Functions, places: Sequence[int]) -> tuple[ca.Function, ca
 def _by_rows(sparsity: ca.Sparsity, chosen: Sequence[int] | None = None) -> tuple[list[int], ...]:
     """Nonzeros row by row: first of each row, columns, and where each stands in an output stored by columns.
 
-    Parameters
-    ----------
-    sparsity : casadi.Sparsity
-        Of the output.
-    chosen : sequence of int, optional
-        Columns to take, in this order; by default all.
+    Of the `chosen` columns in this order, by default of all.
     """
     columns = range(sparsity.size2()) if chosen is None else chosen
     starts, rows = sparsity.get_ccs()

@@ -56,13 +56,7 @@ class Allocation:
 
 
 def allocation_of(gains: GainSet) -> Allocation:
-    """The allocation that a gain set asks for on the vehicle that it knows.
-
-    Raises
-    ------
-    UndertowError
-        If a limit is none, or the thrusters push in nothing that the law uses, or not independently.
-    """
+    """The allocation that a gain set asks for on the vehicle that it knows."""
     vehicle = gains.plant.vehicle
     matrix = gains.plant.thrust_matrix
     dofs = vehicle.degrees_of_freedom

@@ -23,8 +23,7 @@ from undertow.typing import Progress
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
 from .conditions.whole import certify, verdicts
-from .controller import Controller
-from .controller_c import controller_c
+from .controller import Controller, controller_c
 from .gains import GainSet, load_gains
 from .guidance.mission import Mission
 
@@ -179,25 +178,9 @@ def update(
 ) -> Update:
     """Write everything that follows from a vehicle and its gain files: C code, controllers, pictures, state.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    out : Path
-        Folder that gets a folder for the vehicle.
-    gains : sequence of str
-        Gain files, or names of bundled ones.
-    at, at_words : mapping, sequence of str
-        A motion besides hovering whose eigenvalues are watched, SI, and the same in words.
-    old : Snapshot, optional
-        What `last_update` found.
-    progress : callable
-        Told what share is done, and what is being done.
-
-    Raises
-    ------
-    UndertowError
-        If something cannot be read, stated in C or written; nothing is written then.
+    `out` gets a folder for the vehicle. `at` is a motion besides hovering whose eigenvalues are watched, SI,
+    `at_words` the same in words; `old` what `last_update` found. If something cannot be read, stated in C or
+    written, nothing is written.
     """
     from undertow.figures import save_pictures
 
@@ -227,13 +210,7 @@ def library_of(
     observers: Sequence[Design] = (),
     mission: Mission | None = None,
 ) -> Library:
-    """The C library of a vehicle with controllers, which follow the mission if there is one, and observers.
-
-    Raises
-    ------
-    UndertowError
-        If two of them have the same name, or the mission is not for these gains.
-    """
+    """The C library of a vehicle with observers and controllers, which follow the mission if there is one."""
     controllers = [Controller(g, mission.reference(g) if mission else None) for g in gains]
     parts = [(c.gains.name, partial(controller_c, c)) for c in controllers]
     return Library(vehicle, [*parts, *((d.name, partial(observer_c, d)) for d in observers)])

@@ -121,22 +121,11 @@ def bundled_gains() -> dict[str, Path]:
 def load_gains(
     source: str | Path, vehicle: Vehicle, change: Callable[[GainTable], GainTable] | None = None
 ) -> GainSet:
-    """Read a gain file, or a bundled one by its name, for a vehicle.
+    """Read a gain file, or a bundled one by its name (paper-pd, paper-pid, paper-smc), for a vehicle.
 
-    Parameters
-    ----------
-    source : str or Path
-        Path of a gain file, or the name of a bundled one (paper-pd, paper-pid, paper-smc).
-    vehicle : Vehicle
-        The vehicle that is controlled.
-    change : callable, optional
-        Changes the table of the file before it is checked against the vehicle.
-
-    Raises
-    ------
-    UndertowError
-        If the file is no gain file, or a gain is missing, of the wrong size or unit, negative or not finite,
-        or the law needs a force that no thruster gives and the file does not say that it knows.
+    `change` is applied to the table of the file before it is checked against the vehicle. Refused is a gain
+    that is missing, of the wrong size or unit, negative or not finite, and a law that needs a force that no
+    thruster gives where the file does not say that it knows.
     """
     path = _resolve(source)
     table = read_table(path, GainTable, "gain file")

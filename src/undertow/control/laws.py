@@ -32,17 +32,11 @@ class GainMatrix:
 
 
 class LawSignals:
-    """What a law may use, in the degrees of freedom of a plant; gains and states of the law become symbols.
+    """What a law may use, in the n degrees of freedom of a plant; gains and states of the law become symbols.
 
-    Attributes
-    ----------
-    error : Matrix, shape (n, 1)
-        Desired less present pose, m and rad; angles within half a turn.
-    states : Matrix, shape (n_states * n, 1)
-        The law's own states, one block of n for each of its `states`.
-    nu_r, nu_r_dot : Matrix, shape (n, 1)
-        Reference velocity and its rate, body frame: J nu_r is the rate of the desired pose. Zero for a
-        set-point, symbols (nu_r_u ..., nu_r_dot_u ...) where `moving`.
+    `error` is desired less present pose, m and rad, angles within half a turn; `states` are the law's own,
+    one block of n for each; `nu_r` and `nu_r_dot` the reference velocity and its rate in the body frame (J
+    nu_r is the rate of the desired pose), zero for a set-point, symbols where `moving`. All are columns.
     """
 
     def __init__(self, plant: Plant, law: Law, moving: bool = False) -> None:

@@ -22,21 +22,14 @@ _WITH_MOTION = "its force depends on inputs and on the motion together"
 class Plant:
     """The matrices of a vehicle in still water, as SymPy expressions derived from its effects.
 
-    With a `speed` ahead, m/s, inputs whose force depends on the motion (fins, rudders) have the allocation of
-    that speed; without one they have none.
+    With a `speed` ahead, m/s, inputs whose force depends on the motion (fins, rudders) have the allocation
+    of that speed; without one they have none. Control surfaces and logged inputs, which no law commands, are
+    taken out of `vehicle`.
 
     Every wrench is sorted by what it depends on: its derivative in the acceleration goes to M, what stays at
     rest to g, what is proportional to inputs to B, and what moves to C (workless effects) or D (all others).
-    What fits nowhere is named in `left_out`; simulations contain it, conditions on gains do not.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The model as given, but for control surfaces and logged inputs, which no law commands.
-    speed : float
-        Speed ahead at which forces of fins are taken, m/s.
-    left_out : dict of str
-        Reason, by id, why an effect is in none of the matrices.
+    What fits nowhere is named in `left_out`, with the reason by id; simulations contain it, conditions on
+    gains do not.
     """
 
     def __init__(self, vehicle: Vehicle, speed: float = 0.0) -> None:

@@ -24,20 +24,7 @@ STATICS = ("restoring", "net_buoyancy")
 
 
 class Body:
-    """A vehicle as a rigid body with what water adds to it, and the list of what is lost on the way.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; it needs a mass.
-    program : str
-        Name of the program that it is for.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle has no mass.
-    """
+    """A vehicle as a rigid body with what water adds to it, for a program, and what is lost on the way."""
 
     def __init__(self, vehicle: Vehicle, program: str) -> None:
         self.vehicle, self.program = vehicle, program

@@ -65,13 +65,6 @@ class Fmu:
     start at zero unless they are set, and every parameter of the model is one of the unit. All are SI, NED
     and forward-starboard-down. Co-simulation integrates as `undertow.codegen.simulate.Simulator` does.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    version : {"2.0", "3.0"}
-        Version of FMI.
-
     References
     ----------
     Modelica Association, Functional Mock-up Interface, versions 2.0 and 3.0, https://fmi-standard.org.
@@ -183,7 +176,7 @@ class Fmu:
         f = self._functions
         acting = {e.id for e in self.vehicle.all_effects if isinstance(e, Wrench) and e.family == "actuation"}
         total = sum((w for i, w in f.wrenches.items() if i in acting), ca.SX(f.nu.numel(), 1))
-        driven = ca.substitute(total, f.actuation, f.chain_output)
+        driven = ca.substitute(total, f.actuation, f.actuator_output)
         still = ca.substitute(driven, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
         return ca.Function("forces", self._inputs, [ca.densify(still)], ["x", "u", "p", "t"], ["tau"])
 

@@ -42,18 +42,6 @@ class MjcfSettings:
 class Mjcf(Body):
     """A vehicle as a model for MuJoCo, east-north-up and forward-left-up.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; it needs a rigid body.
-    settings : MjcfSettings, optional
-        Numbers of the export.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle has no mass, or its mass and centre of gravity do not fit its moments of inertia.
-
     References
     ----------
     MuJoCo documentation, XML reference (``body/gravcomp``, ``body/inertial``, ``actuator/motor``),

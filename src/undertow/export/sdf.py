@@ -64,16 +64,6 @@ class Drag:
 class Sdf(Body):
     """A vehicle as a world for `gz sim`, east-north-up and forward-left-up.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; it needs a rigid body.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle has no mass, or its mass and centre of gravity do not fit its moments of inertia.
-
     References
     ----------
     Gazebo Sim, systems Hydrodynamics, Buoyancy and Thruster, https://gazebosim.org/api/sim; SDFormat 1.10,

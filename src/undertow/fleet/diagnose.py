@@ -26,20 +26,8 @@ from .changes import (
     Change,
     ChangeTests,
     Day,
-    LeastSquares,
-    by_month,
-    days_of,
-    selection,
-    shift,
-    solve,
-    trend,
-    two_sided_p,
-)
-from .engine import Engine, Failure
-from .partitions import Partition, duplicates, find
-from .reduction import Job, Panel, Reduced, identify_log, panel_of, reduce_log, with_fingerprint
-from .verdicts import (
     FleetReport,
+    LeastSquares,
     Parameter,
     Period,
     Score,
@@ -47,8 +35,18 @@ from .verdicts import (
     SpanTest,
     Statement,
     VehicleReport,
+    by_month,
+    days_of,
+    selection,
+    shift,
+    solve,
     statements,
+    trend,
+    two_sided_p,
 )
+from .engine import Engine, Failure
+from .partitions import Partition, duplicates, find
+from .reduction import Job, Panel, Reduced, identify_log, panel_of, reduce_log, with_fingerprint
 
 Vehicles = Mapping[str, tuple[Panel, Sequence[Day]]]
 # Relative change of an added mass from which one linear step is not exact enough.

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.validation import training_and_validation, with_velocities
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
@@ -23,6 +22,7 @@ from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
 from .diagnosis.result import Role, RunInfo, ValuesByRun, run_info
+from .diagnosis.validation import training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
@@ -40,9 +40,9 @@ from .logs.checks import check_fit
 from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
 from .logs.mapping import LogMapping, read_mapping
+from .logs.opening import save_log as save_log
 from .logs.reading import read_log as read
 from .logs.run import Run
-from .logs.saving import save_log as save_log
 from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
@@ -63,22 +63,14 @@ _FAMILIES = {"default": test_functions, "weak": test_functions, "integral": boxe
 class Estimator:
     """How parameters are estimated.
 
-    Attributes
-    ----------
-    method : str
-        "default" (the weak form, then output error over windows from the vehicle's own time constants, as
-        far as that predicts validation data no worse), "weak", "integral" (the weak form with boxes for test
-        functions), "instrumental" (the weak form with simulated regressors), "output-error" or
-        "prediction-error" (output error with a disturbance).
-    horizon : float or None
-        Length of the windows that output error and instrumental variables simulate, s; None for whole
-        stretches. The default method chooses its own.
-    constraints : Constraints
-        What is asked of the parameters.
-    loss : str
-        "gaussian", or "huber" or "student-t" where there are outliers. Output error then weighs every sample
-        by its error; the weak form, whose residuals are sums over many samples, leaves samples out that stand
-        more than five standard deviations off their neighbours.
+    `method` is "default" (the weak form, then output error over windows from the vehicle's own time
+    constants, as far as that predicts validation data no worse), "weak", "integral" (the weak form with
+    boxes for test functions), "instrumental" (the weak form with simulated regressors), "output-error" or
+    "prediction-error" (output error with a disturbance). `horizon` is the length of the windows that output
+    error and instrumental variables simulate, s; None for whole stretches. `loss` is "gaussian", or "huber"
+    or "student-t" where there are outliers: output error then weighs every sample by its error; the weak
+    form, whose residuals are sums over many samples, leaves samples out that stand more than five standard
+    deviations off their neighbours.
     """
 
     method: Method = "default"
@@ -98,26 +90,8 @@ class Estimator:
     ) -> Fitted:
         """Fit the free parameters of a vehicle, by default those that its file marks.
 
-        Parameters
-        ----------
-        vehicle : Vehicle
-            Model with starting values and priors.
-        runs : sequence of Run
-            Logs with the velocities and commands of the vehicle.
-        free : sequence of str, optional
-            Names of the parameters to fit.
-        progress : callable
-            Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
-        validation : sequence of Run
-            Logs by which the default method decides where to end; `runs` where there are none.
-        trust_log : bool
-            Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
-
-        Raises
-        ------
-        UndertowError
-            If a channel is missing, a log is too short or cannot be, constraints contradict each other, or
-            the method has no such loss.
+        By `validation` the default method decides where to end, by `runs` where there is none. `trust_log`
+        takes logs that `undertow.identification.doctor.refuse_impossible` refuses.
         """
         refuse_impossible(vehicle, runs, trust_log=trust_log)
         if self.method in _FAMILIES:
@@ -355,13 +329,7 @@ def refit(
     *,
     trust_log: bool = False,
 ) -> Refit:
-    """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it.
-
-    Raises
-    ------
-    UndertowError
-        If nothing is to be estimated, a channel is missing, a log is too short, or nothing moves.
-    """
+    """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it."""
     if not free_parameters(vehicle):
         raise UndertowError(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
@@ -573,22 +541,22 @@ def try_effect(
     """
     wanted = lookup(effect, catalogue() if known is None else known)
     report(0.0, "fitting the model as it is")
-    ground = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
+    setup = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
     report(0.3, f"fitting it with {wanted.id}")
-    return ground, added(wanted, ground, keep_all=keep_all)
+    return setup, added(wanted, setup, keep_all=keep_all)
 
 
-def result_of(ground: AdditionSetup, addition: Addition) -> AdditionResult:
+def result_of(setup: AdditionSetup, addition: Addition) -> AdditionResult:
     """An addition as it is written to JSON."""
-    runs = [run_info(run, role) for role, run in roles(ground.train, ground.test)]
-    return addition_result(addition, ground.vehicle, runs)
+    runs = [run_info(run, role) for role, run in roles(setup.train, setup.test)]
+    return addition_result(addition, setup.vehicle, runs)
 
 
-def save_addition(ground: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
+def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
     """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
     entry = history(
         "undertow add",
-        roles(ground.train, ground.test),
+        roles(setup.train, setup.test),
         (addition.before.error, addition.after.error),
         *known_by(addition.fit),
         added=[addition.effect],

@@ -29,26 +29,13 @@ _FELT = dict(zip(DOFS, zip((None, None, *POSE[2:]), VELOCITY, strict=True), stri
 
 @dataclass(frozen=True)
 class Experiment:
-    """Logs in which the same motions are free.
+    """Logs in which the same motions are free."""
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The vehicle with these motions only.
-    moved : tuple of str
-        Channels of motions that the rig moves as the log says.
-    held : tuple of str
-        Motions of the whole vehicle that are at rest.
-    pushed : bool
-        Whether the rig drives what is free; else the vehicle's own actuators do.
-    train, test : list of Run
-        Logs to fit to and to judge by.
-    """
-
-    vehicle: Vehicle
-    moved: tuple[str, ...]
-    held: tuple[str, ...]
-    pushed: bool
+    vehicle: Vehicle  # the vehicle with these motions only
+    moved: tuple[str, ...]  # channels of motions that the rig moves as the log says
+    held: tuple[str, ...]  # motions of the whole vehicle that are at rest
+    pushed: bool  # whether the rig drives what is free; else the vehicle's own actuators do
+    # train, test: logs to fit to and to judge by
     train: list[Run] = field(default_factory=list)
     test: list[Run] = field(default_factory=list)
 
@@ -76,14 +63,7 @@ def on_rig(vehicle: Vehicle, runs: Sequence[Run]) -> bool:
 
 
 def experiments(vehicle: Vehicle, runs: Sequence[Run], validation: Sequence[Run] = ()) -> list[Experiment]:
-    """Sort the logs by what is free in them.
-
-    Raises
-    ------
-    UndertowError
-        If nothing is free in a log, nothing is known to drive it, or logs for validation have motions free
-        that no log to fit to has.
-    """
+    """Sort the logs by what is free in them."""
     found: dict[tuple[object, ...], Experiment] = {}
     for role, logs in (("train", runs), ("test", validation)):
         for run in logs:
@@ -129,24 +109,12 @@ def _pushed(vehicle: Vehicle, free: Sequence[str], run: Run) -> bool:
 # --- put together ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Together:
-    """Fits of several experiments as one, by how well each knows its parameters.
+    """Fits of several experiments as one, by how well each knows its parameters."""
 
-    Attributes
-    ----------
-    stated : Vehicle
-        The whole vehicle as given.
-    fits : tuple of Fitted
-        A fit for each experiment.
-    logs : sequence of (role, run)
-        What they were fitted to and judged by.
-    shares : sequence of (float, float)
-        The error of each experiment on validation data before and after.
-    """
-
-    stated: Vehicle
-    fits: tuple[Fitted, ...]
-    logs: Sequence[tuple[Role, Run | RunInfo]]
-    shares: Sequence[tuple[float, float]]
+    stated: Vehicle  # the whole vehicle as given
+    fits: tuple[Fitted, ...]  # a fit for each experiment
+    logs: Sequence[tuple[Role, Run | RunInfo]]  # what they were fitted to and judged by
+    shares: Sequence[tuple[float, float]]  # the error of each experiment on validation data before and after
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -42,41 +42,21 @@ SETTINGS = ObserveSettings()
 
 @dataclass(frozen=True)
 class Observed:
-    """A log with its states.
+    """A log with its states."""
 
-    Attributes
-    ----------
-    run : Run
-        Pose, velocities and commands at the rows of the log, in order to be read by every command.
-    process : str
-        "model" or "kinematics".
-    estimate : Estimate
-        Smoothed states at the rows of the filter.
-    filtered : Estimate
-        The same given the past alone, with the innovations.
-    noise : dict of float
-        Standard deviation of a report by channel.
-    disturbance : dict of float
-        Root of the spectral density of the noise on the rate of each driven state, unit of the rate times
-        s^0.5.
-    nis, white : tuple
-        Tests of the innovations.
-    parameters : dict of (float, float)
-        Smoothed value at the end of each estimated parameter, and its standard deviation.
-    disbelieved : dict of int
-        Reports beyond the gate by channel.
-    """
-
-    run: Run
-    process: Kind
-    estimate: Estimate
-    filtered: Estimate
-    noise: dict[str, float]
+    run: Run  # pose, velocities and commands at the rows of the log, in order to be read by every command
+    process: Kind  # "model" or "kinematics"
+    estimate: Estimate  # smoothed states at the rows of the filter
+    filtered: Estimate  # the same given the past alone, with the innovations
+    noise: dict[str, float]  # standard deviation of a report by channel
+    # root of the spectral density of the noise on the rate of each driven state, unit of the rate times s^0.5
     disturbance: dict[str, float]
+    # nis, white: tests of the innovations
     nis: tuple[Normalised, ...]
     white: tuple[Whiteness, ...]
+    # smoothed value at the end of each estimated parameter, and its standard deviation
     parameters: dict[str, tuple[float, float]]
-    disbelieved: dict[str, int]
+    disbelieved: dict[str, int]  # reports beyond the gate by channel
 
     @property
     def honest(self) -> bool:
@@ -116,12 +96,6 @@ def observe(
 
     Parameters
     ----------
-    vehicle : Vehicle
-        The model.
-    run : Run
-        The log; a channel that is computed from others counts as none.
-    process : str
-        "kinematics" or "model".
     estimated : sequence of str
         V_N, V_E (with the model), b_u ... b_r.
     method : str
@@ -130,11 +104,6 @@ def observe(
     disturbance : mapping, optional
         Root of the spectral density of the noise on driven states by name; what is not stated is that for
         which the reports are likeliest.
-
-    Raises
-    ------
-    UndertowError
-        If the log has too few reports or lacks commands, or the estimate diverges.
     """
     what = process_of(vehicle, estimated, process)
     reports, rows = reports_of(run, what)

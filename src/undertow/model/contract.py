@@ -452,22 +452,10 @@ _LAWS = (
 def check_effect(
     cls: type[Effect], known: Catalogue | None = None, inputs: tuple[str, ...] = ()
 ) -> list[ContractCheck]:
-    """Check an effect class against the contract.
+    """Check an effect class against the contract, beside other effects, the catalogue if not given.
 
-    Parameters
-    ----------
-    cls : type of Effect
-        A concrete effect class.
-    known : mapping, optional
-        The other effects that it will stand beside; the catalogue when not given.
-    inputs : tuple of str
-        Quantities that the log holds.
-
-    Returns
-    -------
-    list of ContractCheck
-        One finding for every check that passes, and one for every complaint of those that fail. Without
-        a usable statement only the checks of the declaration are there.
+    One finding for every check that passes, and one for every complaint of those that fail. Without a usable
+    statement only the checks of the declaration are there.
     """
     beside = catalogue() if known is None else known
     findings = [

@@ -122,10 +122,7 @@ class Curve:
     def inverse(self, thrust: float) -> float:
         """The command that gives a thrust, N, or the nearest one that the curve has.
 
-        Raises
-        ------
-        UndertowError
-            If the curve falls somewhere: then several commands give the same thrust.
+        Refused where the curve falls somewhere: then several commands give the same thrust.
         """
         low, high = self.pieces[0][0], self.pieces[-1][1]
         grid = [low + (high - low) * k / _GRID for k in range(_GRID + 1)]

@@ -352,24 +352,10 @@ def save_vehicle(
     marked as estimated counts as fitted: it becomes ``{ value, estimate, sigma, source }`` with its standard
     error as sigma. Effects and parameters that the template lacks are added.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        What the file is to describe.
-    template : str or Path
-        The file that the vehicle came from, or the name of a bundled vehicle.
-    out : Path
-        The file to write; the template itself only if this is the very same path.
-    history : mapping, optional
-        How the values came about, appended as a table ``[[history]]``: `command`, `date`, `logs` (list of
-        tables with `name`, `sha256`, `role`), `added`, `error_before`, `error_after` ... A `covariance`
-        (table of `parameters` and `matrix`, SI and SNAME signs) is turned into the file's signs. One without
-        `logs` is of no fit: values keep the source that the vehicle gives.
-
-    Raises
-    ------
-    UndertowError
-        If the template cannot be read or does not fit the vehicle, or `out` cannot be written.
+    `history` tells how the values came about, appended as a table ``[[history]]``: `command`, `date`, `logs`
+    (list of tables with `name`, `sha256`, `role`), `added`, `error_before`, `error_after` ... A `covariance`
+    (table of `parameters` and `matrix`, SI and SNAME signs) is turned into the file's signs. One without
+    `logs` is of no fit: values keep the source that the vehicle gives.
     """
     write_whole(out, rewritten(vehicle, template, out, history=history))
 

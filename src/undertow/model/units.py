@@ -99,13 +99,7 @@ def si_unit(unit: str) -> str:
 
 
 def base_exponents(unit: str) -> tuple[float, dict[str, int]]:
-    """Scale to the SI base units, and their exponents: ``"kN/rad"`` gives 1000 and kg, m, s, rad.
-
-    Raises
-    ------
-    UndertowError
-        If the unit is not understood.
-    """
+    """Scale to the SI base units, and their exponents: ``"kN/rad"`` gives 1000 and kg, m, s, rad."""
     units = registry()
     found = units.Quantity(1.0, _unit(re.sub(r"\brev\b", "turn", unit))).to_base_units()
     # A turn is 2 pi radians: pint gives the number, and keeps rad as a base unit of its own.

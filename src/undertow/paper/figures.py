@@ -41,13 +41,7 @@ _PLANS = (
 
 
 def figures(experiments: Sequence[Experiment], edges: Edges) -> dict[str, Figure]:
-    """The pictures by file name, those of several motions with the motion in it.
-
-    Raises
-    ------
-    UndertowError
-        If a run has no stretch that is long enough for the filters.
-    """
+    """The pictures by file name, those of several motions with the motion in it."""
     several = len(experiments) > 1
     return {
         f"{str(e.axis).replace(', ', '-') + '-' if several else ''}figure-{plan.number}": _drawn(

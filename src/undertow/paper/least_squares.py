@@ -355,13 +355,7 @@ class Identified:
         return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
     def save(self, template: str | Path, out: Path) -> None:
-        """Write the vehicle file with what the rule takes and its covariance, in the form of the given one.
-
-        Raises
-        ------
-        UndertowError
-            If no case of any motion is physical.
-        """
+        """Write the vehicle file with what the rule takes and its covariance, in the form of the template."""
         if self.chosen is None:
             raise UndertowError(f"{out} is not written: no case of any motion is physical")
         cases = ", ".join(f"{e.axis}: case {pick.case.name}" for e, pick in self.taken)

@@ -21,8 +21,19 @@ from undertow.shape.first import drag_of_hull
 from undertow.shape.mesh import Mesh, stl_bytes
 from undertow.typing import Array
 
-from .profiles import PROFILES, duration, motion, read_signal, signal
-from .settings import FILE, HULL, RULES, Case, Tank, folder_of
+from .settings import (
+    FILE,
+    HULL,
+    PROFILES,
+    RULES,
+    Case,
+    Tank,
+    duration,
+    folder_of,
+    motion,
+    read_signal,
+    signal,
+)
 
 _AXES = ("x", "y", "z")
 # The plane that shows most of each motion, by its normal.

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import StringIO
+from itertools import pairwise
+from math import copysign, log
 from pathlib import Path
 
 import numpy as np
+import tomlkit
 from scipy.optimize import nnls
 
 from undertow.errors import UndertowError
+from undertow.files import read_toml, together, write_whole
+from undertow.identification.logs.mapping import SCHEMA
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.shape.first import EffectTable, entry_line, vehicle_text
 from undertow.typing import Array, Flags
 
-from .convergence import Convergence, convergence
-from .records import Record, read_record
 from .settings import RULES, Case, Tank, log_of
 
 
@@ -213,3 +218,229 @@ def least_squares(table: Array, values: Array, *, positive: bool = False) -> tup
     follow = float(np.clip(rest[1:] @ rest[:-1] / max(rest @ rest, 1e-300), 0.0, 0.99))
     variance = rest @ rest / free * (1 + follow) / (1 - follow)
     return found / scale, np.sqrt(variance * np.diag(np.linalg.pinv(scaled.T @ scaled))) / scale
+
+
+# --- logs ----------------------------------------------------------------------------------------------
+_POSITION = ("x", "y", "z", "phi", "theta", "psi")
+
+
+@dataclass(frozen=True)
+class Record:
+    """What happened in one case on one grid; all arrays have shape (n,), SI units, along the motion."""
+
+    time: Array  # s
+    push: Array  # force or moment on the hull from outside, N or N m
+    place: Array  # m or rad
+    speed: Array  # m/s or rad/s
+    acceleration: Array  # m/s^2 or rad/s^2: by Newton from the forces where the hull is free
+    water: Array  # force or moment of the water on the hull, N or N m
+    grid: int
+    cells: int
+    seconds: float  # of one processor that the solver took
+
+
+def columns(motion: str) -> tuple[str, ...]:
+    """Names of the columns of a log, with units."""
+    turns = DOFS.index(motion) > 2
+    force, angle = ("moment", "rad") if turns else ("force", "m")
+    unit = "Nm" if turns else "N"
+    return (
+        "t_s",
+        f"applied_{force}_{unit}",
+        f"place_{angle}",
+        f"speed_{angle}_s",
+        f"acceleration_{angle}_s2",
+        f"water_{force}_{unit}",
+    )
+
+
+def write_record(path: Path, record: Record, tank: Tank, case: Case) -> None:
+    """Write a log and, beside it, its mapping file with the grid and the settings of the solver."""
+    table = np.column_stack(
+        [record.time, record.push, record.place, record.speed, record.acceleration, record.water]
+    )
+    text = StringIO()
+    np.savetxt(text, table, fmt="%.9g", delimiter=",", header=",".join(columns(case.motion)), comments="")
+    with together():
+        write_whole(path, text.getvalue())
+        write_whole(path.with_suffix(".toml"), _mapping(record, tank, case))
+
+
+def _mapping(record: Record, tank: Tank, case: Case) -> str:
+    place = DOFS.index(case.motion)
+    turns = place > 2
+    names = columns(case.motion)
+    kind = "prescribed motion, force measured" if case.prescribed else "force given, one motion free"
+    flow = "k-omega SST with wall functions" if case.turbulent else "laminar"
+    document = tomlkit.document()
+    for line in (
+        f"Virtual towing tank: {case.name} of {tank.hull}; {kind}; no measurement noise.",
+        f"grid {record.grid}: {record.cells} cells, {tank.cell_of(record.grid):.4g} m at the hull, "
+        f"{case.copies} times mirrored",
+        f"OpenFOAM pimpleFoam, {flow}, time step {tank.step_of(case, record.grid):.4g} s, "
+        f"{record.seconds:.0f} s of a processor",
+    ):
+        document.add(tomlkit.comment(line))
+    mark = "rad" if turns else "m"
+    mapping = {
+        "schema": SCHEMA,
+        "description": f"Towing tank, {case.name}, grid {record.grid} of {record.cells} cells; {flow}",
+        "ignore": list(names[4:]),
+        "held": "unlogged",
+        "time": {"column": names[0], "unit": "s"},
+        "columns": {
+            names[1]: {"channel": f"tau_{FORCE[place]}", "unit": "N m" if turns else "N"},
+            names[2]: {"channel": _POSITION[place], "unit": mark},
+            names[3]: {"channel": VELOCITY[place], "unit": f"{mark}/s"},
+        },
+    }
+    document.update(mapping)
+    return tomlkit.dumps(document)
+
+
+def read_record(path: Path, grid: int) -> Record:
+    """Read a log of the tank."""
+    try:
+        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise UndertowError(
+            f"{path}: not a log of the tank ({error}): remove it and run the tank again"
+        ) from error
+    if table.shape[1] != 6 or len(table) < 4:
+        raise UndertowError(f"{path}: not a log of the tank (six columns): remove it and run the tank again")
+    description = str(read_toml(path.with_suffix(".toml"), "mapping file").get("description", ""))
+    digits = description.rpartition(" of ")[2].split(" cells")[0]
+    cells = int(digits) if digits.isdigit() else 0
+    t, push, place, speed, acceleration, water = table.T
+    return Record(t, push, place, speed, acceleration, water, grid, cells, 0.0)
+
+
+# --- a vehicle file ------------------------------------------------------------------------------------
+def tank_vehicle(tank: Tank, found: Sequence[Coefficient], name: str) -> str:
+    """The text of a vehicle file with the motions that were tested.
+
+    Mass and moments of inertia are those of the tank; values of both directions stand in it where the hull
+    was tested in both.
+    """
+    motions = tuple(d for d in DOFS if any(c.motion == d for c in found))
+    turns = [EffectTable("rigid_body_coriolis", []), EffectTable("added_mass_coriolis", [])]
+    tables = [EffectTable("rigid_body", list(_rigid_body(tank, motions))), *tested(found)]
+    return vehicle_text(
+        made_from=f"a virtual towing tank with {tank.hull} (sha256 {tank.sha256})",
+        about=[
+            "The hull was moved in one motion at a time: couplings between motions were not tested.",
+            "Weight and buoyancy are taken as equal; thrusters and all other forces are missing.",
+        ],
+        name=name,
+        description=f"{name} as tested in a virtual towing tank, {', '.join(motions)}",
+        source=f"virtual towing tank, {tank.hull}",
+        degrees_of_freedom=motions,
+        density=tank.density,
+        tables=[t for t in tables if t.entries] + (turns if len(motions) > 1 else []),
+    )
+
+
+def tested(found: Sequence[Coefficient]) -> list[EffectTable]:
+    """Added mass and damping that were found, one table for each effect."""
+    return [EffectTable(effect, list(_entries(found, effect))) for effect in EFFECTS]
+
+
+def _rigid_body(tank: Tank, motions: Sequence[str]) -> Iterator[str]:
+    yield entry_line("m", tank.mass, "kg", source="as stated")
+    for motion, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z")):
+        if motion in motions:
+            inertia = next(case.inertia for case in tank.cases if case.motion == motion)
+            yield entry_line(f"I_{axis}", inertia, "kg m^2", source="as in the tank")
+
+
+def _entries(found: Sequence[Coefficient], effect: str) -> Iterator[str]:
+    own = [c for c in found if c.effect == effect]
+    for name in dict.fromkeys(c.name for c in own):
+        first, *others = [c for c in own if c.name == name]
+        yield entry_line(
+            name,
+            -first.value,
+            first.unit,
+            backward=-others[0].value if others else None,
+            sigma=max(c.sigma for c in (first, *others)),
+            estimate=True,
+            source=first.source + (f"; {first.way} only" if first.direction and not others else ""),
+        )
+
+
+# --- what the grid leaves open -------------------------------------------------------------------------
+@dataclass(frozen=True)
+class GciRules:
+    """How a grid convergence index is computed; factors are those of Roache."""
+
+    three: float = 1.25  # factor of safety where three grids show the order
+    two: float = 3.0  # the same where the order is assumed
+    assumed: float = 1.0  # order where it is: limiters and turbulence are of first order
+    least: float = 0.5  # a lower observed order would make the index grow without bound
+    most: float = 2.0  # the schemes have no higher order; a higher observed one is chance
+    one: float = 0.10  # share of a value that a single grid leaves open
+    rounds: int = 50  # of the iteration for the order
+    ceiling: float = 20.0  # of the observed order: values that agree to rounding have any
+
+
+CONVERGENCE = GciRules()
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How far a value is from that of an infinitely fine grid."""
+
+    value: float  # on the finest grid
+    extrapolated: float  # by Richardson; the value itself where it does not converge
+    order: float  # as observed, or assumed; 0 where values run apart
+    index: float  # grid convergence index of the finest grid times the value: a band of about 95 %
+    kind: str  # "monotone", "oscillating", "running apart", "two grids", "one grid"
+
+
+def observed_order(values: Sequence[float], sizes: Sequence[float]) -> float:
+    """Order of convergence of three values, finest grid first, by the fixed-point iteration of Celik et al.
+
+    `sizes`: of their cells, rising. Source: Celik et al. (2008), Procedure for estimation and reporting of
+    uncertainty due to discretization in CFD applications, J. Fluids Eng. 130, 078001. At most 20, also
+    if the two finer values agree.
+    """
+    one, two = values[1] - values[0], values[2] - values[1]
+    if not one:
+        return CONVERGENCE.ceiling
+    if not two:
+        return 0.0
+    fine, coarse = sizes[1] / sizes[0], sizes[2] / sizes[1]
+    sign, order = copysign(1.0, two / one), 1.0
+    for _ in range(CONVERGENCE.rounds):
+        uneven = (fine**order - sign) / (coarse**order - sign)
+        order = min(abs(log(abs(two / one)) + log(uneven)) / log(fine), CONVERGENCE.ceiling) or 1e-9
+    return order
+
+
+def convergence(values: Sequence[float], sizes: Sequence[float]) -> Convergence:
+    """Richardson extrapolation and grid convergence index (Roache) of values on grids, finest first.
+
+    `values`: of one to four grids, of which the three finest count; `sizes`: of their cells, rising. Where
+    values run apart the index is three times their spread. Source: Roache (1994), Perspective: a method for
+    uniform reporting of grid refinement studies, J. Fluids Eng. 116, 405-413.
+    """
+    if not values or len(values) != len(sizes) or any(b <= a for a, b in pairwise(sizes)):
+        raise UndertowError("grid convergence: give a value for each grid, finest first, with rising sizes")
+    value = values[0]
+    if len(values) == 1:
+        return Convergence(value, value, 0.0, CONVERGENCE.one * abs(value), "one grid")
+    change, ratio = value - values[1], sizes[1] / sizes[0]
+    if len(values) == 2:
+        step = change / (ratio**CONVERGENCE.assumed - 1)
+        return Convergence(value, value + step, CONVERGENCE.assumed, CONVERGENCE.two * abs(step), "two grids")
+    order = observed_order(values[:3], sizes[:3])
+    before = values[1] - values[2]
+    if abs(change) >= abs(before) and change:
+        spread = max(values[:3]) - min(values[:3])
+        return Convergence(value, value, 0.0, CONVERGENCE.two * spread, "running apart")
+    used = min(max(order, CONVERGENCE.least), CONVERGENCE.most)
+    step = change / (ratio**used - 1)
+    if change * before < 0:
+        spread = max(values[:3]) - min(values[:3])
+        return Convergence(value, value, order, max(CONVERGENCE.three * abs(step), spread / 2), "oscillating")
+    return Convergence(value, value + step, order, CONVERGENCE.three * abs(step), "monotone")

@@ -15,8 +15,7 @@ from undertow.model.symbols import DOFS
 from undertow.typing import Array, Integers
 
 from .case import section_axis
-from .coefficients import Coefficient
-from .records import Record, read_record
+from .coefficients import Coefficient, Record, read_record
 from .settings import Case, Tank, folder_of, log_of
 
 _NAMES = ("x", "y", "z")

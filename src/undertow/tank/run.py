@@ -21,9 +21,8 @@ from undertow.model.symbols import DOFS
 from undertow.typing import Array, Progress
 
 from .case import case_files
-from .profiles import motion
-from .records import Record, write_record
-from .settings import HULL, RULES, Case, Tank, folder_of, log_of
+from .coefficients import Record, write_record
+from .settings import HULL, RULES, Case, Tank, folder_of, log_of, motion
 
 INSTALL = "OpenFOAM is not installed (no {} on the PATH): apt-get install openfoam"
 _TIME = re.compile(r"^Time = (\S+)")

@@ -48,25 +48,13 @@ SETTINGS = PageSettings()
 
 
 def require_nicegui() -> None:
-    """Refuse to begin without the library.
-
-    Raises
-    ------
-    UndertowError
-        If NiceGUI is not installed.
-    """
+    """Refuse to begin without the library."""
     if find_spec("nicegui") is None:
         raise UndertowError(f"the workbench is drawn by NiceGUI, which is not installed: {INSTALL}")
 
 
 def require_port(port: int) -> None:
-    """Refuse a port that somebody else has.
-
-    Raises
-    ------
-    UndertowError
-        If it cannot be listened to.
-    """
+    """Refuse a port that somebody else has."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

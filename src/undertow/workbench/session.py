@@ -177,14 +177,7 @@ class Workspace:
 
     @classmethod
     def open(cls, folder: Path, wanted: Session) -> Workspace:
-        """The session of a folder, which is made where there is none.
-
-        Raises
-        ------
-        UndertowError
-            If the vehicle cannot be read, or the folder has a session about another one or one that cannot
-            be read.
-        """
+        """The session of a folder, which is made where there is none."""
         path = folder / _FILE
         if not path.exists():
             wanted = wanted.model_copy(update={"vehicle_sha256": _sha(wanted.vehicle)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .figures import thinned
+from .figures import plain, thinned
 from .session import FORCE, REFITTED, ModelStep, Workspace
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class Job:
         return self.runs("train"), self.runs("judge")
 
     @cached_property
-    def judges(self) -> SimulationValidator:
+    def validator(self) -> SimulationValidator:
         """Who simulates the validation data, over horizons that stay the same from model to model."""
         from undertow.identification.diagnosis.validation import (
             SimulationValidator,
@@ -115,12 +115,12 @@ class Job:
         """Errors of models on validation data by measure; the noise of the force is that of the last one."""
         from undertow.identification.diagnosis.addition import force_errors
 
-        judges = self.judges
+        validator = self.validator
         try:
-            force = force_errors(models, judges.test, self.vehicle_of(0), judges.sigma)
+            force = force_errors(models, validator.test, self.vehicle_of(0), validator.sigma)
         except UndertowError:  # runs that can be simulated may be too short for test functions
             force = [math.nan] * len(models)
-        return [_finite({FORCE: f, **judges.ahead(m)}) for f, m in zip(force, models, strict=True)]
+        return [_finite({FORCE: f, **validator.ahead(m)}) for f, m in zip(force, models, strict=True)]
 
 
 def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list[Run]:
@@ -215,7 +215,7 @@ def diagnose(job: Job) -> Result:
     for i, name in enumerate(best):
         job.report(0.8 + 0.2 * i / len(best), f"simulating it with {name}")
         candidates.append(_candidate(job, found, name, with_force=i < SETTINGS.supplied))
-    without = {FORCE: found.diagnosis.steps[0].error, **_finite(job.judges.ahead(found.before))}
+    without = {FORCE: found.diagnosis.steps[0].error, **_finite(job.validator.ahead(found.before))}
     shown = [c for c in candidates if _does_something(c, without)]
     return {
         "diagnosis": found.diagnosis.model_dump(mode="json"),
@@ -231,8 +231,8 @@ def _does_something(candidate: Result, without: Mapping[str, float]) -> bool:
     """Whether an effect is named, or lowers an error over some horizon by as much as can be seen."""
     least = 1.0 - SETTINGS.seen
     errors: dict[str, float] = candidate["errors"]
-    told = candidate["named"] or candidate["confused"]
-    return bool(told) or any(e < least * without.get(name, 0.0) for name, e in errors.items())
+    named = candidate["named"] or candidate["confused"]
+    return bool(named) or any(e < least * without.get(name, 0.0) for name, e in errors.items())
 
 
 def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool) -> Result:
@@ -255,7 +255,7 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
         "equations": [f"{e.left} = {e.plain}" for e in equations],
         "typeset": [e.latex for e in equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],
-        "errors": {FORCE: ranked.error_after, **_finite(job.judges.ahead(fit))},
+        "errors": {FORCE: ranked.error_after, **_finite(job.validator.ahead(fit))},
         "explained": ranked.explained,
         "chance": ranked.p_value,
         "sure": ranked.sure,
@@ -272,8 +272,8 @@ def _simulated(job: Job, vehicle: Vehicle) -> dict[str, list[Result]]:
     """Measured and simulated velocities of the first validation runs, by horizon."""
     from undertow.identification.report.tables import simulated
 
-    runs = job.judges.test[: SETTINGS.runs]
-    return {f"{h:g} s": [_run_traces(r) for r in simulated(vehicle, runs, h)] for h in job.judges.horizons}
+    runs = job.validator.test[: SETTINGS.runs]
+    return {f"{h:g} s": [_run_traces(r) for r in simulated(vehicle, runs, h)] for h in job.validator.horizons}
 
 
 def _run_traces(run: RunTraces) -> Result:
@@ -295,20 +295,20 @@ def add(job: Job) -> Result:
 
     effect, force = str(job.args["effect"]), bool(job.args.get("force", False))
     train, judge = job.to_fit
-    ground, done = try_effect(
+    setup, done = try_effect(
         job.vehicle, effect, train, judge, known=job.known, report=job.report, trust_log=job.trust
     )
     job.report(0.9, "predicting validation data")
     ahead = {
-        "given": {FORCE: done.given.error, **_finite(job.judges.ahead(job.vehicle))},
-        "refitted": {FORCE: done.before.error, **_finite(job.judges.ahead(ground.bench.base))},
-        "errors": {FORCE: done.after.error, **_finite(job.judges.ahead(done.fit))},
+        "given": {FORCE: done.given.error, **_finite(job.validator.ahead(job.vehicle))},
+        "refitted": {FORCE: done.before.error, **_finite(job.validator.ahead(setup.bench.base))},
+        "errors": {FORCE: done.after.error, **_finite(job.validator.ahead(done.fit))},
     }
     result = {"sentence": addition_sentence(done), "helps": done.helps, "effect": effect, **ahead}
     if not (done.helps or force):
         return result
     out = job.place.new_file("model")
-    save_addition(ground, done, job.place.vehicle_file(), out)
+    save_addition(setup, done, job.place.vehicle_file(), out)
     step = ModelStep(
         what=f"with {effect}",
         file=out.name,
@@ -409,7 +409,7 @@ def write_report(job: Job) -> Result:
     from undertow.identification.report.tables import report_data
 
     out, found = _target(job), _last_diagnosis(job)
-    steps, test = job.place.session.steps, job.judges.test
+    steps, test = job.place.session.steps, job.validator.test
     first = min(int(found["step"]), len(steps) - 1)
     job.report(0.1, "comparing the models with validation data")
     before = run(job.vehicle_of(first), test, trust_log=job.trust)
@@ -467,20 +467,14 @@ TASKS: dict[str, tuple[Callable[[Job], Result], str]] = {
 
 
 # --- numbers for JSON -----------------------------------------------------------------------------
-def _plain(values: Array | Sequence[float]) -> list[float | None]:
+def _plain(values: Iterable[float]) -> list[float | None]:
     """Numbers in six digits, which is more than a screen shows; None where there is none."""
-    return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
+    return plain(values, 6)
 
 
 def _finite(table: Mapping[str, Any]) -> dict[str, Any]:
     """A table without numbers that JSON does not have."""
-    return {k: v for k, v in _kept(table)}
-
-
-def _kept(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for name, value in table.items():
-        if not isinstance(value, float) or math.isfinite(value):
-            yield name, value
+    return {n: v for n, v in table.items() if not isinstance(v, float) or math.isfinite(v)}
 
 
 def _share(report: Progress, low: float, high: float) -> Progress:

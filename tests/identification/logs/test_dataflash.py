@@ -30,9 +30,8 @@ from tests.identification.logs.field import FIELD
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.errors import UndertowError
-from undertow.identification.logs.formats.ardupilot import vehicle_text
+from undertow.identification.logs.formats.ardupilot import FRAMES, vehicle_text
 from undertow.identification.logs.formats.fieldlog import FieldLog
-from undertow.identification.logs.formats.frames import FRAMES
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log, read_logs

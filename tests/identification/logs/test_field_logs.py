@@ -157,7 +157,7 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
     [
         ("dive.ulg", b"ULog\x01\x12\x35\x01", "pyulog"),
         ("dive.bag", b"#ROSBAG V2.0\n", "rosbags.typesys"),
-        ("dive.mat", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", "h5py"),
+        ("dive.mat", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n", "matio"),
         ("dive.nc", b"CDF\x01", "netCDF4"),
     ],
 )

@@ -76,12 +76,12 @@ def test_chosen_stretches_lie_on_one_side_of_a_reset(place: Path, vehicle: Vehic
     assert not too_long(logs, 5000)
     chosen = choose(vehicle, logs, budget=SMALL)
     assert 0 < sum(len(run.t) for run in chosen.runs) <= SMALL.work
-    assert chosen.judges  # of a single file parts are kept, though it has two stretches
-    for run in (*chosen.runs, *chosen.judges):
+    assert chosen.validation  # of a single file parts are kept, though it has two stretches
+    for run in (*chosen.runs, *chosen.validation):
         assert run.origin == "dive"
         assert (run.t[-1] < DIVES + RESET) != (run.t[0] >= DIVES + RESET)
     used = np.concatenate([run.t for run in chosen.runs])
-    judged = np.concatenate([run.t for run in chosen.judges])
+    judged = np.concatenate([run.t for run in chosen.validation])
     assert not set(used.round(3)) & set(judged.round(3))
 
 

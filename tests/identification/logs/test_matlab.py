@@ -11,7 +11,6 @@ import pytest
 from scipy.io import savemat
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.formats import matlab
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
@@ -69,15 +68,15 @@ def test_tables_in_structs_are_series(tmp_path: Path, version: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
-def test_an_object_in_a_struct_is_named(
-    tmp_path: Path, version: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    matio, pandas = pytest.importorskip("matio"), pytest.importorskip("pandas")
+def test_an_object_in_a_struct_is_named(tmp_path: Path, version: str) -> None:
+    matio = pytest.importorskip("matio")
+    from matio.utils.matclass import MatlabContainerMap
+
     t, path = 0.1 * np.arange(50), tmp_path / "log.mat"
-    content = {"dive": {"dvl": pandas.DataFrame({"time": t, "u": t}), "ctd": {"t": t, "z": t}}}
+    content = {"dive": {"by_name": MatlabContainerMap({"a": 1.0}), "ctd": {"t": t, "z": t}}}
     matio.save_to_mat(str(path), content, version=version)
-    monkeypatch.setattr(matlab, "find_spec", lambda name: None)
-    assert read_field_log(path).notes[0].startswith("dive.dvl is an object of MATLAB: save it as a struct")
+    told = "dive.by_name is an object of MATLAB: save it as a struct"
+    assert read_field_log(path).notes[0].startswith(told)
 
 
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
@@ -89,16 +88,6 @@ def test_dates_of_a_table_are_its_time_and_texts_are_passed_over(tmp_path: Path,
     log = read_field_log(tmp_path / "log.mat")
     assert log.series["ctd"].t == pytest.approx(0.25 * np.arange(20.0), abs=1e-6)
     assert list(log.series["ctd"].columns) == ["depth"]
-
-
-def test_without_the_library_for_tables_one_line_says_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = _of_tables(tmp_path / "dive.mat", "v7.3")
-    monkeypatch.setattr(matlab, "find_spec", lambda name: None)
-    told = r"nav is an object .* table2struct.* pip install .undertow.field"
-    with pytest.raises(UndertowError, match=told):
-        read_log(path)
 
 
 def _written(folder: Path, content: dict[str, Any]) -> Path:

@@ -24,7 +24,7 @@ _FLOATS = ["dive.bin", "dive.ulg"]
 
 
 def _written(path: Path) -> Path:
-    library = {".bin": "pymavlink", ".ulg": "pyulog", ".nc": "netCDF4", ".mat": "h5py"}
+    library = {".bin": "pymavlink", ".ulg": "pyulog", ".nc": "netCDF4", ".mat": "matio"}
     pytest.importorskip(library.get(path.suffix, "rosbags"))
     if path.suffix == ".bin":
         return write_bin(path)

@@ -280,6 +280,8 @@ def mat73(path: Path, dive: Dive) -> Path:
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in workspace(dive).items():
             members = value if isinstance(value, dict) else {}
+            if members:
+                file.create_group(name).attrs["MATLAB_class"] = np.bytes_("struct")
             for field, column in members.items():
                 stored = file.create_dataset(f"{name}/{field}", data=np.atleast_2d(column.T))
                 stored.attrs["MATLAB_class"] = np.bytes_("double")

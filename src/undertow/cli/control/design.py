@@ -25,20 +25,18 @@ from .linearize import DIRECTION, directions, show_modes
 if TYPE_CHECKING:
     from undertow.control.linear.design import Design
 
-_ERROR = typer.Option("--error", metavar="NAME=VALUE", help="Acceptable error of x, z, psi ..., m and rad.")
-_FORCE = typer.Option("--force", metavar="NAME=VALUE", help="Available force in surge, heave ..., N and N m.")
-_NAME = typer.Option("--name", metavar="NAME", help="Of the gain set.")
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Write the gain file.")
+_ERROR = typer.Option(metavar="NAME=VALUE", help="Acceptable error of x, z, psi ..., m and rad.")
+_FORCE = typer.Option(metavar="NAME=VALUE", help="Available force in surge, heave ..., N and N m.")
 
 
 def design(
     vehicle: VehicleArgument,
     error: Annotated[list[str], _ERROR],
     force: Annotated[list[str], _FORCE],
-    law: Annotated[Literal["pd", "pid"], typer.Option("--law", help="Law of the gain file.")] = "pd",
+    law: Annotated[Literal["pd", "pid"], typer.Option(help="Law of the gain file.")] = "pd",
     direction: Annotated[list[str] | None, DIRECTION] = None,
-    name: Annotated[str, _NAME] = "lqr",
-    out: Annotated[Path | None, _OUT] = None,
+    name: Annotated[str, typer.Option(metavar="NAME", help="Of the gain set.")] = "lqr",
+    out: Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write the gain file.")] = None,
     effects: EffectsOption = None,
 ) -> None:
     from undertow.control.conditions.check import derived_conditions_hold

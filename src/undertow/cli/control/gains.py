@@ -63,28 +63,27 @@ _GAINS = typer.Argument(
     metavar="GAINS", help="Gain file (TOML), or a bundled set: paper-pd, paper-pid, paper-smc."
 )
 _PATH = typer.Option(
-    "--path", metavar="MISSION.toml", help="Check the conditions for the error on this mission instead."
+    metavar="MISSION.toml", help="Check the conditions for the error on this mission instead."
 )
-_FORM = typer.Option("--form", help="Check conditions of this form only.", show_default="all")
+_FORM = typer.Option(help="Check conditions of this form only.", show_default="all")
 _IOTA = typer.Option(
-    "--iota", metavar="PER_SECOND", help="The constant of the PID conditions.", show_default="searched for"
+    metavar="PER_SECOND", help="The constant of the PID conditions.", show_default="searched for"
 )
 _CONFIDENCE = typer.Option(
-    "--confidence", min=0.5, max=0.9999, help="Probability of intervals and ellipsoid of the parameters."
+    min=0.5, max=0.9999, help="Probability of intervals and ellipsoid of the parameters."
 )
 _TILT = typer.Option(
-    "--tilt", metavar="DEGREES", min=1.0, max=85.0, help="Largest roll and pitch that the check covers."
+    metavar="DEGREES", min=1.0, max=85.0, help="Largest roll and pitch that the check covers."
 )
 _START = typer.Option(
-    "--start",
     metavar="NAME=SIZE,...",
     help='Largest errors that the region has to hold, as "x=0.5 m, psi=20 deg".',
     show_default="the largest of some usual ones",
 )
 _OBSERVER = typer.Option(
-    "--observer", metavar="FILE", help="Also judge the loop that gets the estimate of this observer file."
+    metavar="FILE", help="Also judge the loop that gets the estimate of this observer file."
 )
-_REPAIR = typer.Option("--repair", help="Propose the smallest change of the gains that satisfies these.")
+_REPAIR = typer.Option(help="Propose the smallest change of the gains that satisfies these.")
 
 
 def gains(

@@ -57,11 +57,9 @@ if TYPE_CHECKING:
     from undertow.model.vehicle import Vehicle
 
 Plot = Literal["bode", "nyquist", "nichols", "singular-values", "step", "poles", "root-locus"]
-_AT = typer.Option("--at", metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
+_AT = typer.Option(metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
 _FREE = typer.Option(
-    "--free",
-    metavar="NAME",
-    help="u, v: need not hover; r: may turn; w: may rise or sink; z: depth is found.",
+    metavar="NAME", help="u, v: need not hover; r: may turn; w: may rise or sink; z: depth is found."
 )
 DIRECTION = typer.Option(
     "--direction",
@@ -69,21 +67,15 @@ DIRECTION = typer.Option(
     help="Whose parameters hold where the vehicle is at rest.",
     show_default="1",
 )
-_GAINS = typer.Option("--gains", metavar="GAINS", help="Gain file, or name of a bundled one: closed loop.")
-_OBSERVER = typer.Option("--observer", metavar="FILE", help="Observer file: the law gets its estimate.")
-_INPUT = typer.Option("--input", metavar="NAME", help="Command, force (surge ...) or, with gains, set-point.")
-_OUTPUT = typer.Option("--output", metavar="NAME", help="Reported pose or velocity.")
-_SENSORS = typer.Option(
-    "--sensors", metavar="NAME,NAME", help="What is measured, for observability.", show_default="all"
-)
-_FAMILY = typer.Option(
-    "--family", metavar="N", help="Draw N vehicles as uncertain as this one.", min=1, max=10_000
-)
-_PADE = typer.Option("--pade", metavar="ORDER", help="Approximate dead time to this order.", min=0, max=8)
-_DT = typer.Option("--dt", metavar="TIME", help="Sampled: commands are held for this time, s.")
+_GAINS = typer.Option(metavar="GAINS", help="Gain file, or name of a bundled one: closed loop.")
+_OBSERVER = typer.Option(metavar="FILE", help="Observer file: the law gets its estimate.")
+_INPUT = typer.Option(metavar="NAME", help="Command, force (surge ...) or, with gains, set-point.")
+_SENSORS = typer.Option(metavar="NAME,NAME", help="What is measured, for observability.", show_default="all")
+_FAMILY = typer.Option(metavar="N", help="Draw N vehicles as uncertain as this one.", min=1, max=10_000)
+_PADE = typer.Option(metavar="ORDER", help="Approximate dead time to this order.", min=0, max=8)
+_DT = typer.Option(metavar="TIME", help="Sampled: commands are held for this time, s.")
 _TOGETHER = typer.Option("--together", help="Disk margin of all forces at once (extra slycot).")
 _STABLE = typer.Option("--require-stable", help="Refuse a trim, or a closed loop, that is unstable.")
-_OUT = typer.Option("--out", metavar="FILE.png", help="Where to write the picture.")
 
 
 def linearize(
@@ -95,16 +87,16 @@ def linearize(
     gains: Annotated[str | None, _GAINS] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
     input: Annotated[str | None, _INPUT] = None,
-    output: Annotated[str | None, _OUTPUT] = None,
+    output: Annotated[str | None, typer.Option(metavar="NAME", help="Reported pose or velocity.")] = None,
     sensors: Annotated[str | None, _SENSORS] = None,
     family: Annotated[int | None, _FAMILY] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
     pade: Annotated[int, _PADE] = 0,
     dt: Annotated[str | None, _DT] = None,
     together: Annotated[bool, _TOGETHER] = False,
     require_stable: Annotated[bool, _STABLE] = False,
-    plot: Annotated[Plot | None, typer.Option("--plot", help="Draw a picture.")] = None,
-    out: Annotated[Path | None, _OUT] = None,
+    plot: Annotated[Plot | None, typer.Option(help="Draw a picture.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where to write the picture.")] = None,
     json: JsonOption = False,
     effects: EffectsOption = None,
 ) -> None:

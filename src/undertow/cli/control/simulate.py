@@ -64,43 +64,31 @@ if TYPE_CHECKING:
 
 
 _GAINS = typer.Argument(metavar="GAINS", help="Gain files (TOML), or names of bundled ones (paper-pd ...).")
-_TO = typer.Option("--to", metavar="X,Y,Z[,PSI]", help="Set-point.")
-_PATH = typer.Option("--path", metavar="MISSION.toml", help="Follow this mission.")
 _FOR = typer.Option(
     "--for", metavar="SECONDS", help="Length of the run.", show_default="240, or the mission's"
 )
-_DT = typer.Option("--dt", metavar="SECONDS", help="Sampling interval of the controller.")
 _START = typer.Option("--from", metavar="X,Y,Z[,PSI]", help="Where the vehicle begins.", show_default="0")
-_MOVING = typer.Option("--moving", metavar="NAME=VALUE", help="A velocity that it begins with, as u=0.2.")
-_WITHOUT = typer.Option("--without", metavar="EFFECT", help="Leave an effect of the vehicle out.")
-_PLANT = typer.Option("--plant", metavar="OTHER.toml", help="The vehicle that moves, if it is another one.")
+_MOVING = typer.Option(metavar="NAME=VALUE", help="A velocity that it begins with, as u=0.2.")
+_WITHOUT = typer.Option(metavar="EFFECT", help="Leave an effect of the vehicle out.")
+_PLANT = typer.Option(metavar="OTHER.toml", help="The vehicle that moves, if it is another one.")
 _OBSERVER = typer.Option(
-    "--observer", metavar="FILE", help="The controller gets the estimate of this observer file (TOML)."
+    metavar="FILE", help="The controller gets the estimate of this observer file (TOML)."
 )
 _FILE = "gain file"
-_ORDER = typer.Option("--order", help="Heading first, or all at once.", show_default=_FILE)
-_HEADING = typer.Option("--heading", help="Heading to a set-point without one.", show_default=_FILE)
-_GATE = typer.Option(
-    "--gate", metavar="ANGLE", help="Error of the heading at which x and y begin.", show_default=_FILE
-)
-_INTEGRATORS = typer.Option("--integrators", help="When the integrals of x and y begin.", show_default=_FILE)
-_SWAY = typer.Option("--sway", help="Add an ideal sway force, or leave that force out.", show_default=_FILE)
+_ORDER = typer.Option(help="Heading first, or all at once.", show_default=_FILE)
+_HEADING = typer.Option(help="Heading to a set-point without one.", show_default=_FILE)
+_GATE = typer.Option(metavar="ANGLE", help="Error of the heading at which x and y begin.", show_default=_FILE)
+_INTEGRATORS = typer.Option(help="When the integrals of x and y begin.", show_default=_FILE)
+_SWAY = typer.Option(help="Add an ideal sway force, or leave that force out.", show_default=_FILE)
 _PUSH = typer.Option(
-    "--push",
-    metavar="AXIS=VALUE[:FROM:TO]",
-    help="A force (X, Y, Z) or moment (K, M, N), for all the time or a part.",
+    metavar="AXIS=VALUE[:FROM:TO]", help="A force (X, Y, Z) or moment (K, M, N), for all the time or a part."
 )
-_NOISE = typer.Option(
-    "--noise", metavar="NAME=VALUE", help="Standard deviation of a sensor (x=0.01, psi=0.5deg)."
-)
+_NOISE = typer.Option(metavar="NAME=VALUE", help="Standard deviation of a sensor (x=0.01, psi=0.5deg).")
 _CONTINUOUS = typer.Option(
     "--continuous", help="The law acts without sampling, in Runge-Kutta steps of at most --dt."
 )
-_LOG = typer.Option(
-    "--log", metavar="SECONDS", help="Interval of the rows of --out.", show_default="~5000 rows"
-)
-_OUT = typer.Option("--out", metavar="LOG.csv", help="Write the run as a log.")
-_FIGURES = typer.Option("--figures", metavar="FOLDER", help="Write pictures (PNG) into this folder.")
+_LOG = typer.Option(metavar="SECONDS", help="Interval of the rows of --out.", show_default="~5000 rows")
+_FIGURES = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
 
 
 @dataclass(frozen=True)
@@ -130,15 +118,15 @@ class ScheduleOptions:
 class ScenarioOptions:
     """What is simulated."""
 
-    to: Annotated[str | None, _TO] = None
-    path: Annotated[Path | None, _PATH] = None
+    to: Annotated[str | None, typer.Option(metavar="X,Y,Z[,PSI]", help="Set-point.")] = None
+    path: Annotated[Path | None, typer.Option(metavar="MISSION.toml", help="Follow this mission.")] = None
     duration: Annotated[float | None, _FOR] = None
-    dt: Annotated[float, _DT] = 0.001
+    dt: Annotated[float, typer.Option(metavar="SECONDS", help="Sampling interval of the controller.")] = 0.001
     start: Annotated[str | None, _START] = None
     moving: Annotated[list[str] | None, _MOVING] = None
     push: Annotated[list[str] | None, _PUSH] = None
     noise: Annotated[list[str] | None, _NOISE] = None
-    seed: Annotated[int, typer.Option("--seed", help="Of the noise.")] = 0
+    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0
     continuous: Annotated[bool, _CONTINUOUS] = False
     log: Annotated[float | None, _LOG] = None
 
@@ -181,7 +169,7 @@ def simulate(
     without: Annotated[list[str] | None, _WITHOUT] = None,
     plant: Annotated[str | None, _PLANT] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
-    out: Annotated[Path | None, _OUT] = None,
+    out: Annotated[Path | None, typer.Option(metavar="LOG.csv", help="Write the run as a log.")] = None,
     figures: Annotated[Path | None, _FIGURES] = None,
     json: JsonFileOption = None,
     effects: EffectsOption = None,

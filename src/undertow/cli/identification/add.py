@@ -37,11 +37,10 @@ if TYPE_CHECKING:
     from undertow.identification.diagnosis.addition import Addition
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
-_ALL = typer.Option("--all", help="Keep parameters that prove to be zero, too.")
 _FORCE = typer.Option("--force", help="Write the effect even where it does not help.")
 _CODEGEN = typer.Option("--codegen/--no-codegen", help="Regenerate the C code of the new vehicle.")
-_BUILD = typer.Option("--build", metavar="FOLDER", help="Folder that gets a folder NAME with the code.")
-_PICTURE = typer.Option("--picture", metavar="FILE.png", help="Draw the error before and after.")
+_BUILD = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME with the code.")
+_PICTURE = typer.Option(metavar="FILE.png", help="Draw the error before and after.")
 
 
 @bundled
@@ -53,7 +52,7 @@ def add(
     holdout: HoldoutOption = None,
     out: OutOption = None,
     in_place: InPlaceOption = False,
-    all: Annotated[bool, _ALL] = False,
+    all: Annotated[bool, typer.Option("--all", help="Keep parameters that prove to be zero, too.")] = False,
     force: Annotated[bool, _FORCE] = False,
     codegen: Annotated[bool, _CODEGEN] = True,
     build: Annotated[Path, _BUILD] = Path("build"),
@@ -75,21 +74,21 @@ def add(
     loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT, out=target)
     model, train, test, _, _ = loaded
     with progress("fitting the model as it is") as report:
-        ground, addition = try_effect(
+        setup, addition = try_effect(
             model, effect, train, test, known=known, keep_all=all, report=report, trust_log=options.trust_log
         )
     show(addition)
-    long = loaded.checked({"as given": ground.vehicle, f"with {addition.effect}": addition.fit.vehicle})
+    long = loaded.checked({"as given": setup.vehicle, f"with {addition.effect}": addition.fit.vehicle})
     say_long(long)
     code, taken = None, target if addition.helps or force else None
     with progress("writing", None), together() as files:
         if picture is not None:
             _draw(addition, picture)
         if json is not None:
-            result = result_of(ground, addition).model_copy(update={"long_logs": long})
+            result = result_of(setup, addition).model_copy(update={"long_logs": long})
             write_whole(json, result.model_dump_json(indent=1) + "\n")
         if taken is not None:
-            save_addition(ground, addition, vehicle, taken)
+            save_addition(setup, addition, vehicle, taken)
             code = _code_of(files.place_of(taken), options, build) if codegen else None
     _show_written([picture, json, taken], code)
     if not addition.helps and not force:

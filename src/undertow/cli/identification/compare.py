@@ -22,8 +22,8 @@ from .._terminal import progress, say, section, table
 if TYPE_CHECKING:
     from undertow.identification.compare.comparison import ComparisonResult
 
-_HORIZON = typer.Option("--horizon", metavar="SECONDS", help="How far ahead is predicted.", min=0.001)
-_PLOTS = typer.Option("--plots", metavar="FOLDER", help="Write pictures (PNG) into this folder.")
+_HORIZON = typer.Option(metavar="SECONDS", help="How far ahead is predicted.", min=0.001)
+_PLOTS = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
 
 
 @bundled

@@ -44,11 +44,10 @@ if TYPE_CHECKING:
     from undertow.identification.logs.mapping import LogMapping
 
 _PLOT = typer.Option(
-    "--plot",
     metavar="OUT.png",
     help="Draw pose rates against velocities, as given and mended; of vehicles' own logs what is used.",
 )
-_MEND = typer.Option("--mend", metavar="OUT.toml", help="Write the mapping file with the mistakes mended.")
+_MEND = typer.Option(metavar="OUT.toml", help="Write the mapping file with the mistakes mended.")
 
 
 @bundled

@@ -62,17 +62,17 @@ if TYPE_CHECKING:
     from undertow.identification.report.results import FitResult
     from undertow.identification.report.sentences import CommandLine
 
-_METHOD = typer.Option("--method", help="Weak form, or simulation without or with a disturbance.")
-_LOSS = typer.Option("--loss", help="How much an error counts: squares, or less for outliers.")
+_METHOD = typer.Option(help="Weak form, or simulation without or with a disturbance.")
+_LOSS = typer.Option(help="How much an error counts: squares, or less for outliers.")
 _EQUAL = typer.Option(
-    "--equal", metavar='"A = B"', help='Fit A as B, or as a multiple of it: "M_q = 0.9 N_r"; may be repeated.'
+    metavar='"A = B"', help='Fit A as B, or as a multiple of it: "M_q = 0.9 N_r"; may be repeated.'
 )
 _DISSIPATIVE = typer.Option(
     "--dissipative", help="Let linear damping take energy from every motion, coupling included."
 )
 _CORRELATION = typer.Option("--correlation", help="Print how the errors of the parameters hang together.")
 _FORCE = typer.Option("--force", help="Write the vehicle file even where it predicts worse.")
-_HORIZON = typer.Option("--horizon", metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
+_HORIZON = typer.Option(metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
 
 
 @bundled

@@ -23,29 +23,25 @@ from .._terminal import console, progress, say, section, table, text
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
+    from undertow.fleet.changes import FleetReport, Parameter, Period, VehicleReport
     from undertow.fleet.engine import Engine
     from undertow.fleet.rollouts import Band
-    from undertow.fleet.verdicts import FleetReport, Parameter, Period, VehicleReport
 
 app = typer.Typer(add_completion=False)
 
 _SCHEDULER = typer.Option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Dask scheduler such as tcp://10.0.0.1:8786; it must see the same paths.",
+    metavar="ADDRESS", help="Dask scheduler such as tcp://10.0.0.1:8786; it must see the same paths."
 )
 _WORKERS = typer.Option(
-    "--workers",
     metavar="N",
     min=0,
     help="Processes on this machine; 0: in this process, without Dask.",
     show_default="one for each processor",
 )
 _PATIENCE = typer.Option(
-    "--patience", metavar="SECONDS", min=1.0, help="Give up what is left when no worker answers for so long."
+    metavar="SECONDS", min=1.0, help="Give up what is left when no worker answers for so long."
 )
 _LISTEN = typer.Option(
-    "--listen",
     metavar="ADDRESS",
     help="Address of this machine that its cluster listens on; whoever reaches it can run code here.",
     show_default="127.0.0.1, for this machine alone",
@@ -54,16 +50,13 @@ _FLEET_VEHICLE = typer.Argument(
     metavar="VEHICLE", help="Vehicle file or bundled vehicle; {vehicle} in a path stands for each name."
 )
 _PATTERNS = typer.Argument(metavar="LOGS", help="Patterns of Parquet files, or folders; quote the patterns.")
-_OUT = typer.Option("--out", metavar="FOLDER", help="Folder for the report, and for results to go on from.")
+_OUT = typer.Option(metavar="FOLDER", help="Folder for the report, and for results to go on from.")
 _DAILY = typer.Option(
-    "--daily",
     metavar="EFFECT",
     help="Effect that every log has a value of its own for; may be repeated.",
     show_default="ocean_current, net_buoyancy, constant_force",
 )
-_PASSES = typer.Option(
-    "--passes", min=1, max=5, help="Linearise so often, each time at what was found before."
-)
+_PASSES = typer.Option(min=1, max=5, help="Linearise so often, each time at what was found before.")
 
 
 @dataclass(frozen=True)
@@ -176,18 +169,14 @@ def rollouts(
     ],
     logs: LogsArgument,
     options: FleetOptions,
-    count: Annotated[
-        int, typer.Option("--count", metavar="N", min=10, help="Rollouts of each window.")
-    ] = 500,
-    horizon: Annotated[
-        float, typer.Option("--horizon", metavar="SECONDS", min=0.01, help="Length of a window.")
-    ] = 10.0,
+    count: Annotated[int, typer.Option(metavar="N", min=10, help="Rollouts of each window.")] = 500,
+    horizon: Annotated[float, typer.Option(metavar="SECONDS", min=0.01, help="Length of a window.")] = 10.0,
     coverage: Annotated[
-        float, typer.Option("--coverage", metavar="SHARE", min=0.01, max=0.999, help="Width of the band.")
+        float, typer.Option(metavar="SHARE", min=0.01, max=0.999, help="Width of the band.")
     ] = 0.9,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the drawn parameters.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the drawn parameters.")] = 0,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.parquet", help="Write the bands of all channels.")
+        Path | None, typer.Option(metavar="FILE.parquet", help="Write the bands of all channels.")
     ] = None,
 ) -> int:
     """Simulate logs many times with parameters drawn from what a fit left open, and hold them to the bands.

@@ -49,13 +49,11 @@ if TYPE_CHECKING:
     from undertow.paper.least_squares import Estimation, Experiment, Identified
     from undertow.paper.regression import Edges
 
-_METHOD = typer.Option("--method", help="Savitzky-Golay filters, then least squares.")
-_CASES = typer.Option("--cases", metavar="all|N,N", help="Ways to filter, by their number in the paper.")
-_EDGES = typer.Option("--edges", help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
+_METHOD = typer.Option(help="Savitzky-Golay filters, then least squares.")
+_CASES = typer.Option(metavar="all|N,N", help="Ways to filter, by their number in the paper.")
+_EDGES = typer.Option(help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
 _STREAM = typer.Option("--stream", help="Read the logs in parts, however short they are.")
-_FIGURES = typer.Option(
-    "--figures", metavar="FOLDER", help="Draw the filtered signals: Figures 6 to 12 of the paper."
-)
+_FIGURES = typer.Option(metavar="FOLDER", help="Draw the filtered signals: Figures 6 to 12 of the paper.")
 _LONG = 200_000_000  # bytes, unpacked; a week of one motion at 100 Hz
 
 

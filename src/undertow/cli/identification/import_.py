@@ -27,14 +27,12 @@ if TYPE_CHECKING:
     from undertow.identification.logs.formats.fieldlog import FieldLog, Series
     from undertow.identification.logs.mapping import LogMapping
 
-_LOG = typer.Argument(metavar="LOG", help="The log, in any format but a table.")
-_OUT = typer.Option("--out", metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
+_OUT = typer.Option(metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
 _LIST = typer.Option("--list", help="Show what the log holds, and write nothing.")
 _VEHICLE = typer.Option(
-    "--vehicle", metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
+    metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
 )
 _MESSAGES = typer.Option(
-    "--messages",
     metavar="FOLDER",
     help="Definitions that a log does not hold itself: messages of ROS (.msg), sensors of gliders (.cac).",
 )
@@ -42,7 +40,7 @@ _HEAD = ("series", "samples", "per second", "from s", "to s", "longest gap s", "
 
 
 def import_(
-    log: Annotated[Path, _LOG],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log, in any format but a table.")],
     out: Annotated[Path | None, _OUT] = None,
     list_: Annotated[bool, _LIST] = False,
     vehicle: Annotated[str | None, _VEHICLE] = None,

@@ -21,18 +21,16 @@ from .._terminal import progress, say, section, table
 
 app = typer.Typer(add_completion=False)
 
-_LOG = typer.Argument(metavar="LOG", help="The log: CSV, CSV.gz or Parquet.")
 _VEHICLE = typer.Option(
-    "--vehicle", metavar="VEHICLE", help="Vehicle file or name, whose commands are looked for in the log."
+    metavar="VEHICLE", help="Vehicle file or name, whose commands are looked for in the log."
 )
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Where to write it.")
 
 
 @app.command()
 def new(
-    log: Annotated[Path, _LOG],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log: CSV, CSV.gz or Parquet.")],
     vehicle: Annotated[str | None, _VEHICLE] = None,
-    out: Annotated[Path, _OUT] = Path("log.toml"),
+    out: Annotated[Path, typer.Option(metavar="NEW.toml", help="Where to write it.")] = Path("log.toml"),
     force: NewForceOption = False,
 ) -> None:
     """Guess what the columns of a log mean, and write it as a mapping file with questions."""

@@ -39,27 +39,23 @@ if TYPE_CHECKING:
     from undertow.identification.observe import Observed
     from undertow.model.vehicle import Vehicle
 
-_LOG = typer.Argument(metavar="LOG", help="A table, or a log as a vehicle wrote it.")
-_PROCESS = typer.Option("--process", help="What moves: kinematics alone, or the model.")
+_PROCESS = typer.Option(help="What moves: kinematics alone, or the model.")
 _FILTER = typer.Option(
-    "--filter",
     help="Extended or unscented Kalman filter.",
     show_default="ukf with the model, which a first velocity that is unknown misleads less; else ekf",
 )
 _CURRENT = typer.Option("--current", help="Estimate the velocity of the water (with the model).")
-_BIAS = typer.Option("--bias", metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
-_OUT = typer.Option("--out", metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
+_BIAS = typer.Option(metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
+_OUT = typer.Option(metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
 _TRUST_MODEL = typer.Option("--trust-model", help="Write --out also where the model made the velocities.")
-_SAVE = typer.Option(
-    "--save", metavar="NEW.toml", help="Write an observer file for simulate, linearize and export c."
-)
-_PLOT = typer.Option("--plot", metavar="OUT.png", help="Draw estimates with two sigma, and the NIS.")
+_SAVE = typer.Option(metavar="NEW.toml", help="Write an observer file for simulate, linearize and export c.")
+_PLOT = typer.Option(metavar="OUT.png", help="Draw estimates with two sigma, and the NIS.")
 
 
 @bundled
 def observe(
     vehicle: VehicleArgument,
-    log: Annotated[Path, _LOG],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A table, or a log as a vehicle wrote it.")],
     options: ReadOptions,
     process: Annotated[Literal["kinematics", "model"], _PROCESS] = "kinematics",
     filter: Annotated[Literal["ekf", "ukf"] | None, _FILTER] = None,

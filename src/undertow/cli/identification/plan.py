@@ -44,33 +44,24 @@ if TYPE_CHECKING:
 
 
 _LOGS = typer.Argument(metavar="LOG", help="Logs that exist already: CSV, CSV.gz or Parquet.")
-_GOAL = typer.Option("--goal", help="Determine parameters, or tell models apart.")
+_GOAL = typer.Option(help="Determine parameters, or tell models apart.")
 _BETWEEN = typer.Option(
-    "--between",
-    metavar="ID,ID[,ID]",
-    help='Effects to be told apart; "none" is the model as it is, a+b has both.',
+    metavar="ID,ID[,ID]", help='Effects to be told apart; "none" is the model as it is, a+b has both.'
 )
-_DIAGNOSIS = typer.Option(
-    "--diagnosis", metavar="FILE.json", help="Take the effects to be told apart from a diagnosis."
-)
-_ONLY = typer.Option("--only", metavar="NAME,NAME", help="Parameters that matter; all by default.")
+_DIAGNOSIS = typer.Option(metavar="FILE.json", help="Take the effects to be told apart from a diagnosis.")
+_ONLY = typer.Option(metavar="NAME,NAME", help="Parameters that matter; all by default.")
 _LIMIT = typer.Option(
-    "--limit",
     metavar="VALUE|NAME=VALUE",
     help="Largest command, of all or of one.",
     show_default="vehicle file, or largest in the logs",
 )
 _NOISE = typer.Option(
-    "--noise",
     metavar="NAME=VALUE",
     help="Noise of a channel (SI), none if it is not measured.",
     show_default="as in the logs, or 0.02 m, 0.01 rad, 0.01 m/s, 0.005 rad/s",
 )
-_DEPTH = typer.Option(
-    "--depth", metavar="M", help="Depth at the start.", show_default="median of the logs, or 0"
-)
+_DEPTH = typer.Option(metavar="M", help="Depth at the start.", show_default="median of the logs, or 0")
 _TRIES = typer.Option(
-    "--tries",
     help="Manoeuvres to be judged, at least one of each kind.",
     min=1,
     max=100_000,
@@ -115,12 +106,12 @@ def plan(
     between: Annotated[list[str] | None, _BETWEEN] = None,
     diagnosis: Annotated[Path | None, _DIAGNOSIS] = None,
     only: Annotated[list[str] | None, _ONLY] = None,
-    duration: Annotated[float, typer.Option("--duration", metavar="SECONDS", help="Length.")] = 60.0,
-    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Samples per second.")] = 20.0,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length.")] = 60.0,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 20.0,
     limit: Annotated[list[str] | None, _LIMIT] = None,
     depth: Annotated[float | None, _DEPTH] = None,
     noise: Annotated[list[str] | None, _NOISE] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of the random search.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Of the random search.", min=0)] = 0,
     tries: Annotated[int | None, _TRIES] = None,
     out: Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Write the commands.")] = None,
     picture: Annotated[

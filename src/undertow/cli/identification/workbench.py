@@ -22,8 +22,7 @@ import typer
 from .._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
 from .._terminal import progress, say
 
-_SESSION = typer.Option("--session", metavar="FOLDER", help="Folder that the session is kept in.")
-_PORT = typer.Option("--port", min=1, max=65535, help="Port of the page.")
+_SESSION = typer.Option(metavar="FOLDER", help="Folder that the session is kept in.")
 _BROWSER = typer.Option("--browser/--no-browser", help="Open the page in the browser.")
 
 
@@ -34,7 +33,7 @@ def workbench(
     options: LogOptions,
     holdout: HoldoutOption = None,
     session: Annotated[Path | None, _SESSION] = None,
-    port: Annotated[int, _PORT] = 8080,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
     browser: Annotated[bool, _BROWSER] = True,
 ) -> None:
     from undertow.workbench.server import require_nicegui, require_port, serve

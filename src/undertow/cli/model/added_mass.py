@@ -49,20 +49,16 @@ _LENGTH = _metres("--length", "Along x.")
 _DIAMETER = _metres("--diameter", "Across.")
 _MESH = typer.Argument(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
 _DEPTH = _metres("--depth", "Depth of the centre of volume under the surface; unbounded water without it.")
-_OMEGA = typer.Option("--omega", metavar="RAD/S", help="Radiation damping there; may be repeated.")
+_OMEGA = typer.Option(metavar="RAD/S", help="Radiation damping there; may be repeated.")
 
 
-_DENSITY = typer.Option(
-    "--density", metavar="KG/M3", help="Of the water.", show_default="that of --into VEHICLE, or 1000"
-)
+_DENSITY = typer.Option(metavar="KG/M3", help="Of the water.", show_default="that of --into VEHICLE, or 1000")
 _AT = typer.Option(
-    "--at", metavar="X,Y,Z", help="Where its centre (of a mesh: the origin) lies in the vehicle's axes, m."
+    metavar="X,Y,Z", help="Where its centre (of a mesh: the origin) lies in the vehicle's axes, m."
 )
-_TURN = typer.Option(
-    "--turn", metavar="ROLL,PITCH,YAW", help="How it is turned against the vehicle's axes, degrees."
-)
-_INTO = typer.Option("--into", metavar="VEHICLE", help="Vehicle file that gets the added mass as priors.")
-_SIGMA = typer.Option("--sigma", metavar="SHARE", help="Least standard deviation of the priors, as a share.")
+_TURN = typer.Option(metavar="ROLL,PITCH,YAW", help="How it is turned against the vehicle's axes, degrees.")
+_INTO = typer.Option(metavar="VEHICLE", help="Vehicle file that gets the added mass as priors.")
+_SIGMA = typer.Option(metavar="SHARE", help="Least standard deviation of the priors, as a share.")
 
 
 @dataclass(frozen=True)

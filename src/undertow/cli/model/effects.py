@@ -29,9 +29,8 @@ app = typer.Typer(add_completion=False)
 
 _ID = typer.Argument(metavar="ID", help="Id of the effect; 'undertow effects' lists them.")
 _FILE = typer.Argument(metavar="FILE", help="Python file with effects of your own; it is executed.")
-_NEW_ID = typer.Argument(metavar="ID", help="Id of the new effect, such as turning_drag.")
 _FROM = typer.Option("--from", metavar="DIAGNOSIS.json", help="What 'undertow diagnose --json' wrote.")
-_OUT = typer.Option("--out", metavar="FILE", help="Where to write it.", show_default="ID.py")
+_OUT = typer.Option(metavar="FILE", help="Where to write it.", show_default="ID.py")
 _FAMILIES = ("inertia", "damping", "statics", "water", "tether", "actuation", "measurement", "memory")
 
 
@@ -87,7 +86,7 @@ def check(file: Annotated[Path, _FILE]) -> int:
 
 @app.command()
 def new(
-    id: Annotated[str, _NEW_ID],
+    id: Annotated[str, typer.Argument(metavar="ID", help="Id of the new effect, such as turning_drag.")],
     diagnosis: Annotated[Path | None, _FROM] = None,
     out: Annotated[Path | None, _OUT] = None,
     force: NewForceOption = False,

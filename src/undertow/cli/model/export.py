@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
-_FMI = typer.Option("--fmi", help="Version of FMI.")
-
 
 def _out(ending: str) -> object:
     return typer.Option(
@@ -41,7 +39,7 @@ def _out(ending: str) -> object:
 def fmu(
     vehicle: VehicleArgument,
     out: Annotated[Path | None, _out("fmu")] = None,
-    fmi: Annotated[Literal["2.0", "3.0"], _FMI] = "3.0",
+    fmi: Annotated[Literal["2.0", "3.0"], typer.Option(help="Version of FMI.")] = "3.0",
     force: NewForceOption = False,
     effects: EffectsOption = None,
 ) -> None:
@@ -127,13 +125,13 @@ def mujoco(
 
 
 _CONTROLLER = typer.Option(
-    "--controller", metavar="GAINS", help="Gain file (TOML), or name of a bundled one; may be repeated."
+    metavar="GAINS", help="Gain file (TOML), or name of a bundled one; may be repeated."
 )
-_OBSERVER = typer.Option("--observer", metavar="FILE", help="Observer file (TOML); may be repeated.")
-_PATH = typer.Option("--path", metavar="MISSION.toml", help="The controllers follow this mission.")
-_FOLDER = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
+_OBSERVER = typer.Option(metavar="FILE", help="Observer file (TOML); may be repeated.")
+_PATH = typer.Option(metavar="MISSION.toml", help="The controllers follow this mission.")
+_FOLDER = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
 _CHECK = typer.Option("--check", help="Write nothing; exit with 1 when the code is missing or stale.")
-_SIZES = typer.Option("--sizes", metavar="COMPILER", help="Print flash and stack with this compiler and -Os.")
+_SIZES = typer.Option(metavar="COMPILER", help="Print flash and stack with this compiler and -Os.")
 
 
 @app.command()
@@ -212,7 +210,7 @@ def _say(lines: Sequence[str]) -> None:
 
 
 def _print_sizes(library: Library, compiler: str) -> None:
-    from undertow.codegen.sizes import sizes
+    from undertow.codegen.library import sizes
 
     flash, stacks = sizes(library, *shlex.split(compiler))
     section("Flash", table(("module", "bytes"), ((name, str(size)) for name, size in flash.items())))

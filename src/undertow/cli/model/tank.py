@@ -38,67 +38,51 @@ app = typer.Typer(add_completion=False)
 
 _HULL = typer.Argument(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
 _ROOT = typer.Argument(metavar="TANK", help="Folder of the tank.")
-_MASS = typer.Option("--mass", metavar="KG", help="Of the vehicle.")
-_MOTION = typer.Option("--motion", metavar="NAME,NAME", help="Motions to test, one at a time.")
+_MOTION = typer.Option(metavar="NAME,NAME", help="Motions to test, one at a time.")
 _PROFILE = typer.Option(
-    "--profile",
-    metavar="NAME,NAME",
-    help="push, step, sine, paper, or a CSV file of time and force or speed.",
+    metavar="NAME,NAME", help="push, step, sine, paper, or a CSV file of time and force or speed."
 )
 _PRESCRIBED = typer.Option(
     "--prescribed", help="Prescribe the motion and measure the force, instead of the other way round."
 )
-_OUT = typer.Option("--out", metavar="FOLDER", help="Where to write the tank.")
-_SPEED = typer.Option(
-    "--speed", metavar="M/S", help="Highest speed; in rotation, that of the ends of the hull."
-)
+_SPEED = typer.Option(metavar="M/S", help="Highest speed; in rotation, that of the ends of the hull.")
 _FORCE = typer.Option(
-    "--force-peak", metavar="N", help="Highest force or moment.", show_default="what it takes to hold --speed"
+    metavar="N", help="Highest force or moment.", show_default="what it takes to hold --speed"
 )
 _INERTIA = typer.Option(
-    "--inertia", metavar="KG M2", help="Moment of inertia.", show_default="mass spread evenly over the hull"
+    metavar="KG M2", help="Moment of inertia.", show_default="mass spread evenly over the hull"
 )
-_DENSITY = typer.Option("--density", metavar="KG/M3", help="Of the water.")
-_VISCOSITY = typer.Option("--viscosity", metavar="M2/S", help="Kinematic, of the water.")
-_TURBULENCE = typer.Option("--turbulence", help="Turbulence model; auto: by the Reynolds number.")
+_TURBULENCE = typer.Option(help="Turbulence model; auto: by the Reynolds number.")
 _SPAN = typer.Option(
-    "--span",
     metavar="x|y|z",
     help="Two-dimensional flow: the hull is a slice of an infinitely long one along this axis.",
 )
-_MADE = typer.Option("--grids", metavar="N", help="Number of grids to write, 1 to 4.")
-_STEP = typer.Option(
-    "--time-step", metavar="SHARE", help="Share of the usual time step; smaller if a run diverges."
-)
-_REPLACE = typer.Option("--force", help="Replace a tank that has not been run.")
-_CORES = typer.Option("--cores", metavar="N", min=1, help="Processes that the solver runs on.")
-_GRIDS = typer.Option("--grids", metavar="N", min=1, max=4, help="Number of grids to run, coarsest first.")
-_CASE = typer.Option("--case", metavar="NAME", help="Draw one case only.", show_default="all that were run")
-_PICTURES = typer.Option(
-    "--out", metavar="FOLDER", help="Where to write the pictures.", show_default="TANK/pictures"
-)
+_STEP = typer.Option(metavar="SHARE", help="Share of the usual time step; smaller if a run diverges.")
+_GRIDS = typer.Option(metavar="N", min=1, max=4, help="Number of grids to run, coarsest first.")
+_CASE = typer.Option(metavar="NAME", help="Draw one case only.", show_default="all that were run")
+_PICTURES = typer.Option(metavar="FOLDER", help="Where to write the pictures.", show_default="TANK/pictures")
 
 
 @app.command()
 def new(
     hull: Annotated[Path, _HULL],
-    mass: Annotated[float, _MASS],
+    mass: Annotated[float, typer.Option(metavar="KG", help="Of the vehicle.")],
     motion: Annotated[str, _MOTION] = "surge",
     profile: Annotated[str, _PROFILE] = "push,step",
     prescribed: Annotated[bool, _PRESCRIBED] = False,
-    out: Annotated[Path, _OUT] = Path("tank"),
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write the tank.")] = Path("tank"),
     unit: UnitOption = None,
     frame: FrameOption = "FRD",
     speed: Annotated[float, _SPEED] = 0.3,
     force_peak: Annotated[float | None, _FORCE] = None,
     inertia: Annotated[float | None, _INERTIA] = None,
-    density: Annotated[float, _DENSITY] = 1000.0,
-    viscosity: Annotated[float, _VISCOSITY] = 1e-6,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Of the water.")] = 1000.0,
+    viscosity: Annotated[float, typer.Option(metavar="M2/S", help="Kinematic, of the water.")] = 1e-6,
     turbulence: Annotated[Literal["auto", "laminar", "k-omega-sst"], _TURBULENCE] = "auto",
     span: Annotated[str | None, _SPAN] = None,
-    grids: Annotated[int, _MADE] = 3,
+    grids: Annotated[int, typer.Option(metavar="N", help="Number of grids to write, 1 to 4.")] = 3,
     time_step: Annotated[float, _STEP] = 1.0,
-    force: Annotated[bool, _REPLACE] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a tank that has not been run.")] = False,
 ) -> None:
     """Write OpenFOAM cases around a hull, for every motion and direction, on several grids.
 
@@ -159,7 +143,7 @@ def _refuse_old(out: Path, force: bool) -> None:
 @app.command()
 def run(
     root: Annotated[Path, _ROOT],
-    cores: Annotated[int, _CORES] = 1,
+    cores: Annotated[int, typer.Option(metavar="N", min=1, help="Processes that the solver runs on.")] = 1,
     grids: Annotated[int, _GRIDS] = 1,
     json: JsonOption = False,
 ) -> None:

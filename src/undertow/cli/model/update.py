@@ -31,18 +31,16 @@ if TYPE_CHECKING:
     from undertow.control.linear.report import Change, Snapshot
 
 _GAINS = typer.Option(
-    "--gains",
     metavar="GAINS",
     help="Gain file, or name of a bundled one; may be repeated.",
     show_default="those of the last time",
 )
 _AT = typer.Option(
-    "--at",
     metavar="NAME=VALUE",
     help="A motion besides hovering, whose eigenvalues are watched.",
     show_default="that of the last time",
 )
-_OUT = typer.Option("--out", metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
+_OUT = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
 
 
 def update(

@@ -67,55 +67,42 @@ app = typer.Typer(add_completion=False)
 
 Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv"]
 
-_MESH = typer.Option("--mesh", metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
+_MESH = typer.Option(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
 _TYPE = typer.Option(
     "--type", help="In place of a mesh: a type, of which --length, --beam and --height are asked."
 )
 _LOG = typer.Option(
-    "--log",
     metavar="LOG",
     help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters give frame and motors.",
 )
 _TANK = typer.Option(
-    "--tank",
     metavar="FOLDER",
     help="Virtual towing tank that was run (undertow tank): alone, or for what of --mesh was tested.",
 )
-_LENGTH = typer.Option("--length", metavar="M", help="With --type: overall, of ships in the waterline.")
-_BEAM = typer.Option("--beam", metavar="M", help="With --type: overall width, of two hulls across both.")
-_HEIGHT = typer.Option("--height", metavar="M", help="With --type: overall; of ship and asv the draught.")
-_MASS = typer.Option("--mass", metavar="KG", help="Of the vehicle, dry.")
-_CG = typer.Option(
-    "--cg", metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down."
-)
-_ORIGIN = typer.Option("--origin", help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
-_DENSITY = typer.Option("--density", metavar="KG/M3", help="Of the water.")
-_DOF = typer.Option("--dof", metavar="NAME,NAME", help="Motions of the model.")
+_LENGTH = typer.Option(metavar="M", help="With --type: overall, of ships in the waterline.")
+_BEAM = typer.Option(metavar="M", help="With --type: overall width, of two hulls across both.")
+_HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship and asv the draught.")
+_CG = typer.Option(metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down.")
+_ORIGIN = typer.Option(help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
+_DOF = typer.Option(metavar="NAME,NAME", help="Motions of the model.")
 _VOLUME = typer.Option(
-    "--volume",
     metavar="M3",
     help="What a hull that floods displaces; the rest of it is water carried along.",
     show_default="what the hull encloses",
 )
 _CD = typer.Option(
-    "--cd",
-    metavar="X,Y,Z",
-    help="Drag coefficients on the silhouettes.",
-    show_default="by the form of the hull",
+    metavar="X,Y,Z", help="Drag coefficients on the silhouettes.", show_default="by the form of the hull"
 )
-_ADDED = typer.Option(
-    "--added-mass", help="By panels, or of a body of the same extents; auto: panels if installed."
-)
+_ADDED = typer.Option(help="By panels, or of a body of the same extents; auto: panels if installed.")
 _FLOATING = typer.Option(
     "--floating", help="The hull floats at the surface: waterline, memory of the waves that it makes."
 )
 _WAVE = typer.Option(
-    "--wave",
     metavar="RAD/S,M,DEGREES",
     help="With --floating: forces of a regular wave of this frequency, amplitude and direction of travel.",
 )
-_NAME = typer.Option("--name", metavar="NAME", help="Of the vehicle.", show_default="name of the mesh file")
-_OUT = typer.Option("--out", metavar="NEW.toml", help="Where to write it.", show_default="NAME.toml")
+_NAME = typer.Option(metavar="NAME", help="Of the vehicle.", show_default="name of the mesh file")
+_OUT = typer.Option(metavar="NEW.toml", help="Where to write it.", show_default="NAME.toml")
 
 
 def three(text: str, option: str) -> tuple[float, float, float]:
@@ -141,7 +128,7 @@ def read(path: Path, unit: str | None, frame: str) -> Hull:
 
 @app.command()
 def new(
-    mass: Annotated[float | None, _MASS] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="Of the vehicle, dry.")] = None,
     mesh: Annotated[Path | None, _MESH] = None,
     log: Annotated[Path | None, _LOG] = None,
     tank: Annotated[Path | None, _TANK] = None,
@@ -153,7 +140,7 @@ def new(
     frame: FrameOption = "FRD",
     cg: Annotated[str, _CG] = "0,0,0",
     origin: Annotated[Literal["buoyancy", "mesh"], _ORIGIN] = "buoyancy",
-    density: Annotated[float, _DENSITY] = 1000.0,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Of the water.")] = 1000.0,
     dof: Annotated[str, _DOF] = "surge,sway,heave,roll,pitch,yaw",
     volume: Annotated[float | None, _VOLUME] = None,
     cd: Annotated[str | None, _CD] = None,
@@ -286,9 +273,8 @@ def _of_log(log: Path, out: Path | None, force: bool) -> None:
 def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool) -> None:
     """Write a vehicle file from the logs of a towing tank."""
     from undertow.files import write_whole
-    from undertow.tank.coefficients import coefficients
+    from undertow.tank.coefficients import coefficients, tank_vehicle
     from undertow.tank.settings import read_tank
-    from undertow.tank.vehicle import tank_vehicle
 
     assert root is not None
     made = read_tank(root)
@@ -300,9 +286,8 @@ def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool)
 
 def _tests(root: Path, spec: HullSpec, origin: str) -> list[EffectTable]:
     """What a towing tank has found of the same hull."""
-    from undertow.tank.coefficients import coefficients
+    from undertow.tank.coefficients import coefficients, tested
     from undertow.tank.settings import read_tank
-    from undertow.tank.vehicle import tested
 
     if origin != "buoyancy":
         raise UndertowError(f"--tank {root} is about the centre of buoyancy: leave out --origin {origin}")

@@ -41,6 +41,9 @@ class BandSettings:
     gap: int = 7  # stretches over which a band is closed and its edges are taken: six are 2 % of the width
 
 
+BAND = BandSettings()
+
+
 def pictures(records: Sequence[Record]) -> dict[str, Figure]:
     """Pictures of some runs by name: coordinates, track, commands, the strategy if it has a gate."""
     names = [n for n in _TITLES if all(n in r.result.to for r in records)]
@@ -76,7 +79,8 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
         for i, record in enumerate(records):
             axis.plot(record.t, scale * record.state[name], label=plain(record.result.controller), **_line(i))
             if record.result.gate_passed is not None and name in "xy":
-                _mark_gate(axis, record, scale * record.result.start[name], i)
+                height = scale * record.result.start[name]
+                axis.plot(record.result.gate_passed, height, "o", color=_line(i)["color"], markersize=4)
         number = _number(records, name)
         axis.set_title(f"{number}{_TITLES[name]} of {plain(records[0].result.vehicle)}")
         axis.set_xlabel("time [s]")
@@ -141,30 +145,25 @@ def _line(i: int) -> dict[str, Any]:
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": _STYLES[i % len(_STYLES)]}
 
 
-def _mark_gate(axis: Any, record: Record, height: float, i: int) -> None:
-    axis.plot(record.result.gate_passed, height, "o", color=_line(i)["color"], markersize=4)
-
-
-def band(t: Array, values: Array, settings: BandSettings | None = None) -> tuple[Array, ...] | None:
+def band(t: Array, values: Array) -> tuple[Array, ...] | None:
     """Times, mean, lower and upper edge of a line that chatters, or None for one that can be drawn.
 
     Where it does not chatter the edges are the mean.
     """
-    chosen = settings or BandSettings()
-    if len(t) < chosen.stretches * (chosen.turns + 2):
+    if len(t) < BAND.stretches * (BAND.turns + 2):
         return None
-    parts = np.array_split(np.arange(len(t)), chosen.stretches)
+    parts = np.array_split(np.arange(len(t)), BAND.stretches)
     turns = [np.count_nonzero(np.diff(np.sign(np.diff(values[p])))) for p in parts]
     times, mean, low, high = (
         np.array([f(a[p]) for p in parts])
         for f, a in ((np.mean, t), (np.mean, values), (np.min, values), (np.max, values))
     )
-    chatters = (np.array(turns) >= chosen.turns) & (high - low > chosen.height * np.ptp(values))
+    chatters = (np.array(turns) >= BAND.turns) & (high - low > BAND.height * np.ptp(values))
     if not chatters.any():
         return None
     # Rows that fall in step with the switching show none of it for a moment: the band goes on there.
-    closed = binary_closing(chatters, np.ones(chosen.gap)) | chatters
-    low, high = minimum_filter1d(low, chosen.gap), maximum_filter1d(high, chosen.gap)
+    closed = binary_closing(chatters, np.ones(BAND.gap)) | chatters
+    low, high = minimum_filter1d(low, BAND.gap), maximum_filter1d(high, BAND.gap)
     return times, mean, np.where(closed, low, mean), np.where(closed, high, mean)
 
 

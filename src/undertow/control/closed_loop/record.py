@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undertow.control.guidance.mission import Mission
-from undertow.control.guidance.signals import Followed
+from undertow.control.guidance.reference import Followed
 from undertow.files import json_ready
 from undertow.model.symbols import MOTION_UNITS
 

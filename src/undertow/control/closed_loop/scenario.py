@@ -91,13 +91,7 @@ class Scenario:
         return max(round(self.log_interval / self.dt), 1)
 
     def pose(self, values: Sequence[Quantity], names: tuple[str, ...], what: str) -> dict[str, float]:
-        """Coordinates by name; which ones a number of values stands for follows from the vehicle.
-
-        Raises
-        ------
-        UndertowError
-            If there are too few or too many values, or one is no quantity.
-        """
+        """Coordinates by name; which ones a number of values stands for follows from the vehicle."""
         upright = [n for n in names if n not in ("phi", "theta")]
         flat = [n for n in upright if n != "psi"]
         for known in (flat, upright, list(names)):
@@ -110,13 +104,7 @@ class Scenario:
         )
 
     def velocity(self, names: tuple[str, ...]) -> np.ndarray:
-        """First body velocity, shape (n,).
-
-        Raises
-        ------
-        UndertowError
-            If the vehicle does not have one that is given, or nothing in water is as fast.
-        """
+        """First body velocity, shape (n,)."""
         unknown = [n for n in self.moving if n not in names]
         if unknown:
             raise UndertowError(

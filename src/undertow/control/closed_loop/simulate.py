@@ -23,9 +23,8 @@ from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
 
 from .measures import CREDIBLE, Measures
-from .parts import Parts
+from .parts import Parts, SampledLoop, check_interval, check_steps, offsets
 from .record import Record, Recorder
-from .sampling import SampledLoop, check_interval, check_steps, offsets
 from .scenario import Scenario, heading
 from .stepping import ALL, Block, CompiledLoop, LoopProblem, LoopStepper, VirtualLoop, problem_of
 
@@ -330,33 +329,13 @@ class ClosedLoop:
     ) -> Runs:
         """Simulate many runs that differ, side by side in the lanes of vectors and in threads.
 
-        Parameters
-        ----------
-        scenario : Scenario
-            What is asked of all. Run i has the noise of seed + i, so that it is what `run` with that seed is.
-        parameters, gains, starts : mapping, optional
-            What differs, an array of a value for each run by name: parameters of the vehicle that moves (m,
-            X_udot ..., SNAME signs), gains (K_P_x ...), and first pose and velocity (x ... psi, u ... r), SI.
-        threads : int, optional
-            How many; by default as many as there are processors.
-        progress : callable, optional
-            Called with the number of runs that are done and a few words.
+        `parameters` (of the vehicle that moves: m, X_udot ..., SNAME signs), `gains` (K_P_x ...) and
+        `starts` (first pose and velocity: x ... psi, u ... r, SI) have an array of a value for each run by
+        name. Run i has the noise of seed + i, so that it is what `run` with that seed is. By default as many
+        threads as there are processors. For example::
 
-        Returns
-        -------
-        Runs
-            The rows of all runs.
-
-        Raises
-        ------
-        UndertowError
-            As for `run`, and if a name is not known, numbers of values differ, or dead times do.
-
-        Examples
-        --------
-        >>> masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
-        >>> runs = loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses})
-        >>> runs.state("z")[:, -1].std()
+            masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
+            loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses}).state("z")[:, -1].std()
         """
         return run_many(self, scenario, Differences(parameters, gains, starts), threads, progress)
 
@@ -440,25 +419,9 @@ class Choices:
     ) -> ClosedLoop:
         """A closed loop with these choices.
 
-        Parameters
-        ----------
-        gains : str or Path
-            Gain file, or the name of a bundled set.
-        vehicle : Vehicle
-            The vehicle that the controller knows.
-        plant : Vehicle, optional
-            The vehicle that moves; by default the same.
-        mission : Mission, optional
-            What is followed; its current holds where none is chosen.
-        compiled : bool, optional
-            As for `ClosedLoop`.
-        observer : str or Path, optional
-            Observer file, for the vehicle that the controller knows.
-
-        Raises
-        ------
-        UndertowError
-            If a file is none, or vehicle, gains and choices do not fit.
+        `gains` and `observer` are files, or names of bundled ones, for the vehicle that the controller knows;
+        `plant` is the vehicle that moves, by default the same. The current of a mission holds where none is
+        chosen.
         """
         known = self.with_sway(vehicle)
         wet = replace(self, current=mission.current) if mission and self.current is None else self
@@ -494,13 +457,7 @@ class Choices:
 
 
 def without(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:
-    """The vehicle with some of its effects left out.
-
-    Raises
-    ------
-    UndertowError
-        If it does not have one of them, or another one needs it.
-    """
+    """The vehicle with some of its effects left out."""
     present = [e.id for e in vehicle.effects]
     for wanted in ids:
         if wanted not in present:

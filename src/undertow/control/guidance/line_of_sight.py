@@ -11,8 +11,7 @@ import numpy as np
 
 from undertow.codegen.functions import wrapped
 
-from .reference import Limits
-from .signals import Course, Followed, Kinematics, Number, Reference
+from .reference import Course, Followed, Kinematics, Limits, Number, Reference
 
 
 @dataclass(frozen=True)

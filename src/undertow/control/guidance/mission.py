@@ -18,8 +18,7 @@ from undertow.model.tables import FileTable, Quantity
 from undertow.model.units import si_of
 
 from .line_of_sight import Guidance, LineOfSight
-from .reference import Limits, Profile, TimedReference, spline, stretches, times_of, within
-from .signals import Reference
+from .reference import Limits, Profile, Reference, TimedReference, spline, stretches, times_of, within
 
 
 class WaypointTable(FileTable):
@@ -114,13 +113,7 @@ class Mission:
         return 1.1 * self.profile(names).duration + 5.0
 
     def reference(self, gains: GainSet) -> Reference:
-        """What a controller with these gains follows.
-
-        Raises
-        ------
-        UndertowError
-            If the vehicle cannot follow a mission of this kind, or way-points do not fit.
-        """
+        """What a controller with these gains follows."""
         vehicle = gains.plant.vehicle
         names = vehicle.pose_names
         _require(self, names, vehicle.name)

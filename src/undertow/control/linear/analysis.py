@@ -323,11 +323,6 @@ def disk_margin_of_all(loop: ct.StateSpace) -> float:
 
     python-control takes the upper bound of the structured singular value from SLICOT. Zero where the closed
     loop is unstable.
-
-    Raises
-    ------
-    UndertowError
-        If slycot is not installed.
     """
     if not loop.issiso() and find_spec("slycot") is None:
         raise UndertowError(

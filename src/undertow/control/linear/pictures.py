@@ -21,13 +21,7 @@ _SPREAD = 100.0
 
 
 def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
-    """A picture of one kind: "bode", "nyquist", "nichols", "singular-values", "step", "poles", "root-locus".
-
-    Raises
-    ------
-    UndertowError
-        If there is nothing to draw, as for a channel that connects nothing.
-    """
+    """A picture: "bode", "nyquist", "nichols", "singular-values", "step", "poles" or "root-locus"."""
     draw = {
         **{"bode": _bode, "nyquist": _nyquist, "nichols": _nichols, "singular-values": _singular_values},
         **{"step": _steps, "poles": _poles, "root-locus": _loci},

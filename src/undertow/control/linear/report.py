@@ -119,13 +119,7 @@ class Analysis:
         return dict(zip(self.vehicle.degrees_of_freedom, self.vehicle.dof_indices, strict=True))
 
     def require_stable(self) -> None:
-        """Refuse what grows.
-
-        Raises
-        ------
-        UndertowError
-            If a mode is unstable; the fastest growing one is named.
-        """
+        """Refuse what grows."""
         if self.growing:
             mode = self.growing[0]
             remedy = "change the gains" if self.gains else "close the loop with --gains"
@@ -303,24 +297,10 @@ def analyse(
 ) -> Analysis:
     """The linear analysis of a vehicle at a steady motion.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    at, free, direction
-        As for `find_trim`.
-    gains : str, optional
-        Gain file, or name of a bundled one: the closed loop.
-    observer : str or Path, optional
-        Observer file: the law gets its estimate.
-    pade, dt, sensors
-        As for `Analysis`; a family is of continuous systems, and stands without `dt`.
-    together : bool
-        Whether the disk margin of all forces at once is asked for.
-    family_of, source, seed : int, str or Path, int
-        How many vehicles to draw from the uncertainty of this one, the file it is from, and the seed.
-    progress : callable
-        Called with the share that is done, and what is being done.
+    `at`, `free` and `direction` are those of `find_trim`; `gains` and `observer` files, or names of bundled
+    gains, that close the loop; `pade`, `dt` and `sensors` those of `Analysis`; `together` asks for the disk
+    margin of all forces at once. `family_of` vehicles are drawn from the uncertainty of this one, which is
+    from the file `source`; a family is of continuous systems, and stands without `dt`.
     """
     law = load_gains(gains, vehicle) if gains else None
     if observer is not None and law is None:

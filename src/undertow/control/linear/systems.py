@@ -255,14 +255,9 @@ _GATE_PASSED = 1.0
 class LawSystem:
     """A gain set as it is in continuous time, its gate passed.
 
-    Attributes
-    ----------
-    references, measured, states, forces : list of str
-        Names of set-points, of pose and velocity, of the law's own states, and of the forces it asks for.
-    acting : tuple of int
-        Places of the degrees of freedom that commands push in.
-    share : ndarray, shape (nu, n)
-        Commands for a unit of each force, without limits.
+    `references`, `measured`, `states` and `forces` name set-points, pose and velocity, the law's own states
+    and the forces it asks for; `acting` are the places of the degrees of freedom that commands push in;
+    `share`, shape (nu, n), has the commands for a unit of each force, without limits.
     """
 
     def __init__(self, gains: GainSet) -> None:
@@ -389,7 +384,6 @@ def close_loop(
     *,
     pade: int = 0,
     dt: float = 0.0,
-    nominal: Vehicle | None = None,
     observer: Design | None = None,
 ) -> LinearLoop:
     """A law that keeps a vehicle at a trim, as linear systems.
@@ -399,15 +393,13 @@ def close_loop(
     vehicle : Vehicle
         The model.
     gains : GainSet
-        The law; it knows the same vehicle unless `nominal` says otherwise.
+        The law, which knows the same vehicle.
     trim : Trim or mapping
         The steady motion, or what it holds (see `find_trim`).
     pade : int
         Order of the approximation of a dead time between command and thrust.
     dt : float
         Sampling time, s: the law runs as its C code does, its commands are held; 0 is continuous time.
-    nominal : Vehicle, optional
-        What the law takes for the vehicle.
     observer : Design, optional
         Gives the law an estimate in place of the reports: the Kalman filter that it settles to at this trim.
 
@@ -421,7 +413,7 @@ def close_loop(
             f"the filter of an observer has no sampled form here (dt = {dt:g} s): leave out one of the two"
         )
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
-    law = law_for(gains, nominal or vehicle, found.direction)
+    law = law_for(gains, vehicle, found.direction)
     plant = with_commands(linearize(vehicle, found, pade=pade, dt=dt), law.commands)
     return LinearLoop(plant, law, found, observer)
 
@@ -526,15 +518,9 @@ class LinearLoop:
 class SettledObserver:
     """The Kalman filter that an observer settles to at a trim, in continuous time.
 
-    Reports every T s with variance r say as much as a continuous report with spectral density r T
-    (Simon 2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`.
-
-    Attributes
-    ----------
-    a, b, c : ndarray
-        dx/dt = a x + b u and the reports c x of its process, deviations from the trim.
-    gain : ndarray, shape (nx, k)
-        Of the innovations.
+    Reports every T s with variance r say as much as a continuous report with spectral density r T (Simon
+    2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`. Deviations from
+    the trim follow dx/dt = a x + b u, with reports c x; `gain`, shape (nx, k), is that of the innovations.
     """
 
     def __init__(self, observer: Design, trim: Trim) -> None:

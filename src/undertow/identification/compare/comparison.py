@@ -372,21 +372,10 @@ def compare(
     progress: Progress = lambda done, words: None,
     trust_log: bool = False,
 ) -> Comparison:
-    """Compare a model, as it is, with logs.
+    """Compare a model, as it is, with logs, predicted `horizon` s ahead from measured starts.
 
     What belongs to each run (``per_run = true``) is estimated from its first third, and the model is compared
-    with the rest.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model.
-    runs : sequence of Run
-        Logs with the velocities and commands of the vehicle.
-    horizon : float
-        How far ahead is predicted from each measured start, s; shorter where the logs are.
-    trust_log : bool
-        Take logs as they are, also those that `undertow.identification.doctor.refuse_impossible` refuses.
+    with the rest. `trust_log` takes logs that `undertow.identification.doctor.refuse_impossible` refuses.
     """
     began = time.perf_counter()
     refuse_impossible(vehicle, runs, trust_log=trust_log)

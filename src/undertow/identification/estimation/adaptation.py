@@ -26,8 +26,6 @@ class AdaptationSettings:
     # Share of a run from which what belongs to it is estimated; the rest judges. A current or a trim takes
     # a few manoeuvres to show, and what judges should be the larger part.
     share: float = 1.0 / 3.0
-    # Largest share that a least length may ask for.
-    most: float = 0.5
 
 
 SETTINGS = AdaptationSettings()
@@ -39,33 +37,18 @@ def of_each_run(vehicle: Vehicle) -> tuple[str, ...]:
     return tuple(n for n, value in values if value.per_run and value.estimate)
 
 
-def adapted(vehicle: Vehicle, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
+def adapted(vehicle: Vehicle, run: Run) -> tuple[Vehicle, Run]:
     """A vehicle as it is in a run, and the part of the run by which it may be judged.
 
     What belongs to each run (current, trim: ``per_run = true``) is estimated by the weak form from the first
     part of the run, all else being as stated; the stated value with its sigma, the mean and the spread of the
     runs that were fitted, holds what this part leaves open. Nothing is estimated from what judges. Where
     nothing belongs to each run, or nothing of it may be estimated, vehicle and run are returned as they are.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model, with the mean over other runs of what belongs to each.
-    run : Run
-        A run that it was not fitted to.
-    least : float
-        Least length of the first part, s, such as some of the vehicle's slowest time constants; it is never
-        more than half of the run.
-
-    Returns
-    -------
-    (Vehicle, Run)
-        The vehicle with the values of this run, and the rest of the run.
     """
     names = of_each_run(vehicle)
     if not names:
         return vehicle, run
-    end = end_of_first_part(run, least)
+    end = end_of_first_part(run)
     first, rest = run.slice(None, end), run.slice(end, None)
     rest = rest.with_notes(f"{', '.join(names)} by the run until {end:.4g} s, the rest of it judges")
     try:
@@ -74,10 +57,9 @@ def adapted(vehicle: Vehicle, run: Run, *, least: float = 0.0) -> tuple[Vehicle,
         return vehicle, rest
 
 
-def end_of_first_part(run: Run, least: float = 0.0) -> float:
+def end_of_first_part(run: Run) -> float:
     """When the part of a run ends from which what belongs to it is estimated, s (see `adapted`)."""
-    begin, length = float(run.t[0]), float(run.t[-1] - run.t[0])
-    return begin + max(SETTINGS.share * length, min(least, SETTINGS.most * length))
+    return float(run.t[0]) + SETTINGS.share * float(run.t[-1] - run.t[0])
 
 
 def first_part(run: Run, vehicle: Vehicle, sigma: Array | None = None) -> WeakData | None:
@@ -98,7 +80,7 @@ def values_in(fit: Fitted, first_parts: Sequence[WeakData]) -> dict[str, float]:
     return found
 
 
-def in_run(fit: Fitted, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
+def in_run(fit: Fitted, run: Run) -> tuple[Vehicle, Run]:
     """A fitted vehicle in a run, and the part of the run by which it may be judged (see `adapted`).
 
     A run that was fitted, or a stretch of one, has the values found for it, and all of it judges.
@@ -106,8 +88,8 @@ def in_run(fit: Fitted, run: Run, *, least: float = 0.0) -> tuple[Vehicle, Run]:
     if run.origin in fit.runs_with_values:
         return fit.vehicle_in(run), run
     if run.origin in {run_of(name) for name in fit.model.values.known}:
-        return fit.vehicle_in(run), run.slice(end_of_first_part(run, least), None)
-    return adapted(fit.vehicle, run, least=least)
+        return fit.vehicle_in(run), run.slice(end_of_first_part(run), None)
+    return adapted(fit.vehicle, run)
 
 
 def learned_from(fit: Fitted, runs: Sequence[Run], run: Index, time: Array) -> Flags:
@@ -133,7 +115,7 @@ def factor_of_the_rest(squares: Array, first: Flags, group: Index) -> Array:
     return factor
 
 
-def in_runs(fit: Fitted, runs: Sequence[Run], *, least: float = 0.0) -> tuple[list[Vehicle], list[Run]]:
+def in_runs(fit: Fitted, runs: Sequence[Run]) -> tuple[list[Vehicle], list[Run]]:
     """The same for several runs: a vehicle for each, and what is left of each to judge by."""
-    pairs = [in_run(fit, run, least=least) for run in runs]
+    pairs = [in_run(fit, run) for run in runs]
     return [vehicle for vehicle, _ in pairs], [rest for _, rest in pairs]

@@ -462,24 +462,9 @@ def numbered(*columns: Index) -> Index:
 def prepare(
     runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None, family: Family = test_functions
 ) -> WeakData:
-    """Cut runs into segments and put test functions on them.
+    """Cut runs into segments and put test functions on them: B-splines, or boxes for the integral form.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs with the body velocities (and, as far as there, the pose) of the vehicle's degrees of freedom.
-    vehicle : Vehicle
-        Whose degrees of freedom and commands are wanted.
-    sigma : (2n,) array, optional
-        Noise of the channels; estimated from the runs where it is not given.
-    family : callable
-        Makes the test functions on a segment from its times and their spacing: B-splines, or boxes for the
-        integral form.
-
-    Raises
-    ------
-    UndertowError
-        If a velocity or a command is missing, or no stretch is long enough.
+    `sigma`, shape (2n,), is the noise of the channels, estimated from the runs where it is not given.
     """
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     for run in runs:

@@ -242,21 +242,21 @@ class ActuatorStates:
     @cached_property
     def _output(self) -> ca.Function:
         f = self.functions
-        slope = ca.densify(ca.jacobian(f.chain_output, self._free))
-        return ca.Function("output", [f.u, f.p, f.t], [ca.densify(f.chain_output), slope])
+        slope = ca.densify(ca.jacobian(f.actuator_output, self._free))
+        return ca.Function("output", [f.u, f.p, f.t], [ca.densify(f.actuator_output), slope])
 
     @cached_property
     def _rest(self) -> ca.Function:
         """States at rest, and their derivatives."""
         f = self.functions
-        slope = ca.jacobian(f.chain_rest, self._free)
-        return ca.Function("rest", [f.u, f.p, f.t], [ca.densify(f.chain_rest), ca.densify(slope)])
+        slope = ca.jacobian(f.actuator_rest, self._free)
+        return ca.Function("rest", [f.u, f.p, f.t], [ca.densify(f.actuator_rest), ca.densify(slope)])
 
     @cached_property
     def _dependent(self) -> list[int]:
         """Which of the free parameters the chain depends on."""
         f = self.functions
-        return _dependence(f, self.free, ca.vertcat(f.chain_output, f.chain_rates, f.chain_rest))
+        return _dependence(f, self.free, ca.vertcat(f.actuator_output, f.actuator_rates, f.actuator_rest))
 
     @property
     def _free(self) -> ca.SX:
@@ -267,7 +267,7 @@ class ActuatorStates:
         f, dt = self.functions, ca.SX.sym("dt")
         z = f.actuator_states
         rates, output = (
-            ca.Function("step", [z, f.u, f.p, f.t], [v]) for v in (f.chain_rates, f.chain_output)
+            ca.Function("step", [z, f.u, f.p, f.t], [v]) for v in (f.actuator_rates, f.actuator_output)
         )
         return PropagatedState(
             z,
@@ -372,7 +372,7 @@ class Memory:
 
 def _refuse_motion(functions: Functions) -> None:
     f = functions
-    if ca.depends_on(ca.vertcat(f.chain_output, f.chain_rates), ca.vertcat(f.eta, f.nu)):
+    if ca.depends_on(ca.vertcat(f.actuator_output, f.actuator_rates), ca.vertcat(f.eta, f.nu)):
         raise UndertowError(
             f"an actuation effect of '{f.vehicle.name}' depends on the motion, which no fit can follow: "
             "state what the motion takes from the thrust as a Wrench in s.actuation"

@@ -24,12 +24,12 @@ class Pointwise:
     depends on the parameters, and least squares is not drawn to small inertia, as it is where the noise is
     multiplied by what is estimated.
 
-    `free` holds the places in p of the parameters that derivatives are taken in; `chain_moves` says whether
-    what reaches the thrusters depends on any of these, or on states.
+    `free` holds the places in p of the parameters that derivatives are taken in; `actuators_vary` says
+    whether what reaches the thrusters depends on any of these, or on states.
     """
 
-    def __init__(self, functions: Functions, free: tuple[int, ...], *, chain_moves: bool = True) -> None:
-        self.functions, self.free, self.chain_moves = functions, free, chain_moves
+    def __init__(self, functions: Functions, free: tuple[int, ...], *, actuators_vary: bool = True) -> None:
+        self.functions, self.free, self.actuators_vary = functions, free, actuators_vary
         self.size = len(functions.vehicle.dof_indices)
         self.measured = ca.SX.sym("measured", 2 * self.size)
         self.jump = ca.SX.sym("jump", self.size)
@@ -185,7 +185,7 @@ class Pointwise:
         f = self.functions
         free = ca.vertcat(*[f.p[i] for i in self.free])
         # A chain in which nothing is free gives the same whatever the free parameters are.
-        chain = f.actuation if self.chain_moves else f.actuation[:0]
+        chain = f.actuation if self.actuators_vary else f.actuation[:0]
         before = self.previous[: chain.shape[0]]
         derivatives = [ca.sparsify(self._slope(v)) for v in (free, chain, before, f.memory)]
         results = ca.cse([ca.densify(self._rows), *derivatives])

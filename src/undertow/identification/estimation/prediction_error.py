@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -59,12 +59,10 @@ class LinearWindows(NamedTuple):
 class Chained:
     """Windows that share their last sample with the next, stretch by stretch, simulated by one model."""
 
-    def __init__(
-        self, functions: Functions, windows: Windows, free: tuple[str, ...], compiled: bool | None
-    ) -> None:
+    def __init__(self, functions: Functions, windows: Windows, free: tuple[str, ...]) -> None:
         self.windows = windows
         size = len(windows.names)
-        self._shooting = Shooting(functions, windows, free, np.ones(size), compiled=compiled)
+        self._shooting = Shooting(functions, windows, free, np.ones(size))
         self._predictor, self._free, self._size = self._shooting.predictor, len(self._shooting.places), size
         #: Windows after which the next one is not the continuation.
         self.last = _last(windows)
@@ -385,8 +383,6 @@ def fit_prediction_error(
     runs: Sequence[Run],
     free: Sequence[str] | None = None,
     *,
-    start: Mapping[str, float] | None = None,
-    compiled: bool | None = None,
     constraints: Constraints = _PLAIN,
     progress: Progress = lambda done, words: None,
 ) -> PredictionErrorFit:
@@ -397,10 +393,10 @@ def fit_prediction_error(
     names = free_parameters(vehicle) if free is None else tuple(free)
     _refuse_long(runs)
     progress(0.0, "weak-form fit")
-    model, start = weak_start(constraints.model(vehicle, names), runs, start)
+    model, start = weak_start(constraints.model(vehicle, names), runs, None)
     p = started(model, start)
     windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
-    chained = Chained(model.functions, _without_derived(windows), model.free, compiled)
+    chained = Chained(model.functions, _without_derived(windows), model.free)
     if chained.has_sensor_delay:
         raise UndertowError(
             f"vehicle '{vehicle.name}' has a sensor that reports late, which prediction error does not "

@@ -159,8 +159,10 @@ class OwnStates:
     @cached_property
     def _rates(self) -> ca.Function:
         f, points = self._functions, self._points
-        driven = ca.substitute(f.memory_rates, f.actuation, f.chain_output)
-        rates = ca.substitute(ca.vertcat(driven, f.chain_rates), ca.vertcat(f.eta, f.nu), points.true_motion)
+        driven = ca.substitute(f.memory_rates, f.actuation, f.actuator_output)
+        rates = ca.substitute(
+            ca.vertcat(driven, f.actuator_rates), ca.vertcat(f.eta, f.nu), points.true_motion
+        )
         own = ca.vertcat(f.memory, f.actuator_states)
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
 
@@ -435,16 +437,8 @@ def predict(
 ) -> Prediction:
     """Predict logs, or windows that were cut already, window by window.
 
-    Parameters
-    ----------
-    model : Vehicle, Functions or Predictor
-        The model; a Predictor keeps its compiled code from one call to the next.
-    runs : sequence of Run, or Windows
-        What is predicted; the horizon is that of the windows where they are given.
-    horizon : float or None
-        Length of a window in s; None: each stretch without gaps from its first sample to its end.
-    compiled : bool, optional
-        As for `Simulator`.
+    A `Predictor` as the model keeps its compiled code from one call to the next. `horizon` is the length of a
+    window in s, or None: each stretch without gaps from its first sample to its end; that of windows holds.
     """
     predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
     windows = runs if isinstance(runs, Windows) else cut(runs, predictor.functions.vehicle, horizon)
@@ -454,17 +448,7 @@ def predict(
 def predict_each(
     vehicles: Sequence[Vehicle], windows: Windows, predictor: Predictor | None = None
 ) -> Prediction:
-    """Predict windows of several runs, each run by a vehicle of its own, which differ in their values only.
-
-    Parameters
-    ----------
-    vehicles : sequence of Vehicle
-        One for every run of the windows.
-    windows : Windows
-        What is predicted.
-    predictor : Predictor, optional
-        One of such a vehicle.
-    """
+    """Predict windows of several runs, each by a vehicle of its own; these differ in their values only."""
     predictor = Predictor(vehicles[0]) if predictor is None else predictor
     names, reports = predictor.functions.parameter_names, np.full(windows.measured.shape, np.nan)
     values = np.array([[vehicle.value_of(n).value for n in names] for vehicle in vehicles])

@@ -214,7 +214,7 @@ class WeakModel:
         self.free, self.values = tuple(free), RunValues(functions, free, known)
         self.places, local = self.values.places, self.values.local
         self._chain = ActuatorStates(functions, local)
-        self._points = Pointwise(functions, local, chain_moves=self._chain.moves)
+        self._points = Pointwise(functions, local, actuators_vary=self._chain.moves)
         self._memory = Memory(functions, local, self._points.measured, self._points.true_motion)
         self._sensor_delay = SensorDelay(functions, local)
         self._known: dict[int, _At] = {}

@@ -361,7 +361,7 @@ class Shooting:
         """Which free parameters act on the commands' delay or on the states that a window inherits."""
         f = self.functions
         inherited = [self._dead_times]
-        inherited += [f.chain_rates, f.chain_rest] if f.actuator_states.shape[0] else []
+        inherited += [f.actuator_rates, f.actuator_rest] if f.actuator_states.shape[0] else []
         inherited += [f.memory_rates] if f.memory.shape[0] else []
         felt = set(ca.jacobian_sparsity(ca.vertcat(*inherited), f.p).get_col())
         return [k for k, place in enumerate(self.places) if place in felt]

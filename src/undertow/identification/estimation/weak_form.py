@@ -164,29 +164,12 @@ def fit_weak(
     enough: float = 0.0,
     constraints: Constraints = _PLAIN,
 ) -> WeakFit:
-    """Fit the free parameters of a vehicle.
+    """Fit the free parameters of a vehicle, by default those that it marks with `estimate`.
 
-    Parameters
-    ----------
-    vehicle : Vehicle or WeakModel
-        Model with starting values; a WeakModel has its own free parameters.
-    data : WeakData
-        Prepared logs.
-    free : sequence of str, optional
-        Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
-    start : mapping, optional
-        Starting values that differ from the vehicle's.
-    whitening, disturbance : optional
-        Noise model to use; estimated from the residual of the fit itself where not given.
-    enough : float
-        Predicted reduction, as a share of the sum of squares, below which the search ends.
-    constraints : Constraints
-        Constraints on the parameters of a vehicle; a WeakModel has its own.
-
-    Raises
-    ------
-    UndertowError
-        If the model has no finite force somewhere in the logs, and no noise model is given.
+    A `WeakModel` has its own free parameters and constraints. `start` has starting values that differ from
+    the vehicle's; `whitening` and `disturbance` are the noise model, estimated from the residual of the fit
+    itself where not given. The search ends where the predicted reduction is less than `enough`, as a share of
+    the sum of squares.
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     p = model.started(start or {})
@@ -198,19 +181,13 @@ def fit_weak(
     return with_reestimated_noise(_solved(model, p, data, loud, disturbance, max_iterations))
 
 
-def fit_weak_by_run(
-    vehicle: Vehicle | WeakModel,
-    data: WeakData,
-    free: Sequence[str] | None = None,
-    *,
-    constraints: Constraints = _PLAIN,
-) -> WeakFit:
+def fit_weak_by_run(vehicle: Vehicle | WeakModel, data: WeakData) -> WeakFit:
     """Fit as `fit_weak` does, with values by run of what differs between the runs.
 
     Those are the parameters that the vehicle file marks with `per_run`, and those that nature changes and
     that differ beyond chance (see `separated`).
     """
-    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
+    model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, None, _PLAIN)
     stated = stated_by_run(model.functions.vehicle, model.values.names)
     model = model.with_free(with_values_by_run(model.free, stated, origins(data.runs)))
     return separated(fit_weak(model, data))
@@ -351,7 +328,6 @@ def fit_instrumental(
     free: Sequence[str] | None = None,
     horizon: float | None = None,
     *,
-    compiled: bool | None = None,
     constraints: Constraints = _PLAIN,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle by the weak form with simulated regressors as instruments.
@@ -363,15 +339,15 @@ def fit_instrumental(
     data = prepare(runs, vehicle)
     require_equations(model, data, "instrumental")
     plain = fit_weak(model, data)
-    return _Instruments(model, plain, cut(runs, vehicle, horizon), compiled).fit()
+    return _Instruments(model, plain, cut(runs, vehicle, horizon)).fit()
 
 
 class _Instruments:
     """Solves J_s' W (r - e) = 0, J_s the regressor of the simulated motion, e the excess by noise."""
 
-    def __init__(self, model: WeakModel, plain: WeakFit, windows: Windows, compiled: bool | None) -> None:
+    def __init__(self, model: WeakModel, plain: WeakFit, windows: Windows) -> None:
         self._model, self._plain, self._windows = model, plain, windows
-        self._predictor = Predictor(model.functions, compiled=compiled)
+        self._predictor = Predictor(model.functions)
 
     def fit(self) -> WeakFit:
         space, p, taken = SearchSpace(self._model), self._plain.p, 0

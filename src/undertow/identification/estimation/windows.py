@@ -142,23 +142,9 @@ def cut(
 ) -> Windows:
     """Cut runs into windows and take the motion at each start from the measurement.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Logs with the velocities and commands of the vehicle.
-    vehicle : Vehicle
-        Whose degrees of freedom and commands are wanted.
-    horizon : float or None
-        Length of a window in s; None makes one window of every stretch without gaps.
-    sigma : (2n,) array, optional
-        Noise of the channels; estimated where it is not given.
-    skip : float
-        Seconds at the beginning of each run that no window covers.
-
-    Raises
-    ------
-    UndertowError
-        If a channel is missing, or no stretch without gaps is as long as the horizon.
+    `horizon` is the length of a window in s; None makes one window of every stretch without gaps. `sigma`,
+    shape (2n,), is the noise of the channels, estimated where it is not given. No window covers the first
+    `skip` s of a run.
     """
     if horizon is not None and not horizon > 0:
         raise UndertowError(f"horizon = {horizon:g} s is not the length of a window: give a positive time")
@@ -544,13 +530,6 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
     Where the record is too short for that, the long windows are as long as it allows, and the others at most
     half of the next longer. Where the model has no time constant (no damping, or an unstable one), they are
     shares of the record. Short windows have twenty samples at least, as far as the record allows.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Model with at least a rough idea of inertia and damping.
-    runs : sequence of Run
-        Logs with its velocities.
     """
     stretches = [_longest_stretch(vehicle, run) for run in runs]
     record = float(np.sum(stretches))
@@ -592,7 +571,7 @@ def _rates_seen(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
     """M^-1 d(forcing)/d(nu), averaged over the motion in each run, 1/s."""
     functions = Functions(vehicle)
     rates = ca.jacobian(functions.x_dot[functions.acceleration_rows], functions.nu)
-    rates = ca.substitute(rates, functions.actuator_states, functions.chain_rest)
+    rates = ca.substitute(rates, functions.actuator_states, functions.actuator_rest)
     rates = ca.substitute(rates, functions.memory, ca.SX.zeros(functions.memory.shape))
     inputs = [functions.eta, functions.nu, functions.u, functions.p, functions.t]
     function = ca.Function("rates", inputs, [ca.densify(rates)])

@@ -303,26 +303,10 @@ def long_logs(
     required: bool = False,
     field_logs: FieldLogs | None = None,
 ) -> list[LongLog]:
-    """A log of any format to be read in parts: one for each of its stretches.
+    """A log of any format to be read in parts: one `LongLog` for each of its stretches.
 
     Tables stay on the disk, except for texts of several stretches; of a vehicle's own log the columns that
-    are read are held.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    mapping : LogMapping, optional
-        What its columns mean; None where the format says so.
-    commands, window, missing_commands, required
-        As of a `LongLog`.
-    field_logs : dict of FieldLog, optional
-        Vehicles' own logs that are open already; others are added.
-
-    Raises
-    ------
-    UndertowError
-        If a vehicle's own log cannot be read, or no row is in a stretch.
+    are read are held. `field_logs` has those that are open already; others are added.
     """
     names = tuple(commands)
     log = field_log(path, mapping, field_logs)

@@ -317,20 +317,7 @@ def _key(name: str) -> str:
 
 # --- from a table -----------------------------------------------------------------------------------
 def guess_mapping(path: Path, vehicle: Vehicle | None = None) -> GuessedMapping:
-    """Guess what the columns of a log mean.
-
-    Parameters
-    ----------
-    path : Path
-        CSV, CSV.gz or Parquet.
-    vehicle : Vehicle, optional
-        As for `guess_table`.
-
-    Raises
-    ------
-    UndertowError
-        If the file cannot be read, or no column counts the time.
-    """
+    """Guess what the columns of a log (CSV, CSV.gz or Parquet) mean."""
     table, reading = _table(path)
     return guess_table(table, path, vehicle, reading)
 
@@ -341,24 +328,10 @@ def guess_table(
     vehicle: Vehicle | None = None,
     reading: LogMapping | None = None,
 ) -> GuessedMapping:
-    """Guess what the columns of a table mean.
+    """Guess what the columns of a table, or of its first rows, mean.
 
-    Parameters
-    ----------
-    table : DataFrame
-        The table, or its first rows.
-    path : Path
-        The log it comes from.
-    vehicle : Vehicle, optional
-        Whose motions, commands and inputs are looked for; without it all motions are, and what looks like a
-        command keeps its name.
-    reading : LogMapping, optional
-        How its text was written.
-
-    Raises
-    ------
-    UndertowError
-        If no column counts the time.
+    The motions, commands and inputs of the vehicle are looked for; without one all motions are, and what
+    looks like a command keeps its name. `reading` says how the text of the table was written.
     """
     reading = reading or LogMapping()
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}

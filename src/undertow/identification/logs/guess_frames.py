@@ -62,15 +62,7 @@ class Axes:
 
 
 def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
-    """The axes that position, heading and velocity agree with, as far as they have been logged.
-
-    Parameters
-    ----------
-    channels : mapping
-        Pose and velocities by channel, SI, shape (n,) each.
-    t : Array, shape (n,)
-        Time, s.
-    """
+    """The axes that position, heading and velocity (by channel, SI) agree with, as far as logged."""
     if not {"x", "y", "psi"} <= channels.keys():
         turning = any(name in channels for name in ("psi", "r", "v", "w", "y", "z"))
         return Axes(questions=(f"{_WHICH} Position and heading, which tell, are not both logged",) * turning)
@@ -82,11 +74,11 @@ def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
         return Axes(questions=(_WHICH, _HEADING))
     best, other, *_ = sorted(left, key=lambda name: left[name])
     shares = f"{best} {left[best]:.0%}, {other} {left[other]:.0%}"
-    told = f"of the change of position, velocity and heading leave: {shares}"
+    finding = f"of the change of position, velocity and heading leave: {shares}"
     if left[best] > SETTINGS.agrees or left[best] > SETTINGS.clearly * left[other]:
-        return Axes(questions=(f"{told}. That decides nothing: which axes are they?", _HEADING))
+        return Axes(questions=(f"{finding}. That decides nothing: which axes are they?", _HEADING))
     doubts = [_HEADING] if best in (_HERE, _EARTH) else []
-    return Axes(_ENTRIES[best][0], (f"{told}. Hence these axes; is it so?", *doubts))
+    return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes; is it so?", *doubts))
 
 
 def _left(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:

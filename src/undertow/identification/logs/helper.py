@@ -16,12 +16,8 @@ from typing import Any
 class Helper:
     """A process that answers one question after the other; a new one where it has ended with a question.
 
-    Attributes
-    ----------
-    program : str
-        Python that answers every line of JSON with a line of JSON; its argument is `memory`.
-    memory : int
-        Bytes of address space that it may have.
+    `program` is Python that answers every line of JSON with a line of JSON; its argument is `memory`, the
+    bytes of address space that it may have.
     """
 
     program: str

@@ -6,14 +6,17 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import polars as pl
 
 from undertow.errors import UndertowError, nearest
+from undertow.files import together, write_whole
 
 from .formats.fieldlog import FieldLog, Window
 from .formats.registry import open_field_log, readable
-from .mapping import LogMapping
+from .mapping import Column, Held, LogMapping, mapping_text, turned_name
+from .run import Run
 from .table import WHOLE, LogLimits, NotTextError, file_bytes, file_hash, read_table
 
 FieldLogs = dict[Path, FieldLog]
@@ -22,23 +25,12 @@ FieldLogs = dict[Path, FieldLog]
 
 @dataclass(frozen=True)
 class Opened:
-    """Rows of a log, and what they mean.
+    """Rows of a log, and what they mean."""
 
-    Attributes
-    ----------
-    table : DataFrame
-        A row for every time; of a vehicle's own log the columns that are read.
-    mapping : LogMapping
-        The one that was given, or what the format of the log says.
-    sha256 : str
-        Of the bytes of the file.
-    notes : tuple of str
-        What the reader of a vehicle's own log said, its format first; empty for a table.
-    """
-
-    table: pl.DataFrame
-    mapping: LogMapping
-    sha256: str
+    table: pl.DataFrame  # a row for every time; of a vehicle's own log the columns that are read
+    mapping: LogMapping  # the one that was given, or what the format of the log says
+    sha256: str  # of the bytes of the file
+    # what the reader of a vehicle's own log said, its format first; empty for a table
     notes: tuple[str, ...] = ()
 
 
@@ -61,21 +53,8 @@ def opened_field_log(
 ) -> Opened:
     """The table of a vehicle's own log, by a mapping or by what its format says.
 
-    Parameters
-    ----------
-    log : FieldLog
-        The log.
-    mapping : LogMapping, optional
-        What its columns mean.
-    commands, also : sequence of str
-        Commands that it must have, and those that are read where it has them.
-    window : (float or None, float or None)
-        Part that is used, s on the clock of the run.
-
-    Raises
-    ------
-    UndertowError
-        If its motors cannot be the commands, or its table is too large for memory.
+    It must have the `commands`; those in `also` are read where it has them. The window is in s on the clock
+    of the run.
     """
     meaning = mapping or log.mapping_for([*commands, *also])
     if mapping is None:
@@ -162,3 +141,37 @@ def _delimiter_hint(columns: Sequence[str]) -> str:
         if other
         else "; say in a mapping file which is meant"
     )
+
+
+# --- saving --------------------------------------------------------------------------------------------
+def save_log(run: Run, out: Path) -> Path | None:
+    """Write a run as CSV with the channel names and SI units of undertow; the path of its mapping file.
+
+    Of a channel that does not report in every row only the reports are written, and nothing that was derived
+    from other channels: whoever reads the file derives it again. Noise of sensors and disturbance that were
+    stated go into a mapping file beside it, called the same but for its ending.
+    """
+    measured = {name: run.reports(name) for name in run.channels if name not in run.derived}
+    table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)
+    stated, beside = _stated(run), out.with_suffix(".toml")
+    with together():
+        write_whole(out, table.write_csv())
+        if stated is not None:
+            write_whole(beside, mapping_text(stated))
+    return beside if stated is not None else None
+
+
+def _stated(run: Run) -> LogMapping | None:
+    """The mapping file that states noise, disturbance and rig of a run; None where none is stated."""
+    given = run.mapping or LogMapping()
+    if run.mapping is None:
+        named = set(run.sigma)
+    else:  # that of slow channels is estimated where it is not stated
+        stated_noise = (c.channel for c in given.columns.values() if c.noise is not None)
+        named = {turned_name(channel, given.frames.position) for channel in stated_noise}
+    noise = {name: sigma for name, sigma in run.sigma.items() if name in named and run.has(name)}
+    if not (noise or given.disturbance or run.held):
+        return None
+    columns = {name: Column(channel=name, noise=sigma, optional=True) for name, sigma in noise.items()}
+    held = cast("Held", run.held)
+    return LogMapping(columns=columns, disturbance=given.disturbance, held=held)

@@ -133,12 +133,9 @@ def read_logs(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Tables (CSV, CSV.gz or Parquet) or logs as vehicles write them.
-    vehicle : Vehicle
-        The model, whose commands the logs must have.
-    mapping, window, missing_commands
-        As for `read_log`; without a mapping, a mapping file of the name of a log beside it counts.
+    paths, vehicle, mapping, window, missing_commands
+        As for `read_log`, tables or logs as vehicles write them, with the commands of the vehicle; without a
+        mapping, a mapping file of the name of a log beside it counts.
     held
         Motions that a rig holds in all of the logs, whatever their mappings say; a log with such motions
         needs no column for them, nor for commands.
@@ -150,18 +147,11 @@ def read_logs(
         Leave out rows of a table whose time is not later than that of all before.
     field_logs : dict of FieldLog, optional
         Vehicles' own logs that are open already; others are added.
-    progress : callable
-        Told how many logs are read.
 
     Returns
     -------
     list of Run
         In the order of the paths; of a log of several stretches, each as a run. `Run.source` is the path.
-
-    Raises
-    ------
-    UndertowError
-        If a file cannot be read or does not fit the vehicle, or a log is given twice.
     """
     runs: list[Run] = []
     for done, path in enumerate(paths):
@@ -203,11 +193,11 @@ def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
     outputs = [run.channels[name] for name in plain if run.has(name)]
     if not outputs or not run.reader_notes or not np.nanmax(np.abs(outputs), initial=0.0) <= 1.0:
         return run
-    told = (
+    remark = (
         f"commands {', '.join(plain)} lie within -1 and 1, and the vehicle takes them for newtons: give its "
         'thrusters a curve ("t200-16v") or thrust_per_command, as undertow vehicle new --log does'
     )
-    return replace(run, reader_notes=(*run.reader_notes, told))
+    return replace(run, reader_notes=(*run.reader_notes, remark))
 
 
 def run_of_table(

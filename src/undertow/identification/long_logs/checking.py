@@ -19,7 +19,7 @@ from undertow.typing import Array, Progress
 
 from .choosing import Chosen
 from .result import LongLogs, ModelOnTheRest, Rest
-from .spool import without
+from .thinning import without
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,9 @@ def checked(
     horizon: float = CHECK.horizon,
     progress: Progress = lambda done, words: None,
 ) -> LongLogs:
-    """The result of a choice, with the errors of models over all that was not chosen.
+    """The result of a choice, with the errors of models, by name, over all that was not chosen.
 
     What belongs to each run (``per_run = true``) is estimated from the first third of every piece.
-
-    Parameters
-    ----------
-    chosen : Chosen
-        The choice; its `result` is returned with `rest`.
-    models : mapping
-        Vehicles by what they are called, such as "as given" and "refitted".
-    horizon : float
-        How far ahead is predicted, s.
     """
     tallies = {name: _Tally(Predictor(Functions(vehicle))) for name, vehicle in models.items()}
     motion: list[tuple[Array, Array]] = []

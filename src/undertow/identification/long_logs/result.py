@@ -98,10 +98,12 @@ class LongLogs(_Table):
     def sentences(self) -> list[str]:
         """What was done, in words."""
         lines = [self._thinned(), *([] if self.everything else [self._chosen()])]
-        judges = [log.name for log in self.logs if log.holdout]
+        validation = [log.name for log in self.logs if log.holdout]
         own = self._of("holdout")
-        if judges:
-            lines.append(f"kept for validation as a whole: {', '.join(judges)}; {self._span(own)} of it used")
+        if validation:
+            lines.append(
+                f"kept for validation as a whole: {', '.join(validation)}; {self._span(own)} of it used"
+            )
         elif own:
             lines.append(f"{self._span(own)} apart from these for validation")
         return lines + ([self.rest.sentence()] if self.rest else [])

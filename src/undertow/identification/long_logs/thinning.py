@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from weakref import finalize
 
 import numpy as np
 
@@ -91,24 +95,14 @@ def _quickest_lag(vehicle: Vehicle) -> float:
 
 
 def thinned(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) -> Iterator[Run]:
-    """Parts of a log, thinned.
+    """Parts of a log that follow each other, thinned.
 
     A measurement becomes the mean of `by` rows, at the mean of their times: an odd number of them has no
     delay, what is faster than the new rate is averaged away, and the noise stays white. Where some of these
     rows are empty, the mean of the others is moved to that time along the slope to the means beside it. A
     command, which is held from row to row, is averaged likewise, and over the time until the next of the new
-    rows: what changes the mean velocity from one of them to the next is exactly the command there.
-
-    Parameters
-    ----------
-    runs : iterable of Run
-        Parts that follow each other without overlap.
-    by : int
-        Rows that become one.
-    step : float
-        Usual step of the rows, s; much longer ones are gaps, over which nothing is averaged.
-    commands : sequence of str
-        Names of the channels that are held between rows.
+    rows: what changes the mean velocity from one of them to the next is exactly the command there. Steps much
+    longer than the usual `step`, s, are gaps, over which nothing is averaged.
     """
     rest: Run | None = None
     for run in runs:
@@ -226,3 +220,113 @@ def _with_next(values: Array, beside: Flags, of: Callable[..., Array]) -> Array:
     """The least or greatest of each value and the next one, where that is beside it."""
     after = np.where(np.append(beside, False), np.append(values[1:], values[-1:]), values)
     return np.asarray(of(np.column_stack([values, after]), axis=1))
+
+
+# --- thinned rows in a file ----------------------------------------------------------------------------
+class Spool:
+    """A log after it was thinned: rows in a temporary file, of which any can be had back as a run."""
+
+    like: Run  # one row, with the name, source and notes of the log
+
+    def __init__(self, parts: Iterable[Run], thin: Callable[[Iterable[Run]], Iterator[Run]]) -> None:
+        self._file = tempfile.TemporaryFile(prefix="undertow-")  # noqa: SIM115 - it lives as long as this
+        finalize(self, self._file.close)
+        self.rows = self.samples = self.dropped = self.gaps = 0
+        self.longest_gap, self.span = 0.0, (np.inf, -np.inf)
+        self._names: tuple[str, ...] = ()
+        self._slow: set[str] = set()  # channels that do not report in every row
+        self._missing: Counter[str] = Counter()
+        for run in thin(map(self._counted, parts)):
+            self._add(run)
+
+    def _counted(self, run: Run) -> Run:
+        """Count what is in a part of the log before it is thinned."""
+        last = self.span[1] if self.samples else run.t[0]
+        step = np.diff(run.t, prepend=last)
+        gaps = step[step > BAND.gap * np.median(step)]
+        self.gaps += len(gaps)
+        self.longest_gap = float(np.max(gaps, initial=self.longest_gap))
+        self.samples, self.dropped = self.samples + len(run.t), self.dropped + run.dropped
+        self.span = (min(self.span[0], float(run.t[0])), float(run.t[-1]))
+        self._missing.update({n: int(np.isnan(a).sum()) for n, a in run.channels.items()})
+        return run
+
+    @property
+    def missing(self) -> dict[str, float]:
+        """Share of the rows without a value, by channel; those that have all are left out."""
+        return {n: count / self.samples for n, count in self._missing.items() if count}
+
+    def _add(self, run: Run) -> None:
+        if not self._names:
+            self._names, self.like = tuple(run.channels), replace(run.head(1), dropped=0)
+        np.column_stack([run.t, *map(run.reports, self._names)]).tofile(self._file)
+        self._slow |= {*run.reported}
+        self.like = replace(self.like, sigma={**self.like.sigma, **run.sigma})
+        self.rows += len(run.t)
+
+    def run(self, first: int, stop: int) -> Run:
+        """Some rows as a run that is a stretch of the log."""
+        table = self._table(first, stop)
+        channels = dict(zip(self._names, table[:, 1:].T, strict=True))
+        name = f"{self.like.name} [{table[0, 0]:.0f}-{table[-1, 0]:.0f} s]"
+        slow = {n: channels[n] for n in self._slow}
+        reported = {n: np.isfinite(data) for n, data in slow.items()}
+        rows = replace(self.like, name=name, t=table[:, 0], channels=channels, reported=reported)
+        return with_reports(replace(rows, part_of=self.like.origin), slow)
+
+    def times(self, first: int, stop: int) -> tuple[float, float]:
+        """When some rows begin and end, s."""
+        return float(self._table(first, first + 1)[0, 0]), float(self._table(stop - 1, stop)[0, 0])
+
+    def _table(self, first: int, stop: int) -> Array:
+        width = 1 + len(self._names)
+        self._file.flush()
+        self._file.seek(8 * width * first)
+        return np.fromfile(self._file, count=width * (stop - first)).reshape(-1, width)
+
+    def ranges(self, rows: int) -> list[tuple[int, int]]:
+        """Ranges of so many rows one after the other; the last takes what is left over."""
+        edges = [*range(0, max(self.rows - rows + 1, 1), rows), self.rows]
+        if len(edges) > 2 and edges[-1] - edges[-2] >= rows + rows // 2:
+            edges.insert(-1, edges[-2] + rows)
+        return list(pairwise(edges))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some rows of a spool."""
+
+    log: int  # which one
+    first: int
+    stop: int
+
+    @property
+    def samples(self) -> int:
+        """How many rows it has."""
+        return self.stop - self.first
+
+
+def stretches(spools: Sequence[Spool], rows: int) -> list[Stretch]:
+    """All stretches of so many rows, in order."""
+    return [Stretch(i, a, b) for i, spool in enumerate(spools) for a, b in spool.ranges(rows)]
+
+
+def merged(chosen: Iterable[Stretch]) -> list[Stretch]:
+    """Stretches that follow each other as one, in order."""
+    found: list[Stretch] = []
+    for one in sorted(chosen, key=lambda s: (s.log, s.first)):
+        if found and (found[-1].log, found[-1].stop) == (one.log, one.first):
+            found[-1] = replace(found[-1], stop=one.stop)
+        else:
+            found.append(one)
+    return found
+
+
+def without(spools: Sequence[Spool], taken: Iterable[Stretch], rows: int) -> Iterator[Stretch]:
+    """What is left of the spools, in pieces of at most so many rows."""
+    used = merged(taken)
+    for i, spool in enumerate(spools):
+        edges: Index = np.array([0, *(e for s in used if s.log == i for e in (s.first, s.stop)), spool.rows])
+        for first, stop in edges.reshape(-1, 2).tolist():
+            for begin in range(first, stop, rows):
+                yield Stretch(i, begin, min(begin + rows, stop))

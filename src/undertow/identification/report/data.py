@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from undertow.identification.compare.comparison import Profile
 from undertow.typing import Array
 
 
@@ -50,20 +51,11 @@ class ErrorMap:
 
 @dataclass(frozen=True)
 class ResidualCurve:
-    """Mean residual force (N or N m) of one degree of freedom in bins of one variable, by two models.
+    """Mean residual force, in `unit`, of one degree of freedom in bins of one variable, by two models."""
 
-    Arrays have shape (m,): the middle of the bins, the mean, and half the 95 % interval of the mean.
-    """
-
-    degree_of_freedom: str
     unit: str
-    variable: str
-    variable_unit: str
-    centre: Array
-    before: Array
-    before_error: Array
-    after: Array | None = None
-    after_error: Array | None = None
+    before: Profile
+    after: Profile | None = None
 
 
 @dataclass(frozen=True)

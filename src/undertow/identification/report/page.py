@@ -240,8 +240,8 @@ class _Pictures:
 
     def residuals(self) -> Iterator[Markup]:
         """One picture for each degree of freedom."""
-        for dof in dict.fromkeys(c.degree_of_freedom for c in self._data.residuals):
-            curves = [c for c in self._data.residuals if c.degree_of_freedom == dof]
+        for dof in dict.fromkeys(c.before.degree_of_freedom for c in self._data.residuals):
+            curves = [c for c in self._data.residuals if c.before.degree_of_freedom == dof]
             yield self._inline(residual_against(curves, self._names))
 
     def budgets(self) -> Markup:

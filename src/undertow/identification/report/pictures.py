@@ -273,25 +273,17 @@ def residual_against(curves: Sequence[ResidualCurve], names: tuple[str, str] = (
 
 def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None:
     axis.axhline(0.0, color=INK, linewidth=0.8)
-    looks: list[tuple[Any, Any, str, dict[str, Any]]] = [
-        (curve.before, curve.before_error, names[0], {"color": BEFORE, "marker": "o"}),
-        (curve.after, curve.after_error, names[1], {"color": AFTER, "marker": "s"}),
-    ]
-    for values, error, name, how in looks:
-        if values is not None:
-            axis.errorbar(
-                curve.centre,
-                values,
-                yerr=error,
-                label=plain(name),
-                markersize=4,
-                linewidth=1.0,
-                capsize=2,
-                **how,
-            )
+    stated = curve.before
+    for one, name, colour, marker in (
+        (stated, names[0], BEFORE, "o"),
+        (curve.after, names[1], AFTER, "s"),
+    ):
+        if one is not None:
+            how = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1.0, "capsize": 2}
+            axis.errorbar(stated.centre, one.force, yerr=1.96 * one.error, label=plain(name), **how)
     axis.locator_params(axis="x", nbins=4)
-    axis.set_xlabel(with_unit(curve.variable, curve.variable_unit))
-    axis.set_ylabel(with_unit(f"{curve.degree_of_freedom} residual", curve.unit))
+    axis.set_xlabel(with_unit(stated.variable, stated.unit))
+    axis.set_ylabel(with_unit(f"{stated.degree_of_freedom} residual", curve.unit))
     axis.grid()
 
 
@@ -321,11 +313,6 @@ def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog]
     """One row for each pose coordinate: rate of the pose against what the velocities make of it.
 
     Above them, a row for each of the vehicle's own logs: when its motors drove, and which parts are used.
-
-    Raises
-    ------
-    UndertowError
-        If the logs have no pose with a velocity of its own.
     """
     kinematics = Kinematics(examined.given, vehicle)
     if not kinematics and not logs:

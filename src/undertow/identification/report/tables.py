@@ -23,7 +23,6 @@ from . import pictures
 from .data import Budget, ErrorMap, Listing, ReportData, ResidualCurve, RunTraces, Trace
 from .page import percent, quantity
 
-_HALF_INTERVAL = 1.96
 # Bins in which the mean residual force may leave the noise by chance do not make a variable telling.
 _CURVES = 9
 
@@ -116,7 +115,7 @@ def curves(before: Comparison, after: Comparison | None = None) -> list[Residual
     for i, dof in enumerate(before.result.degrees_of_freedom):
         unit = FORCE_UNITS[before.vehicle.dof_indices[i]]
         own = sorted((p for p in before.profiles if p.degree_of_freedom == dof), key=telling, reverse=True)
-        found += [_curve(p, unit, other.get((dof, p.variable))) for p in own]
+        found += [ResidualCurve(unit, p, other.get((dof, p.variable))) for p in own]
     return found
 
 
@@ -124,20 +123,6 @@ def telling(profile: Profile) -> float:
     """Mean square of the binned residual force over its standard error: about 1 where it is noise."""
     sure = profile.error > 0
     return float(np.mean((profile.force[sure] / profile.error[sure]) ** 2)) if sure.any() else 0.0
-
-
-def _curve(p: Profile, unit: str, other: Profile | None) -> ResidualCurve:
-    return ResidualCurve(
-        p.degree_of_freedom,
-        unit,
-        p.variable,
-        p.unit,
-        p.centre,
-        p.force,
-        _HALF_INTERVAL * p.error,
-        None if other is None else other.force,
-        None if other is None else _HALF_INTERVAL * other.error,
-    )
 
 
 def budgets(comparison: Comparison) -> list[Budget]:
@@ -155,7 +140,7 @@ def budgets(comparison: Comparison) -> list[Budget]:
 
 def leading(found: Sequence[ResidualCurve], dof: str, most: int = _CURVES) -> list[ResidualCurve]:
     """The most telling variables of one degree of freedom."""
-    return [c for c in found if c.degree_of_freedom == dof][:most]
+    return [c for c in found if c.before.degree_of_freedom == dof][:most]
 
 
 def comparison_pictures(comparison: Comparison) -> dict[str, Figure]:
@@ -187,13 +172,12 @@ def report_data(
     after: Comparison | None = None,
     *,
     names: tuple[str, str] = ("model as given", "with what is missing"),
-    settings: Mapping[str, str] | None = None,
     given: Vehicle | None = None,
 ) -> ReportData:
     """What a report shows of a model, and of the same model with something added, on the same logs.
 
-    Without `after` one model is shown; pictures call the two by their `names`; `settings` are further lines
-    of the record of what was done; `given` is the model before any fit.
+    Without `after` one model is shown; pictures call the two by their `names`; `given` is the model before
+    any fit.
     """
     result = before.result
     both = [c for c in (before, after) if c is not None]
@@ -208,7 +192,7 @@ def report_data(
         residuals=tuple(c for dof in result.degrees_of_freedom for c in leading(found, dof, _MOST_VARIABLES)),
         budgets=tuple(budgets(both[-1])),
         fits=_fits(before, after),
-        settings={"prediction ahead": ahead, **(settings or {})},
+        settings={"prediction ahead": ahead},
         versions=versions(),
     )
 

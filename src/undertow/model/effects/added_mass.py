@@ -1,7 +1,5 @@
 """Added mass, diagonal."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

@@ -1,7 +1,5 @@
 """Coriolis forces and the Munk moment of the added mass."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

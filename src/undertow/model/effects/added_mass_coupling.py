@@ -1,7 +1,5 @@
 """Off-diagonal added mass with its Coriolis part."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Constant errors of compass and inclinometers."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Measurement

@@ -1,7 +1,5 @@
 """Drag that rises near the bottom, a wall or the surface."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import inf
 

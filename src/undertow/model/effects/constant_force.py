@@ -1,7 +1,5 @@
 """A constant force in body axes."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Lift and drag of rudders, fins and planes."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

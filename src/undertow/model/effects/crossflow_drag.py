@@ -1,7 +1,5 @@
 """Cross-flow drag along the hull."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

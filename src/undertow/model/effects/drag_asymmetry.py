@@ -1,7 +1,5 @@
 """Drag that differs between forward and backward motion."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

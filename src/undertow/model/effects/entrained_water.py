@@ -1,7 +1,5 @@
 """Water that the vehicle carries along."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

@@ -1,7 +1,5 @@
 """Forces and moments that the log itself holds."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Buoyancy that changes with depth."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Hull forces of third and fourth order in drift and turning."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Lift: forces bilinear in the forward speed and a cross-flow motion."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Linear damping, diagonal."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

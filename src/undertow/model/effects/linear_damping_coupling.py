@@ -1,7 +1,5 @@
 """Linear damping between different motions."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Surge force of drift and turning."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Buoyancy that does not equal the weight."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Set
 
 import sympy as sm

@@ -1,7 +1,5 @@
 """A steady current."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.errors import UndertowError
@@ -45,13 +43,7 @@ class OceanCurrent(Flow):
 
 
 def check_current(north: float, east: float) -> None:
-    """Refuse a velocity of the water, m/s, that none has.
-
-    Raises
-    ------
-    UndertowError
-        If one is beyond the limit.
-    """
+    """Refuse a velocity of the water, m/s, that none has."""
     for way, value in (("north", north), ("east", east)):
         if not abs(value) <= FASTEST:
             raise UndertowError(

@@ -1,7 +1,5 @@
 """A position sensor away from the body origin."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Measurement

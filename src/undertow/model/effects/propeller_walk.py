@@ -1,7 +1,5 @@
 """Side force of propellers that push ahead or astern."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

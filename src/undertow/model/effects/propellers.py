@@ -1,7 +1,5 @@
 """Propellers by their revolutions."""
 
-from __future__ import annotations
-
 from math import inf
 from typing import Self
 

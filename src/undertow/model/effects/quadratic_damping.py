@@ -1,7 +1,5 @@
 """Quadratic damping, diagonal."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

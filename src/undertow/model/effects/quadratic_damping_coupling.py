@@ -1,7 +1,5 @@
 """Quadratic damping between different motions."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -1,7 +1,5 @@
 """Fluid memory of first order."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

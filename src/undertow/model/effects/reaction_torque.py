@@ -1,7 +1,5 @@
 """Torque of the propellers."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

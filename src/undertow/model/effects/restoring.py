@@ -1,7 +1,5 @@
 """Weight and buoyancy with their arms."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Set
 from math import inf
 

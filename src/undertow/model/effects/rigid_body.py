@@ -1,7 +1,5 @@
 """Inertia of the rigid body."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Set
 from math import sqrt
 

@@ -1,7 +1,5 @@
 """Coriolis and centripetal forces of the rigid body."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

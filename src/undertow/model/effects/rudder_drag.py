@@ -1,7 +1,5 @@
 """Drag of a deflected rudder or fin."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

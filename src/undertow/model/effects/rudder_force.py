@@ -1,7 +1,5 @@
 """Force of rudders and fins."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

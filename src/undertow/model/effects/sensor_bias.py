@@ -1,7 +1,5 @@
 """Constant errors of the velocity sensor and the gyro."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Measurement

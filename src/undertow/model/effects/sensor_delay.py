@@ -1,7 +1,5 @@
 """Dead time of the velocity sensor."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Measurement

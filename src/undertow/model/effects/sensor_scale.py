@@ -1,7 +1,5 @@
 """Wrong scale of the velocity sensor and the gyro."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Measurement

@@ -1,7 +1,5 @@
 """Liquid or a hanging load that swings to and fro."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

@@ -1,7 +1,5 @@
 """Rudders and fins that need time to turn."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

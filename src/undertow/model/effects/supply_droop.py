@@ -1,7 +1,5 @@
 """Thrust that fades in the course of a run."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

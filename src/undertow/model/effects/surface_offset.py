@@ -1,7 +1,5 @@
 """Rudders and fins that do not stand where they should."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

@@ -1,7 +1,5 @@
 """Drag of a tether."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

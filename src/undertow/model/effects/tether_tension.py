@@ -1,7 +1,5 @@
 """Tension of an elastic tether."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

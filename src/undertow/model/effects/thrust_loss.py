@@ -1,7 +1,5 @@
 """Thrust lost to the speed of the inflow."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

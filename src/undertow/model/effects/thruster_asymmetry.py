@@ -1,7 +1,5 @@
 """Weaker thrust in reverse."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

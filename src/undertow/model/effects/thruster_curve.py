@@ -1,7 +1,5 @@
 """Curvature of the relation between command and thrust."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

@@ -1,7 +1,5 @@
 """Dead band of the thrusters."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

@@ -1,7 +1,5 @@
 """Thrusters that give more or less than they should."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

@@ -1,7 +1,5 @@
 """Thrusters that need time to spin up."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Actuation

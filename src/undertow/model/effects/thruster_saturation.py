@@ -1,7 +1,5 @@
 """A limit of the thrust."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

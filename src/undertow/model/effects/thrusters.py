@@ -1,7 +1,5 @@
 """Thrust of the vehicle's thrusters."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Effect, Wrench

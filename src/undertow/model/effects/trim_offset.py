@@ -1,7 +1,5 @@
 """An unknown shift of the centre of buoyancy."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

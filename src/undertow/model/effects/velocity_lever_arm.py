@@ -1,7 +1,5 @@
 """A velocity sensor away from the body origin."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Measurement

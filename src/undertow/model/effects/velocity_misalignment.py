@@ -1,7 +1,5 @@
 """A velocity sensor that is turned against the body axes."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Measurement

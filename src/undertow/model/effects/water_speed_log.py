@@ -1,7 +1,5 @@
 """A speed log that measures through the water."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Flow, Measurement

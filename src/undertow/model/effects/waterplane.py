@@ -1,7 +1,5 @@
 """Stiffness of a hull that floats at the surface."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

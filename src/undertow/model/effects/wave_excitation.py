@@ -1,7 +1,5 @@
 """What a regular wave does to a hull at the surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, inf, sin
 from typing import Any

@@ -1,7 +1,5 @@
 """Fluid memory of second order: the waves that a vessel has sent out."""
 
-from __future__ import annotations
-
 from math import inf
 
 import sympy as sm

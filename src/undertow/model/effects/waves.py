@@ -1,7 +1,5 @@
 """A regular wave."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import sympy as sm

@@ -1,7 +1,5 @@
 """Wind on what stands out of the water."""
 
-from __future__ import annotations
-
 from math import atan2, hypot, inf
 
 import sympy as sm

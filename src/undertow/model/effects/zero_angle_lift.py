@@ -1,7 +1,5 @@
 """Lift of a hull or fins that are not quite straight."""
 
-from __future__ import annotations
-
 import sympy as sm
 
 from undertow.model.effect import Wrench

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import tomlkit
@@ -17,7 +18,6 @@ from undertow.model.loading import resolve_vehicle
 from undertow.typing import Array
 
 from .fieldlog import OFF, FieldLog, switched_off
-from .frames import ARMS, CUSTOM, FRAMES, Frame, Vector
 
 Parameters = Mapping[str, float | str]
 
@@ -66,22 +66,10 @@ def motors(parameters: Parameters) -> dict[int, int]:
 def actuators(
     parameters: Parameters, outputs: Mapping[int, tuple[str, Array]], firmware: str = ""
 ) -> tuple[tuple[tuple[str, Column], ...], list[str]]:
-    """Outputs of motors as commands from -1 to 1.
+    """Outputs of motors as commands from -1 to 1, in the order of the motors, and notes.
 
-    Parameters
-    ----------
-    parameters : mapping
-        Of the autopilot.
-    outputs : mapping of (str, array)
-        Name of the column and pulses, microseconds, by the number of the output.
-    firmware : str
-        Its name, such as ArduSub V4.1.0; empty if the log does not say.
-
-    Returns
-    -------
-    actuators : tuple of (str, Column)
-        In the order of the motors.
-    notes : list of str
+    `outputs` has the name of the column and the pulses, microseconds, by the number of the output; `firmware`
+    is such as ArduSub V4.1.0, empty if the log does not say.
     """
     found, notes = [], []
     by_motor = {motor: output for motor, output in motors(parameters).items() if output in outputs}
@@ -97,8 +85,8 @@ def actuators(
             # outputs, which it turns.
             heeded = not firmware.startswith("ArduSub")
             travel *= -1.0 if heeded else 1.0
-            told = "the command is turned" if heeded else "ArduSub does not heed it for motors"
-            notes.append(f"SERVO{output}_REVERSED is set for motor {motor}: {told}")
+            remark = "the command is turned" if heeded else "ArduSub does not heed it for motors"
+            notes.append(f"SERVO{output}_REVERSED is set for motor {motor}: {remark}")
         off = OFF if np.any(pulses == OFF) else None
         column = Column(channel=f"motor{motor}", scale=1.0 / travel, offset=-rest / travel, off=off)
         found.append((name, column))
@@ -115,20 +103,7 @@ def _rest(trim: float | str | None, pulses: Array) -> float:
 
 # --- the vehicle ----------------------------------------------------------------------------------
 def vehicle_text(log: FieldLog, name: str) -> str:
-    """A vehicle file for the frame, the directions of the motors and the battery that a log states.
-
-    Parameters
-    ----------
-    log : FieldLog
-        Of ArduSub.
-    name : str
-        Of the vehicle.
-
-    Raises
-    ------
-    UndertowError
-        If the log does not state a frame, or one whose motors are not known.
-    """
+    """A vehicle file for the frame, directions of the motors and battery that an ArduSub log states."""
     frame = _frame(log)
     document = tomlkit.parse(resolve_vehicle(frame.base).read_text(encoding="utf-8"))
     curve, why = _curve(log)
@@ -170,9 +145,11 @@ def _frame(log: FieldLog) -> Frame:
 
 def _turn(table: Table, way: Vector, direction: float | str | None, motor: int) -> None:
     sign = -1.0 if direction == -1.0 else 1.0
-    told = f"MOT_{motor}_DIRECTION {sign:g}" if direction is not None else "direction of the motor not logged"
+    remark = (
+        f"MOT_{motor}_DIRECTION {sign:g}" if direction is not None else "direction of the motor not logged"
+    )
     table["direction"] = [sign * axis + 0.0 for axis in way]
-    table["source"] = f"{table['source']}; {told}"
+    table["source"] = f"{table['source']}; {remark}"
 
 
 def _curve(log: FieldLog) -> tuple[str, str]:
@@ -185,3 +162,99 @@ def _curve(log: FieldLog) -> tuple[str, str]:
         return known[16], "T200 at 16 V, assumed"
     nearest = min(known, key=lambda v: abs(v - volts))
     return known[nearest], f"T200 at {nearest} V, battery at {volts:.1f} V"
+
+
+# --- frames of ArduSub ---------------------------------------------------------------------------------
+Vector = tuple[float, float, float]
+
+
+class Factors(NamedTuple):
+    """What a motor does for a demand of each motion."""
+
+    roll: float
+    pitch: float
+    yaw: float
+    throttle: float
+    forward: float
+    lateral: float
+
+    @property
+    def direction(self) -> Vector:
+        """Which way it pushes at a positive command: forward, starboard, down."""
+        pushed = np.array([self.forward, self.lateral, -self.throttle])
+        x, y, z = (pushed / np.linalg.norm(pushed)).tolist()
+        return x, y, z
+
+    def place(self, arms: Vector) -> Vector:
+        """Where it has to sit for the signs of its moments, with arms of these lengths (r x F)."""
+        x_push, y_push, z_push = np.sign(self.direction).tolist()
+        ahead = self.yaw * y_push - self.pitch * z_push
+        aside = self.roll * z_push - self.yaw * x_push
+        below = self.pitch * x_push - self.roll * y_push
+        x, y, z = (np.sign([ahead, aside, below]) * arms + 0.0).tolist()
+        return x, y, z
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of ArduSub."""
+
+    name: str
+    base: str  # bundled vehicle whose hull is taken
+    motors: tuple[Factors, ...]
+    bundled: bool = False  # whether that vehicle has the frame itself, so that it knows the places
+
+
+_LEVEL = (
+    Factors(0, 0, 1, 0, -1, 1),
+    Factors(0, 0, -1, 0, -1, -1),
+    Factors(0, 0, -1, 0, 1, 1),
+    Factors(0, 0, 1, 0, 1, -1),
+)
+_VECTORED = (*_LEVEL, Factors(1, 0, 0, -1, 0, 0), Factors(-1, 0, 0, -1, 0, 0))
+_VECTORED_6DOF = (
+    *_LEVEL,
+    Factors(1, -1, 0, -1, 0, 0),
+    Factors(-1, -1, 0, -1, 0, 0),
+    Factors(1, 1, 0, -1, 0, 0),
+    Factors(-1, 1, 0, -1, 0, 0),
+)
+_BLUEROV1 = (
+    Factors(0, 0, -1, 0, 1, 0),
+    Factors(0, 0, 1, 0, 1, 0),
+    Factors(-0.5, 0.5, 0, 0.45, 0, 0),
+    Factors(0.5, 0.5, 0, 0.45, 0, 0),
+    Factors(0, -1, 0, 1, 0, 0),
+    Factors(-0.25, 0, 0, 0, 0, 1),
+)
+_AT_RIGHT_ANGLES = (
+    Factors(1, 1, 0, 1, 0, 0),
+    Factors(0, 0, 1, 0, 1, 0),
+    Factors(1, -1, 0, 1, 0, 0),
+    Factors(0, 0, 0, 0, 0, 1),
+    Factors(0, 0, 0, 0, 0, 1),
+    Factors(-1, 1, 0, 1, 0, 0),
+    Factors(0, 0, -1, 0, 1, 0),
+    Factors(-1, -1, 0, 1, 0, 0),
+)
+_SIMPLE = (
+    Factors(0, 0, -1, 0, 1, 0),
+    Factors(0, 0, 1, 0, 1, 0),
+    Factors(0, 0, 0, -1, 0, 0),
+    Factors(0, 0, 0, -1, 0, 0),
+    Factors(0, 0, 0, 0, 0, 1),
+)
+FRAMES = {
+    0: Frame("BlueROV1", "bluerov2-6", _BLUEROV1),
+    1: Frame("Vectored", "bluerov2-6", _VECTORED, bundled=True),
+    2: Frame("Vectored_6DOF", "bluerov2", _VECTORED_6DOF, bundled=True),
+    3: Frame("Vectored_6DOF_90", "bluerov2", _AT_RIGHT_ANGLES),
+    4: Frame("SimpleROV-3", "bluerov2-6", _SIMPLE[:3]),
+    5: Frame("SimpleROV-4", "bluerov2-6", _SIMPLE[:4]),
+    6: Frame("SimpleROV-5", "bluerov2-6", _SIMPLE),
+}
+"""By FRAME_CONFIG."""
+CUSTOM = 7
+"""FRAME_CONFIG of a frame whose motors are in the firmware of its builder only."""
+ARMS: Vector = (0.156, 0.111, 0.085)
+"""m: how far the level thrusters of the bundled BlueROV2 sit ahead, aside and below."""

@@ -24,20 +24,10 @@ Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
 
 
 def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | None = None) -> Meaning:
-    """Guess a mapping and the commands of series.
+    """Guess a mapping and the commands of series, and what is to be asked.
 
-    Parameters
-    ----------
-    path : Path
-        The log that they come from.
-    series : sequence of Series
-        Those that know most of the motion are believed first.
-    known : mapping of Column, optional
-        What is understood already, by ``series.column``: no channel of it is guessed.
-
-    Returns
-    -------
-    LogMapping, columns of the numbered commands in their order, and questions.
+    Series that know most of the motion are believed first. No channel is guessed that is understood already
+    (`known`, by ``series.column``).
     """
     columns, notes, frames = dict(known or {}), [], Frames()
     taken = {column.channel for column in columns.values()}

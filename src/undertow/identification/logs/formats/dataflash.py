@@ -45,9 +45,9 @@ def _understood(path: Path, file: Records) -> FieldLog:
     columns = known.columns()
     columns |= _sensors(file, known)
     driven, more = actuators(parameters, _outputs(file), firmware)
-    stretches, told = _stretches(file, known, outputs_of(file.series, driven))
+    stretches, left_out = _stretches(file, known, outputs_of(file.series, driven))
     mapping = LogMapping(columns=columns, frames=Frames(velocity=known.velocity_axes))
-    notes = (*([firmware] if firmware else []), *file.notes, *known.notes, *more, *told)
+    notes = (*([firmware] if firmware else []), *file.notes, *known.notes, *more, *left_out)
     return FieldLog(path, FORMAT.name, file.series, mapping, driven, parameters, stretches, notes)
 
 
@@ -295,8 +295,8 @@ def _stretches(
     if states is not None:
         events += [(float(t), bool(on)) for t, on in zip(*states, strict=True)]
     elif marks is not None:
-        told = {_ARMED_EVENT: True, _DISARMED_EVENT: False}
-        events += [(float(t), told[int(k)]) for t, k in zip(*marks, strict=True) if int(k) in told]
+        armed_by = {_ARMED_EVENT: True, _DISARMED_EVENT: False}
+        events += [(float(t), armed_by[int(k)]) for t, k in zip(*marks, strict=True) if int(k) in armed_by]
     return used_stretches(span, armed_stretches(events, span), outputs, known.resets(), known.held)
 
 

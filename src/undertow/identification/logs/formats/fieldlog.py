@@ -49,59 +49,33 @@ SETTINGS = UnionSettings()
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Messages of one kind: a topic, a table, one instance of a sensor.
+    """Messages of one kind: a topic, a table, one instance of a sensor."""
 
-    Attributes
-    ----------
-    name : str
-        As in the file; with an instance in brackets where there are several, such as ``XKF1[0]``.
-    t : (n,) array
-        Times in s from the start of the log, in the order of the file.
-    columns : mapping of (n,) arrays
-        Values as logged by name; they may be decoded when they are asked for.
-    units : mapping of str
-        Units that the file states, by name of the column; those that it does not state are missing.
-    """
-
-    name: str
-    t: Array
+    name: str  # as in the file; with an instance in brackets where there are several, such as ``XKF1[0]``
+    t: Array  # times in s from the start of the log, in the order of the file, (n,)
+    # values as logged, (n,), by name; they may be decoded when they are asked for
     columns: Mapping[str, Array]
+    # units that the file states, by name of the column; those that it does not state are missing
     units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class FieldLog:
-    """A log as its vehicle wrote it.
+    """A log as its vehicle wrote it."""
 
-    Attributes
-    ----------
-    path : Path
-        The file or, of some formats, the folder.
-    format : str
-        Name of its format.
-    series : mapping of Series
-        By name.
-    mapping : LogMapping
-        What is understood without being told: columns, called ``series.column``, and frames. Commands are
-        not in it, since their names are those of the vehicle file.
-    actuators : tuple of (str, Column)
-        Columns that drive the vehicle in the order of their motors, each with what is known of its unit.
-    parameters : mapping
-        Settings of the autopilot that the log holds.
-    stretches : tuple of (float, float)
-        Parts to be used, s: armed, and on one side of a reset of the estimator; empty for the whole log.
-    notes : tuple of str
-        What was left out, repaired or looked odd, one line each.
-    """
-
-    path: Path
-    format: str
-    series: Mapping[str, Series]
+    path: Path  # the file or, of some formats, the folder
+    format: str  # name of its format
+    series: Mapping[str, Series]  # by name
+    # what is understood without being told: columns, called ``series.column``, and frames. Commands are not
+    # in it, since their names are those of the vehicle file.
     mapping: LogMapping = field(default_factory=LogMapping)
+    # columns that drive the vehicle in the order of their motors, each with what is known of its unit
     actuators: tuple[tuple[str, Column], ...] = ()
+    # settings of the autopilot that the log holds
     parameters: Mapping[str, float | str] = field(default_factory=dict)
+    # parts to be used, s: armed, and on one side of a reset of the estimator; empty for the whole log
     stretches: tuple[tuple[float, float], ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was left out, repaired or looked odd, one line each
 
     def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
         """What is understood, with the commands of a vehicle as its columns.
@@ -141,22 +115,8 @@ class FieldLog:
     def table(self, columns: Iterable[str], window: Window = (None, None)) -> pl.DataFrame:
         """The series of some columns side by side: a row for every time, blank where a series has no sample.
 
-        Parameters
-        ----------
-        columns : iterable of str
-            Names ``series.column``.
-        window : (float or None, float or None)
-            Part that is used, s: of a table too large for memory no other is held.
-
-        Returns
-        -------
-        DataFrame
-            `TIME`, `STRETCH` where the log has stretches, and the columns.
-
-        Raises
-        ------
-        UndertowError
-            If the log has no such column, or the table is too large.
+        It has `TIME`, `STRETCH` where the log has stretches, and columns ``series.column``. Only the part in
+        the window, s, is used: of a table too large for memory no other is held.
         """
         asked: dict[str, list[str]] = {}
         for name in dict.fromkeys(columns):
@@ -284,43 +244,23 @@ def switched_off(pulses: Iterable[Array]) -> list[str]:
 
 @dataclass(frozen=True)
 class Format:
-    """A format of logs.
+    """A format of logs."""
 
-    Attributes
-    ----------
-    name : str
-        What it is called.
-    suffixes : tuple of str
-        Ends of the names of such files, for messages and for `accepts`.
-    accepts : callable
-        Whether a file of this path, which begins with these bytes (b"" for a folder), is of the format.
-    read : callable
-        The log at a path. The second argument is the folder with definitions of messages, or None.
-    largest : int
-        Bytes of a file that can be read in 1.5 GB of memory; a larger one is refused unread.
-    shorter : str
-        How a file is made smaller.
-    hangs : bool
-        Whether its library hangs or breaks down with some damaged files, so that another process tries first.
-    """
-
-    name: str
-    suffixes: tuple[str, ...]
+    name: str  # what it is called
+    suffixes: tuple[str, ...]  # ends of the names of such files, for messages and for `accepts`
+    # whether a file of this path, which begins with these bytes (b"" for a folder), is of the format
     accepts: Callable[[Path, bytes], bool]
+    # the log at a path. The second argument is the folder with definitions of messages, or None.
     read: Callable[[Path, Path | None], FieldLog]
+    # bytes of a file that can be read in 1.5 GB of memory; a larger one is refused unread
     largest: int = 400_000_000
-    shorter: str = "save it in shorter files, or with fewer variables"
+    shorter: str = "save it in shorter files, or with fewer variables"  # how a file is made smaller
+    # whether its library hangs or breaks down with some damaged files, so that another process tries first
     hangs: bool = False
 
 
 def library(name: str, what: str, extra: str = "field") -> ModuleType:
-    """Import an optional library.
-
-    Raises
-    ------
-    UndertowError
-        If it is not installed, with the command that does.
-    """
+    """Import an optional library, or refuse with the command that installs it."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -354,19 +294,9 @@ def steady(times: Array) -> Flags:
 
 
 def union(times: Sequence[Array]) -> tuple[Array, list[Places]]:
-    """Rows for several rising clocks.
+    """Rows for several strictly rising clocks: their times, s, and the row of every sample of each.
 
-    Parameters
-    ----------
-    times : sequence of (n_k,) arrays
-        s, each strictly rising.
-
-    Returns
-    -------
-    t : (n,) array
-        s, strictly rising; samples that belong together have the time of the first of them.
-    places : list of (n_k,) arrays of integers
-        Row of every sample of each clock.
+    Samples that belong together have the time of the first of them.
     """
     every, where = np.unique(np.concatenate([*times, np.zeros(0)]), return_inverse=True)
     own = np.split(where, np.cumsum([len(t) for t in times])[:-1])

@@ -21,9 +21,8 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
+from .conversions import depth, north_east
 from .fieldlog import FieldLog, Format, Series
-from .position import north_east
-from .pressure import depth
 
 KNOWN = {
     "m_depth": Column(channel="z", unit="m"),

@@ -1,4 +1,4 @@
-"""MATLAB: .mat, by SciPy up to version 7 and by h5py for version 7.3; tables and timetables by mat-io.
+"""MATLAB: .mat of all versions, with tables and timetables, by mat-io.
 
 The workspace and every struct in it are series: vectors as long as a vector of time are their columns. A
 struct without a time of its own takes that of the struct it is in. Columns of matrices are numbered from one
@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +25,6 @@ from undertow.typing import Array
 from .by_name import guessed
 from .fieldlog import FieldLog, Format, Series, library
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _WORKSPACE = "workspace"
 _SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 # Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
@@ -53,21 +49,16 @@ SETTINGS = MatlabSettings()
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
-    with path.open("rb") as stream:
-        hdf5 = _HDF5 in stream.read(1024)[:520]
-    content = _with_h5py(path) if hdf5 else _with_scipy(path)
-    objects = list(_objects(content))
-    tables = _tables(path) if objects else {}
-    for name, struct, field in objects:
-        struct[field] = tables.get(name)
-    # SciPy keeps the last of several objects only.
-    content |= {name: table for name, table in tables.items() if "." not in name}
-    how = "" if find_spec("matio") else ', or pip install "undertow[field]", whose mat-io reads these'
+    matio = library("matio", "a file of MATLAB")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what it cannot read is told below
+        raw = matio.load_from_mat(str(path), spmatrix=False)
+    objects: list[str] = []
+    content = {n: _plain(value, n, objects) for n, value in raw.items() if not n.startswith("__")}
     notes = [
         f"{name} is an object of MATLAB: save it as a struct, for a table or timetable by S = "
-        f"table2struct(timetable2table({name}), 'ToScalar', true){how}"
-        for name, _, _ in objects
-        if name not in tables
+        f"table2struct(timetable2table({name}), 'ToScalar', true)"
+        for name in objects
     ]
     found = list(_series(_WORKSPACE, content, {}))
     if not found:
@@ -86,68 +77,26 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 
 # --- from the file to names and arrays ------------------------------------------------------------
-class _Object:
-    """What stands for an object of MATLAB, whose content neither SciPy nor h5py knows."""
-
-
-def _objects(members: dict[str, Any], where: str = "") -> Iterator[tuple[str, dict[str, Any], str]]:
-    """Objects of a struct and of those in it: the whole name, the struct, and the name in it."""
-    for name, value in members.items():
-        if isinstance(value, _Object):
-            yield f"{where}{name}", members, name
-        for label, struct in _structs(name, value):
-            yield from _objects(struct, f"{where}{label}.")
-
-
-def _with_scipy(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatlabOpaque, MatReadWarning
-
-    with warnings.catch_warnings():  # every object is called None, and the last one is kept
-        warnings.simplefilter("ignore", MatReadWarning)
-        raw = loadmat(str(path), simplify_cells=True)
-    content = {name: value for name, value in raw.items() if not name.startswith("__") and name != "None"}
-    opaque = raw.get("None")
-    if isinstance(opaque, MatlabOpaque):
-        content |= {bytes(name).decode(): opaque for name in np.atleast_1d(opaque["s0"])}
-    return _marked(content, MatlabOpaque)
-
-
-def _marked(members: dict[str, Any], kind: type) -> dict[str, Any]:
-    """Members of a struct in which an `_Object` stands for every object."""
-    for name, value in members.items():
-        members[name] = _Object() if isinstance(value, kind) else value
-        for _, struct in _structs(name, members[name]):
-            _marked(struct, kind)
-    return members
-
-
-def _with_h5py(path: Path) -> dict[str, Any]:
-    h5py = library("h5py", "a file of MATLAB 7.3")
-    with h5py.File(path, "r") as file:
-        return {name: _plain(file[name], file) for name in file if not name.startswith("#")}
-
-
-def _tables(path: Path) -> dict[str, dict[str, Any]]:
-    """Tables and timetables by their whole names; none without mat-io, or where it cannot read them."""
-    if find_spec("matio") is None:
-        return {}
-    with warnings.catch_warnings(), suppress(Exception):  # what it cannot read is told as hidden
-        warnings.simplefilter("ignore")
-        found = import_module("matio").load_from_mat(str(path))
-        return dict(_frames(found))
-    return {}
-
-
-def _frames(members: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
-    """Tables of a struct and of those in it, as mat-io has them: arrays with a field for every member."""
-    for name, value in members.items():
-        if hasattr(value, "columns"):
-            yield f"{where}{name}", _members(value)
-        elif isinstance(value, np.ndarray) and value.dtype.names:
-            for k, one in enumerate(value.ravel(order="F"), 1):
-                label = name if value.size == 1 else f"{name}({k})"
-                yield from _frames(dict(zip(value.dtype.names, one, strict=True)), f"{where}{label}.")
+def _plain(value: Any, name: str, objects: list[str]) -> Any:
+    """Structs and tables as dictionaries, cells as lists, vectors flat; objects are `objects` by name."""
+    if hasattr(value, "columns"):
+        return _members(value)
+    if not isinstance(value, np.ndarray):
+        objects.append(name)
+        return None
+    cells = value.ravel(order="F")
+    label = name if value.size == 1 else f"{name}({{}})"
+    if value.dtype.names:
+        fields = value.dtype.names
+        found = [
+            {f: _plain(e, f"{label.format(k)}.{f}", objects) for f, e in zip(fields, one, strict=True)}
+            for k, one in enumerate(cells, 1)
+        ]
+    elif value.dtype.kind == "O":
+        found = [_plain(one, label.format(k), objects) for k, one in enumerate(cells, 1)]
+    else:
+        return np.squeeze(value)
+    return found[0] if len(found) == 1 else found
 
 
 def _members(frame: Any) -> dict[str, Any]:
@@ -179,17 +128,6 @@ def _in_seconds(times: Any) -> Array:
     return np.where(np.isnat(ns), np.nan, ns.astype(np.int64) * 1e-9)
 
 
-def _plain(item: Any, file: Any) -> Any:
-    """Groups as dictionaries, arrays of references as lists, arrays turned as MATLAB has them."""
-    if "MATLAB_object_decode" in item.attrs:
-        return _Object()
-    if hasattr(item, "keys"):
-        return {name: _plain(item[name], file) for name in item}
-    if item.dtype.kind == "O":
-        return [_plain(file[reference], file) for reference in np.ravel(item[()]) if reference]
-    return np.squeeze(np.transpose(item[()])) if item.dtype.kind in "biuf" else None
-
-
 # --- from names and arrays to series --------------------------------------------------------------
 def _series(name: str, members: Mapping[str, Any], clocks: Mapping[int, Array]) -> Iterator[Series]:
     """Series of a struct and of those in it; `clocks` are the times of what it is in, by their number."""
@@ -217,7 +155,7 @@ def _structs(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
     """Structs in a member: itself, or the elements of an array of structs, counted from one."""
     if isinstance(value, dict):
         return [(name, value)]
-    if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
+    if isinstance(value, list):
         return [(f"{name}({k})", one) for k, one in enumerate(value, 1) if isinstance(one, dict)]
     return []
 

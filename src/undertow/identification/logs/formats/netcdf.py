@@ -23,9 +23,9 @@ from undertow.model.units import scale_offset
 from undertow.typing import Array
 
 from .by_name import fits, guessed
+from .conversions import north_east
 from .fieldlog import FieldLog, Format, Series, library
 from .glider import KNOWN as SLOCUM
-from .position import north_east
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = (b"CDF\x01", b"CDF\x02", b"CDF\x05")

@@ -57,17 +57,7 @@ def format_of(path: Path) -> Format | None:
 def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
     """Read a log as its vehicle wrote it; None for tables, and for what is not there.
 
-    Parameters
-    ----------
-    path : Path
-        File or folder.
-    messages : Path, optional
-        Folder with definitions of messages, for formats that need them.
-
-    Raises
-    ------
-    UndertowError
-        If it cannot be read, or needs a library that is not installed.
+    `messages` is a folder with definitions of messages, for formats that need them.
     """
     found = format_of(path)
     if found is None:
@@ -121,13 +111,7 @@ _TRIES = Helper(f"from {__name__} import answer_whether_files_can_be_read as ans
 
 
 def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
-    """The same, of what has to be such a log.
-
-    Raises
-    ------
-    UndertowError
-        If it is of no format that is known, too.
-    """
+    """The same, of what has to be such a log."""
     found = open_field_log(path, messages)
     if found is None and path.suffix in (".csv", ".gz", ".parquet"):
         raise UndertowError(

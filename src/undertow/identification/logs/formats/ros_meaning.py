@@ -20,9 +20,8 @@ import numpy as np
 from undertow.identification.logs.mapping import FLIPPED_BODY, Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .attitude import ANGLES, angles
+from .conversions import ANGLES, angles, depth
 from .fieldlog import Series
-from .pressure import depth
 
 # Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
 _LEAST_PRESSURE = 50_000.0

@@ -55,17 +55,8 @@ def used_stretches(
 ) -> tuple[tuple[Stretch, ...], list[str]]:
     """The parts of a log to be used, cut where the estimator was reset, and what is said of the others.
 
-    Parameters
-    ----------
-    span : (float, float)
-        First and last time of the log, s.
-    armed : sequence of (float, float)
-    outputs : (n,) and (n, motors) arrays, optional
-        Times, s, and commands of motors from -1 to 1.
-    resets : iterable of float
-        Times, s.
-    held : sequence of (float, float)
-        When the estimator held its place for want of aid.
+    All times in s; `outputs` are times and commands of motors from -1 to 1; `held` is when the estimator held
+    its place for want of aid.
     """
     moving = [part for stretch in armed for part in _moving(stretch, outputs)]
     notes = []

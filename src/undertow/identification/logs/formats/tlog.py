@@ -28,8 +28,8 @@ from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
 from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
+from .conversions import north_east
 from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
-from .position import north_east
 from .stretches import armed_stretches, runs_of, used_stretches
 
 # --- frames ---------------------------------------------------------------------------------------
@@ -267,12 +267,12 @@ def _understood(path: Path, own: dict[str, _Messages], notes: list[str]) -> Fiel
     texts = own["STATUSTEXT"].texts("text") if "STATUSTEXT" in own else []
     firmware = next((text for text in texts if re.match(r"Ardu\w+ V", text)), "")
     parameters = _parameters(own)
-    columns, velocity, told = _columns(series)
+    columns, velocity, remarks = _columns(series)
     driven, more = actuators(parameters, _outputs(series), firmware)
     resets = [float(t - start) for t in clock.since[1:]]
     stretches, left = _stretches(own, times, start, series, outputs_of(series, driven), resets)
     more += _pace(series, bool(driven))
-    heard = (*([firmware] if firmware else []), *notes, *told, *more, *left)
+    heard = (*([firmware] if firmware else []), *notes, *remarks, *more, *left)
     mapping = LogMapping(columns=columns, frames=Frames(velocity=velocity))
     return FieldLog(path, FORMAT.name, series, mapping, driven, parameters, stretches, heard)
 

@@ -1,0 +1,72 @@
+"""What formats of logs state in other ways: quaternions, latitudes and longitudes, pressures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from undertow.identification.logs.mapping import Column
+from undertow.typing import Array
+
+ANGLES = ("phi", "theta", "psi")
+
+
+def angles(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:
+    """Roll, pitch and yaw, rad, of quaternions from body to earth axes (Fossen 2021, section 2.2).
+
+    Quaternions may have any length; one of no length gives NaN.
+    """
+    square = w**2 + x**2 + y**2 + z**2
+    length = np.where(square > 0.0, square, np.nan)
+    phi = np.arctan2(2.0 * (w * x + y * z) / length, 1.0 - 2.0 * (x**2 + y**2) / length)
+    theta = np.arcsin(np.clip(2.0 * (w * y - z * x) / length, -1.0, 1.0))
+    psi = np.arctan2(2.0 * (w * z + x * y) / length, 1.0 - 2.0 * (y**2 + z**2) / length)
+    return dict(zip(ANGLES, (phi, theta, psi), strict=True))
+
+
+_RADIUS, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563  # WGS 84: m at the equator
+
+
+def north_east(latitude: Array, longitude: Array) -> tuple[Array, Array]:
+    """Distances from the first fix on the plane that touches the ellipsoid there, m.
+
+    Ten kilometres away they are wrong by some metres. Degrees are NaN where there is no fix.
+    """
+    there = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
+    if not len(there):
+        return np.full(len(latitude), np.nan), np.full(len(latitude), np.nan)
+    lat, lon = np.radians(latitude), np.radians(longitude)
+    lat0, lon0 = lat[there[0]], lon[there[0]]
+    square = _FLATTENING * (2.0 - _FLATTENING)
+    across = _RADIUS / np.sqrt(1.0 - square * np.sin(lat0) ** 2)
+    along = across * (1.0 - square) / (1.0 - square * np.sin(lat0) ** 2)
+    turned = (lon - lon0 + np.pi) % (2.0 * np.pi) - np.pi
+    return along * (lat - lat0), across * np.cos(lat0) * turned
+
+
+@dataclass(frozen=True)
+class PressureSettings:
+    """How a pressure becomes a depth."""
+
+    density: float = 1025.0  # kg/m^3: sea water; in fresh water a depth is 2.5 % more
+    gravity: float = 9.81  # m/s^2
+    surface: float = 101325.0  # Pa: the standard atmosphere
+
+
+SETTINGS = PressureSettings()
+
+
+def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, str]:
+    """What makes depth of a pressure, and what is to be said of it.
+
+    `pascal` is Pa in one of its unit, `absolute` whether it has the air above the water in it, `down` 1 where
+    z counts downwards in the log and -1 where it counts upwards.
+    """
+    metre = SETTINGS.density * SETTINGS.gravity
+    above = SETTINGS.surface if absolute else 0.0
+    column = Column(
+        channel="z", unit="m", scale=down * pascal / metre, offset=-down * above / metre if above else 0.0
+    )
+    assumed = f"{SETTINGS.density:g} kg/m^3 and {above:g} Pa at the surface"
+    return column, f"{assumed}: for other water change `scale` in a mapping file"
