@@ -46,6 +46,8 @@ class OutputErrorSettings:
     damping: float = 1e-3
     least_damping: float = 1e-9
     most_damping: float = 1e9
+    # Samples of a window where whole runs are fitted: what its derivatives take stays below 200 MB.
+    most_samples: int = 20_000
     little_left: float = 4.0  # mean square over noise up to which longer windows say more, not less
     # Share by which a fit may predict validation data worse than another and still be as good: what the
     # noise at the starts of windows makes of it.
@@ -434,8 +436,8 @@ def final_fit(
     model = weak.model
     fits: list[WeakFit | OutputErrorFit] = [weak]
     *shorter, longest = horizons(model.functions.vehicle, runs)
-    for horizon in (*shorter, longest, None):
-        if horizon in (longest, None) and not _little_left(fits[-1]):
+    for i, horizon in enumerate((*shorter, longest, _whole(runs))):
+        if i >= len(shorter) and not _little_left(fits[-1]):
             break
         words = f"{horizon:.3g} s" if horizon else "whole runs"
         progress(0.2 * len(fits), f"output error over {words}")
@@ -443,7 +445,7 @@ def final_fit(
             fit = _descended(model, runs, horizon, fits[-1].values, loss)
         except UndertowError:  # the simulation of a poor model may diverge
             break
-        if horizon is None and not _little_left(fit):
+        if i > len(shorter) and not _little_left(fit):
             break
         fits.append(fit)
     if len(fits) == 1:
@@ -451,6 +453,13 @@ def final_fit(
     errors = horizon_error(fits, validation)
     limit = (1.0 + NO_WORSE) * np.min(errors)
     return next((fit for fit, error in zip(fits[::-1], errors[::-1], strict=True) if error <= limit), weak)
+
+
+def _whole(runs: Sequence[Run]) -> float | None:
+    """Length of windows over whole runs: None, or s where the longest one takes several."""
+    longest = max(runs, key=lambda run: len(run.t))
+    count = -(-len(longest.t) // SETTINGS.most_samples)
+    return float(longest.t[-1] - longest.t[0]) / count if count > 1 else None
 
 
 def _little_left(fit: Fitted) -> bool:
