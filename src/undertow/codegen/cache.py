@@ -17,15 +17,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
 from .source import LIBRARY_SUFFIX, digest
-
-if TYPE_CHECKING:
-    from .compiler import Compiler
 
 try:
     import fcntl
@@ -40,7 +37,19 @@ _KEPT_FOR = 90 * 86400.0
 _LEFT_FOR = 3600.0
 
 
-def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
+class LibraryBuilder(Protocol):
+    """What makes a library out of a source: a command with its options."""
+
+    @property
+    def command(self) -> tuple[str, ...]: ...
+
+    @property
+    def identity(self) -> str: ...
+
+    def build(self, source: Path, library: Path) -> None: ...
+
+
+def library_for(source: str, compiler: LibraryBuilder, folder: Path | None = None) -> Path:
     """Path of the shared library of a C source, from the cache or compiled now.
 
     A library is taken from the cache only if the manifest beside it names this source and this compiler,
@@ -71,7 +80,7 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
     return library if fits else None
 
 
-def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, str]) -> Path:
+def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict[str, str]) -> Path:
     try:
         with _build_folder(manifest.parent) as place:
             (place / "model.c").write_text(source, encoding="utf-8")
