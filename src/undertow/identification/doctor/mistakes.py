@@ -166,6 +166,8 @@ class PlausibilitySettings:
     # Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the limit;
     # thousandths and pulse widths (1500) are far beyond.
     limit: float = 10.0
+    # Rms of the angle of a rudder or fin, rad: a right angle, at which it would be a wall; 2 degrees make 2.
+    angle: float = 1.571
     # Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
     scale: float = 0.35
     # Share by which pose rates over velocities may differ from the factor of a unit: scales and currents do

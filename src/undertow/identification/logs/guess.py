@@ -631,6 +631,8 @@ def _command(command: str, name: Name, values: Array, units: Mapping[str, str]) 
             doubt += (
                 " The vehicle counts it in N: a curve in its file, or the force of a full command as scale"
             )
+    elif unit == "rad":
+        entry["unit"], doubt = _unit("phi", values)
     elif max(most, -least) > SETTINGS.full:
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
