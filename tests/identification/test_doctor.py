@@ -15,6 +15,7 @@ from tests.cli.bad import text_of
 from tests.identification import broken
 from tests.identification.broken import Break
 from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of
+from tests.identification.surge import surge_run, surge_vehicle
 from tests.quick import first_quick, quick_if
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Edit, Finding, edited
@@ -330,6 +331,15 @@ def test_clocks_are_not_judged_where_commands_are_missing(auv: Case) -> None:
     patchy = {n: c + gap if n.startswith("f") else c for n, c in columns.items()}
     result = examine(vehicle_of(auv), [run_of("patchy", patchy)]).result
     assert not [f for f in result.findings if f.text.startswith("commands and motion are on two clocks")]
+
+
+def test_forces_that_nothing_takes_are_named_and_no_delay_of_them_is_told() -> None:
+    undriven = replace(surge_vehicle(), force_channels=())
+    run = surge_run(0.02)
+    found = examine(undriven, [replace(run, reported={"u": run.t})]).result.findings
+    one = next(f for f in found if f.id == "unused_forces")
+    assert one.severity == "warning" and 'generalised_forces = ["tau_X"]' in one.text
+    assert all(f.id != "command_latency" for f in found)
 
 
 def test_commands_on_a_clock_of_their_own(auv: Case) -> None:

@@ -128,6 +128,8 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     UndertowError
         If it is of no format that is known, too.
     """
+    if not path.is_file():
+        raise UndertowError(f"log {path} does not exist or is not a file: give the path of a log")
     found = open_field_log(path, messages)
     if found is None and path.suffix in (".csv", ".gz", ".parquet"):
         raise UndertowError(
