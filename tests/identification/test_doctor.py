@@ -336,9 +336,10 @@ def test_clocks_are_not_judged_where_commands_are_missing(auv: Case) -> None:
 def test_forces_that_nothing_takes_are_named_and_no_delay_of_them_is_told() -> None:
     undriven = replace(surge_vehicle(), force_channels=())
     run = surge_run(0.02)
-    found = examine(undriven, [replace(run, reported={"u": run.t})]).result.findings
+    found = examine(undriven, [replace(run, reported={"u": np.full(len(run.t), True)})]).result.findings
     one = next(f for f in found if f.id == "unused_forces")
-    assert one.severity == "warning" and 'generalised_forces = ["tau_X"]' in one.text
+    assert one.severity == "warning"
+    assert 'generalised_forces = ["tau_X"]' in one.text
     assert all(f.id != "command_latency" for f in found)
 
 

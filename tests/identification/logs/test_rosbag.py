@@ -155,7 +155,7 @@ def test_sensors_without_odometry(tmp_path: Path, name: str) -> None:
 
 
 def test_a_twist_that_no_sensor_fills_gives_way(tmp_path: Path) -> None:
-    """An inertial unit sends a twist without speeds, a Doppler log one with them; 0.2 bar is no depth in hPa."""
+    """An inertial unit sends a twist without speeds, a Doppler log one with them; 0.2 bar is no hPa."""
     none = np.zeros(36)
     with BagWriter(tmp_path / "dive.bag") as out:
         make = out.store.types
@@ -166,7 +166,9 @@ def test_a_twist_that_no_sensor_fills_gives_way(tmp_path: Path) -> None:
             imu = make["geometry_msgs/msg/TwistWithCovariance"](twist=imu, covariance=none)
             dvl = make["geometry_msgs/msg/Twist"](linear=speed, angular=still)
             at: dict[str, Any] = {"header": (float(t), "base_frd")}
-            out.write("/imu", float(t), out.message("geometry_msgs/msg/TwistWithCovarianceStamped", **at, twist=imu))
+            out.write(
+                "/imu", float(t), out.message("geometry_msgs/msg/TwistWithCovarianceStamped", **at, twist=imu)
+            )
             out.write("/dvl", float(t), out.message("geometry_msgs/msg/TwistStamped", **at, twist=dvl))
             baro = out.message("sensor_msgs/msg/FluidPressure", **at, fluid_pressure=0.2, variance=0.0)
             out.write("/pressure", float(t), baro)

@@ -227,7 +227,7 @@ def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator
 
 
 def _filled(topic: Topic, name: str) -> bool:
-    """Whether a column belongs to a vector that is not zero throughout: messages have some that no sensor fills."""
+    """Whether a column is of a vector that is not zero throughout; no sensor fills some of a message."""
     vector, _, axis = name.rpartition(".")
     return axis in ANGLES or any(np.any(topic.series.columns[f"{vector}.{a}"]) for a in _AXES)
 
@@ -266,8 +266,8 @@ def _take_depth(known: _Understood, topic: Topic, frames: Frames) -> None:
     pascal = 1.0 if usual > _LEAST_PRESSURE else 100.0
     if usual * pascal < _LEAST_PRESSURE:
         known.notes.append(
-            f"{topic.series.name}: a pressure of {usual:.3g} is none of air and water in Pa or hPa, so that it "
-            "is no depth: column fluid_pressure can be z in a mapping file"
+            f"{topic.series.name}: a pressure of {usual:.3g} is none of air and water in Pa or hPa, so that "
+            "it is no depth: column fluid_pressure can be z in a mapping file"
         )
         return
     down = 1.0 if frames.position == "NED" else -1.0
