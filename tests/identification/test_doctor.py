@@ -224,6 +224,35 @@ def test_a_mirrored_log_is_consistent_in_itself_and_given_away_by_the_commands(
     assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"'
 
 
+def test_velocities_along_the_earth_turn_with_the_position(usv: Case, read: Callable[..., Run]) -> None:
+    """Gazebo's ground truth: pose and twist east-north-up, rates forward-left-up, read as north-east-down."""
+
+    def gazebo(columns: Columns) -> Columns:
+        along = broken.north_east_velocity(columns)
+        return {**broken.ros(columns), "u": along["v"], "v": along["u"]}
+
+    mapping = LogMapping.model_validate({"frames": {"velocity": "NED"}})
+    examined = _doctored(usv, gazebo, read, mapping)
+    (mistake,) = examined.result.mistakes
+    assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"\nvelocity = "ENU"'
+    mended = _mended_run(usv, gazebo, examined, read)
+    (true,) = usv.runs.values()
+    for name in ("x", "y", "u", "v", "r"):
+        np.testing.assert_allclose(mended.channels[name], true[name], atol=1e-9)
+    np.testing.assert_allclose(examined.mended[0].channels["v"], true["v"], atol=1e-9)
+
+
+def test_a_roll_that_hardly_moves_spoils_no_evidence() -> None:
+    """Roll and pitch and their rates have nothing in common: the rest still shows the mirrored axes."""
+    case = make_case("rov", (), 4, duration=25.0, runs=("multisine",))
+    vehicle = vehicle_of(case)
+    (columns,) = case.runs.values()
+    rng = np.random.default_rng(1)
+    drift = {n: 1e-3 * np.sin(0.3 * columns["t"] + rng.uniform(0, 6)) for n in ("phi", "theta", "p", "q")}
+    (mistake,) = examine(vehicle, [run_of("rov", broken.ros({**columns, **drift}))]).result.mistakes
+    assert "the log is in ENU and FLU axes, read as NED and FRD" in mistake.text
+
+
 def test_a_log_with_pose_only_shows_its_frame_by_the_model(read: Callable[..., Run]) -> None:
     case = make_case("usv", (), 4, duration=60.0, runs=("multisine",))
     vehicle, columns = vehicle_of(case), broken.enu_attitude(case.runs["multisine"])
