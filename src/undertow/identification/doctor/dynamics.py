@@ -434,8 +434,7 @@ def allowed(
 ) -> list[Mistake]:
     """Mistakes that pose rates and velocities do not contradict and that matter to the model.
 
-    None where pose rates and velocities disagree in what moves: a log that cannot be read is no evidence about
-    the model.
+    None where pose rates and velocities disagree in what moves: such a log is no evidence about the model.
     """
     result: list[Mistake] = []
     given = kinematics.mismatch(runs) if kinematics else None

@@ -32,7 +32,7 @@ class KinematicsSettings:
     # Mean square by which any log may disagree: quadrature over samples is not exact.
     quadrature: float = 1e-4
     # Share of all translation or rotation (mean square) below which a block hardly moves: that a vehicle that
-    # floats upright rolls by a tenth of what it turns, or less, and not as its gyros say, spoils nothing else.
+    # floats upright rolls by a tenth of what it turns, or less, and not as its gyros say, spoils nothing.
     hardly: float = 0.01
 
 
