@@ -180,19 +180,15 @@ def is_spring(finding: FoundEffect) -> bool:
 SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
 
 
-def replaces_inertia(before: Fitted, after: Fitted) -> str:
-    """What of the water's inertia an effect takes the place of, in words; empty where it leaves that alone.
-
-    No body moves in water without added mass: where one falls to zero beside an effect, and not without it,
-    the effect only scales forces against the inertia.
+def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
+    """What of the water's inertia is zero beside an effect, and is not without it.
 
     before, after: fits of the model without and with it.
     """
     effects = [e for e in after.vehicle.effects if e.family == "inertia"]
     known = {p.name for e in effects for p in e.parameters}
     free = [n for n in after.model.free if plain(n) in known]
-    gone = [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
-    return f"beside it {', '.join(gone)} would be zero, and water has inertia" if gone else ""
+    return [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
 
 
 def never_turned(finding: FoundEffect, bench: Bench) -> str:
