@@ -9,7 +9,8 @@ import polars as pl
 import pytest
 
 from undertow.cli.main import main
-from undertow.identification.logs.guess import Guess, GuessedMapping, Name, guess_mapping, guess_table
+from undertow.identification.logs.guess import Name, guess_mapping, guess_table
+from undertow.identification.logs.guessed import Guess, GuessedMapping
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
@@ -210,6 +211,39 @@ def test_what_a_vehicle_has_is_looked_for_and_nothing_else(
     assert "unit" not in guesses["propeller"].entry, "a unit would make rad/s of it"
     assert guesses["propeller"].doubt == "is it command 'propeller'?"
     assert "where the wind seems to come from" in guesses["apparent_wind_angle"].doubt
+
+
+def test_a_quaternion_and_numbered_thrusters_of_another_name_are_read(case: Path) -> None:
+    """As tables out of ROS have them; a sample stands in every other row."""
+    vehicle = load_vehicle(case / "usv.toml")
+    table = pl.read_csv(case / "train.csv")
+    half, zero = pl.col("psi") / 2, pl.lit(0.0)
+    turned = {"x": zero, "y": zero, "z": half.sin(), "w": half.cos()}
+    own = table.select(
+        pl.col("t").alias("stamp"),
+        *(pl.col(n).alias(f"pose.position.{n}") for n in ("x", "y")),
+        *(e.alias(f"pose.orientation.{n}") for n, e in turned.items()),
+        *(pl.col(n).alias(f"thrust{k}") for k, n in enumerate(vehicle.command_names)),
+    )
+    late = own.select(pl.col("stamp") + 0.01)  # of another sensor, which is not used
+    both = pl.concat([own, late], how="diagonal").sort("stamp")
+    both.write_csv(case / "own.csv")
+    found = guess_mapping(case / "own.csv", vehicle)
+    (case / "log.toml").write_text(found.text())
+    commands = [g.column for g in found.columns if g.channel in vehicle.command_names]
+    assert commands == [f"thrust{k}" for k in range(len(vehicle.command_names))]
+    assert found.time.doubt.startswith("0.05 from sample to sample")
+    assert "every" not in found.time.doubt
+    run = read_log(case / "own.csv", read_mapping(case / "log.toml"), vehicle.command_names)
+    psi = run.channels["psi"][np.isfinite(run.channels["psi"])]
+    turn = psi - table["psi"].to_numpy()
+    np.testing.assert_allclose(turn, turn[0], atol=1e-6)
+
+
+def test_a_rudder_beyond_a_turn_is_in_degrees(tmp_path: Path) -> None:
+    columns = {"rudder": 30.0, "n_prop [rps]": 10.0}
+    guesses, _ = _guesses(tmp_path, SHIP.format(thrust=PROPELLER.format("rev/s")), **columns)
+    assert (guesses["rudder"].entry["unit"], guesses["rudder"].doubt) == ("deg", "")
 
 
 def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from tests.cli.bad import text_of
 from tests.identification import broken
 from tests.identification.broken import Break
 from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of
+from tests.identification.surge import surge_run, surge_vehicle
 from tests.quick import first_quick, quick_if
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Edit, Finding, edited
@@ -223,6 +224,48 @@ def test_a_mirrored_log_is_consistent_in_itself_and_given_away_by_the_commands(
     assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"'
 
 
+def test_velocities_along_the_earth_turn_with_the_position(usv: Case, read: Callable[..., Run]) -> None:
+    """Gazebo's ground truth: pose and twist east-north-up, rates forward-left-up, read as north-east-down."""
+
+    def gazebo(columns: Columns) -> Columns:
+        along = broken.north_east_velocity(columns)
+        return {**broken.ros(columns), "u": along["v"], "v": along["u"]}
+
+    mapping = LogMapping.model_validate({"frames": {"velocity": "NED"}})
+    examined = _doctored(usv, gazebo, read, mapping)
+    (mistake,) = examined.result.mistakes
+    assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"\nvelocity = "ENU"'
+    mended = _mended_run(usv, gazebo, examined, read)
+    (true,) = usv.runs.values()
+    for name in ("x", "y", "u", "v", "r"):
+        np.testing.assert_allclose(mended.channels[name], true[name], atol=1e-9)
+    np.testing.assert_allclose(examined.mended[0].channels["v"], true["v"], atol=1e-9)
+
+
+def _swaying_gyros(case: Case) -> Run:
+    """A mirrored log in which roll and its rate have nothing in common."""
+    (columns,) = case.runs.values()
+    drift = {n: 1e-3 * np.sin(0.3 * columns["t"] + k) for n, k in (("phi", 0.0), ("p", 3.0))}
+    return run_of("mirrored", broken.ros({**columns, **drift}))
+
+
+def test_a_roll_that_hardly_moves_is_no_reason_to_stop() -> None:
+    case = make_case("ship", (), 4, duration=60.0, runs=("multisine",))
+    run = _swaying_gyros(case)
+    kinematics = Kinematics([run], vehicle_of(case))
+    found = kinematics.mismatch([run])
+    assert [kinematics.rows[b[0]] for b in kinematics.blocks] == ["x", "phi", "psi"]
+    np.testing.assert_array_equal(inconsistent(found), [False, True, False])
+    np.testing.assert_array_equal(found.moves, [True, False, True])
+
+
+@pytest.mark.slow
+def test_a_roll_that_hardly_moves_spoils_no_evidence() -> None:
+    case = make_case("ship", (), 4, duration=60.0, runs=("multisine",))
+    (mistake,) = examine(vehicle_of(case), [_swaying_gyros(case)]).result.mistakes
+    assert "the log is in ENU and FLU axes, read as NED and FRD" in mistake.text
+
+
 def test_a_log_with_pose_only_shows_its_frame_by_the_model(read: Callable[..., Run]) -> None:
     case = make_case("usv", (), 4, duration=60.0, runs=("multisine",))
     vehicle, columns = vehicle_of(case), broken.enu_attitude(case.runs["multisine"])
@@ -330,6 +373,16 @@ def test_clocks_are_not_judged_where_commands_are_missing(auv: Case) -> None:
     patchy = {n: c + gap if n.startswith("f") else c for n, c in columns.items()}
     result = examine(vehicle_of(auv), [run_of("patchy", patchy)]).result
     assert not [f for f in result.findings if f.text.startswith("commands and motion are on two clocks")]
+
+
+def test_forces_that_nothing_takes_are_named_and_no_delay_of_them_is_told() -> None:
+    undriven = replace(surge_vehicle(), force_channels=())
+    run = surge_run(0.02)
+    found = examine(undriven, [replace(run, reported={"u": np.full(len(run.t), True)})]).result.findings
+    one = next(f for f in found if f.id == "unused_forces")
+    assert one.severity == "warning"
+    assert 'generalised_forces = ["tau_X"]' in one.text
+    assert all(f.id != "command_latency" for f in found)
 
 
 def test_commands_on_a_clock_of_their_own(auv: Case) -> None:

@@ -10,6 +10,7 @@ import pytest
 import undertow as ut
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
+from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
@@ -188,18 +189,39 @@ def test_a_state_of_the_model_is_no_input(tmp_path: Path) -> None:
         _glider(tmp_path, 'inputs = ["theta"]', "surge", "heave", "pitch")
 
 
-def test_a_rudder_in_degrees_is_known_by_its_limit(tmp_path: Path) -> None:
-    surface = (
-        '\n[[surfaces]]\nname = "rudder"\nposition = [-1, 0, 0]\naxis = "rudder"\narea = 0.02\n'
-        'aspect_ratio = 1.5\nlimit = "35 deg"\n'
-    )
-    (tmp_path / "boat.toml").write_text(BOAT.format(**TRUTH) + surface)
+SURFACE = """
+[[surfaces]]
+name = "rudder"
+position = [-1, 0, 0]
+axis = "rudder"
+area = 0.02
+aspect_ratio = 1.5
+"""
+FIN = """
+[effects.rudder_force]
+rudder_rudder = { value = 10.0, estimate = true }
+rudder_port = 0
+rudder_starboard = 0
+[[thrusters]]
+name = "rudder"
+position = [-1, 0, 0]
+direction = [0, -1, 0]
+thrust_per_command = 0
+"""
+
+
+@pytest.mark.parametrize("hardware", [SURFACE, FIN])
+def test_a_rudder_in_degrees_turns_farther_than_any_does(hardware: str, tmp_path: Path) -> None:
+    """Five degrees read as radians are most of a turn; half a radian is what rudders do."""
+    (tmp_path / "boat.toml").write_text(BOAT.format(**TRUTH) + hardware)
     vehicle, t = load_vehicle(tmp_path / "boat.toml"), np.arange(0.0, 20.0, 0.1)
+    assert vehicle.command_units["rudder"] == "rad"
     swing = 0.1 * np.sin(t)
     values = {n: swing for n in (*vehicle.command_names, "x", "y", "psi", "u", "v", "r")}
-    run = Run("degrees", t, values | {"rudder": 20.0 * np.sign(np.sin(t))})
+    run = Run("degrees", t, values | {"rudder": 5.0 * np.sign(np.sin(t))})
     with pytest.raises(ut.UndertowError, match="rudder is in degrees, read as radians"):
         ut.fit(vehicle, [run])
+    refuse_impossible(vehicle, [Run("radians", t, values | {"rudder": 0.5 * np.sign(np.sin(t))})])
 
 
 def test_inputs_that_no_effect_takes_yet_are_written_and_taken_by_the_effect_that_is_added(

@@ -8,14 +8,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import vehicle_of
-from undertow.identification.diagnosis.candidates import Candidate, possible
+from undertow.identification.diagnosis.candidates import possible
 from undertow.identification.diagnosis.consistency import (
     Agreement,
     own_variables,
-    replaces_inertia,
     undetermined,
+    vanished_inertia,
 )
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.selection import (
@@ -23,6 +21,7 @@ from undertow.identification.diagnosis.selection import (
     alternatives,
     best_in_resamples,
     dominated,
+    without_inertia,
 )
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.estimation.fitted import Fitted
@@ -159,30 +158,28 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not known" in words
 
 
+@pytest.mark.parametrize("name", ["X_udot", "X_udot_forward"])
 @pytest.mark.parametrize(
-    ("effect", "without", "beside", "said"),
-    [
-        ("thruster_gain", -5.0, 0.0, True),
-        ("thruster_gain", -5.0, -1.0, False),
-        ("thruster_gain", 0.0, 0.0, False),
-        ("cubic_damping", -5.0, 0.0, True),
-        ("lift", -5.0, 0.0, False),  # it acts in sway and yaw: what surge has is not seen in these logs
-    ],
+    ("without", "beside", "said"), [(-5.0, 0.0, True), (-5.0, -1.0, False), (0.0, 0.0, False)]
 )
-def test_an_effect_that_takes_the_place_of_added_mass_is_not_named(
-    effect: str, without: float, beside: float, *, said: bool
+def test_added_mass_that_falls_to_zero_beside_an_effect_is_seen(
+    name: str, without: float, beside: float, *, said: bool
 ) -> None:
-    vehicle = vehicle_of(make_case("usv", (), 3, duration=10.0))
-    grown = Candidate(catalogue()[effect], vehicle).vehicle
+    vehicle = load_vehicle("box-hull" if name == "X_udot" else "mini-auv")
     fits = (
-        SimpleNamespace(vehicle=v, model=SimpleNamespace(free=("X_udot", "X_u")), values=values)
-        for v, values in (
-            (vehicle, {"X_udot": without, "X_u": -1.0}),
-            (grown, {"X_udot": beside, "X_u": 0.0}),
-        )
+        SimpleNamespace(vehicle=vehicle, model=SimpleNamespace(free=(name, "X_u")), values=values)
+        for values in ({name: without, "X_u": -1.0}, {name: beside, "X_u": 0.0})
     )
-    words = replaces_inertia(*(cast(Fitted, fit) for fit in fits))
-    assert words == ("beside it X_udot would be zero, and water has inertia" if said else "")
+    assert vanished_inertia(*(cast(Fitted, fit) for fit in fits)) == ([name] if said else [])
+
+
+@pytest.mark.parametrize("alone", [0.4, 0.02])
+def test_an_effect_that_is_worth_adding_beside_the_inertia_does_not_replace_it(alone: float) -> None:
+    """A current in the log of a simulator without added mass, and a thrust that only trades against it."""
+    words = without_inertia(
+        ["Y_vdot"], Worth(falls={1.0: alone, 8.0: alone}, largest={1.0: alone, 8.0: alone}, worse=())
+    )
+    assert words == ("" if alone > 0.1 else "beside it Y_vdot would be zero, and water has inertia")
 
 
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:

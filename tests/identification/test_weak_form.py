@@ -24,7 +24,7 @@ from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
-from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle import Thruster, Value, Vehicle
 
 CLOCK = np.arange(0.0, 20.001, 0.05)
 
@@ -41,6 +41,17 @@ def test_integration_by_parts_is_exact_to_the_order_of_the_splines() -> None:
     assert functions is not None
     g, g_dot = np.sin(3 * CLOCK), 3 * np.cos(3 * CLOCK)
     np.testing.assert_allclose(functions.rate @ g, -(functions.value @ g_dot), atol=3e-6)
+
+
+def test_one_thruster_gives_what_a_known_force_gives() -> None:
+    """The force of one thruster, N for N, is that of a log that holds it: the same surge model comes out."""
+    known = surge_vehicle()
+    driven = replace(known, force_channels=(), thrusters=(Thruster("motor", (1.0, 0, 0, 0, 0, 0)),))
+    run = surge_run(0.01)
+    alike = replace(run, channels={"u": run.channels["u"], "motor": run.channels["tau_X"]})
+    fits = [fit_weak(vehicle, prepare([log], vehicle)) for vehicle, log in ((known, run), (driven, alike))]
+    for name in TRUTH:
+        assert fits[1].values[name] == pytest.approx(fits[0].values[name], rel=1e-6)
 
 
 def test_uneven_samples_are_integrated_as_well() -> None:

@@ -53,6 +53,12 @@ class Thruster:
         """The same, N where one unit of the command is one newton of thrust."""
         return "N" if self.law is None and self.thrust_per_command.value == 1.0 else self.command_unit
 
+    @property
+    def idle(self) -> bool:
+        """Whether its command gives no thrust, as that of a fin at rest."""
+        gain = self.thrust_per_command
+        return self.law is None and gain.value == 0.0 and not gain.estimate
+
 
 # Where a vehicle file states the hardware that an effect stands for.
 _HARDWARE_TABLES = {Thrusters.id: "[[thrusters]]", ControlSurfaces.id: "[[surfaces]]"}
@@ -198,13 +204,19 @@ class Vehicle:
     def command_units(self) -> dict[str, str]:
         """Unit of each of `command_names`; "command" is the thruster's own."""
         forces = dict(zip((f"tau_{f}" for f in FORCE), FORCE_UNITS, strict=True))
-        units = {t.name: t.command_unit for t in self.thrusters} | {s.name: "rad" for s in self.surfaces}
+        units = {t.name: t.command_unit for t in self.thrusters} | dict.fromkeys(self.angle_names, "rad")
         return units | {n: forces[n] for n in self.force_channels} | dict(self.inputs)
 
     @property
     def input_units(self) -> dict[str, str]:
         """The same, N where one unit of a command is one newton of thrust."""
-        return self.command_units | {t.name: t.unit for t in self.thrusters}
+        return self.command_units | {t.name: "N" for t in self.thrusters if t.unit == "N"}
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Commands that are angles: of surfaces, and of what pushes by `rudder_force` alone."""
+        fins = (t.name for t in self.thrusters if t.idle and f"rudder_{t.name}" in self.values)
+        return (*fins, *(s.name for s in self.surfaces))
 
     @property
     def command_limits(self) -> dict[str, float]:

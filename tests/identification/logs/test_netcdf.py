@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.conversions import north_east
 from undertow.identification.logs.formats import glider
-from undertow.identification.logs.formats.conversions import north_east
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle

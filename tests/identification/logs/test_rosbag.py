@@ -154,6 +154,33 @@ def test_sensors_without_odometry(tmp_path: Path, name: str) -> None:
     assert any("hPa" in note and "1025 kg/m^3" in note for note in log.notes)
 
 
+def test_a_twist_that_no_sensor_fills_gives_way(tmp_path: Path) -> None:
+    """An inertial unit sends a twist without speeds, a Doppler log one with them; 0.2 bar is no hPa."""
+    none = np.zeros(36)
+    with BagWriter(tmp_path / "dive.bag") as out:
+        make = out.store.types
+        for k, t in enumerate(dive().t):
+            speed, turn = (out.vector(*row[k]) for row in (dive().velocity, dive().rates))
+            still = out.vector(0.0, 0.0, 0.0)
+            imu = make["geometry_msgs/msg/Twist"](linear=still, angular=turn)
+            imu = make["geometry_msgs/msg/TwistWithCovariance"](twist=imu, covariance=none)
+            dvl = make["geometry_msgs/msg/Twist"](linear=speed, angular=still)
+            at: dict[str, Any] = {"header": (float(t), "base_frd")}
+            out.write(
+                "/imu", float(t), out.message("geometry_msgs/msg/TwistWithCovarianceStamped", **at, twist=imu)
+            )
+            out.write("/dvl", float(t), out.message("geometry_msgs/msg/TwistStamped", **at, twist=dvl))
+            baro = out.message("sensor_msgs/msg/FluidPressure", **at, fluid_pressure=0.2, variance=0.0)
+            out.write("/pressure", float(t), baro)
+    log = read_field_log(out.path)
+    run = read_log(out.path)
+    assert run.channels["u"] == pytest.approx(dive().velocity[:, 0], abs=1e-9)
+    assert run.channels["r"] == pytest.approx(dive().rates[:, 2], abs=1e-9)
+    assert "z" not in run.channels
+    assert any("/pressure: a pressure of 0.2 is none of air and water" in note for note in log.notes)
+    assert any("no topic is known to hold commands" in note for note in log.notes)
+
+
 def test_commands_one_by_one_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "dive.mcap") as out:
         float_ = out.store.types["std_msgs/msg/Float64"]

@@ -180,23 +180,14 @@ def is_spring(finding: FoundEffect) -> bool:
 SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
 
 
-def replaces_inertia(before: Fitted, after: Fitted) -> str:
-    """What of the water's inertia an effect takes the place of, in words; empty where it leaves that alone.
-
-    No body moves in water without added mass: where one falls to zero beside an effect that acts on the same
-    motion, and not without it, the effect only scales forces against the inertia. In another motion, zero
-    says that these logs do not show it.
+def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
+    """What of the inertia is zero beside an effect, and is not without it.
 
     before, after: fits of the model without and with it.
     """
-    changed = [row != 0 for row in after.vehicle.residual - before.vehicle.residual]
-    # Sensors, and most that happens to commands, change no term of the equations, and any motion.
-    rows = np.flatnonzero(changed) if any(changed) else range(len(changed))
-    mass = after.vehicle.mass_matrix
-    names = {str(symbol) for i in rows for symbol in mass[i, i].free_symbols}
-    free = [n for n in after.model.free if plain(n) in names]
-    gone = [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
-    return f"beside it {', '.join(gone)} would be zero, and water has inertia" if gone else ""
+    known = {str(symbol) for symbol in after.vehicle.mass_matrix.free_symbols}
+    free = [n for n in after.model.free if plain(n) in known]
+    return [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
 
 
 def never_turned(finding: FoundEffect, bench: Bench) -> str:

@@ -24,7 +24,7 @@ from .consistency import (
     left_open,
     never_turned,
     own_variables,
-    replaces_inertia,
+    vanished_inertia,
 )
 from .evidence import FoundEffect, as_good, fitted, inclusion, linear, with_effects
 from .parallel import mapped
@@ -455,8 +455,7 @@ class _Selector:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
         if words := left_open(finding, self._settings) or never_turned(finding, bench):
             return words
-        fits = (self._validator.final(f)[0] for f in (bench.base, finding.trial.fit))
-        if words := replaces_inertia(*fits):
+        if words := self._in_place_of_inertia(finding, bench):
             return words
         parts = agreements(finding, bench)
         if not parts:
@@ -474,6 +473,32 @@ class _Selector:
                 f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
             )
         return ""
+
+    def _in_place_of_inertia(self, finding: FoundEffect, bench: Bench) -> str:
+        """What of the water's inertia an effect takes the place of, in words; empty for none."""
+        before, after = (self._validator.final(f)[0] for f in (bench.base, finding.trial.fit))
+        names = vanished_inertia(before, after)
+        if not names:
+            return ""
+        vehicle = bench.base.model.functions.vehicle
+        known = {n: replace(vehicle.values[n], value=before.values[n], estimate=False) for n in names}
+        held = self._validator.final(fitted(vehicle.with_values(known), [finding], bench).fit)[0]
+        base, with_it = (self._validator.squares_ahead(f) for f in (before, held))
+        return without_inertia(names, Worth.of(base, with_it, self._settings), self._settings)
+
+
+def without_inertia(names: Sequence[str], held: Worth, settings: Settings = DEFAULT) -> str:
+    """Doubt of an effect beside which added mass falls to zero, in words; empty where there is none.
+
+    No body moves in water without added mass: such an effect may only scale forces against the inertia. Then
+    it is worth nothing with the added mass held where it was without it.
+
+    names: what falls to zero.
+    held: what the effect is worth with that held.
+    """
+    if held.enough(settings.worth):
+        return ""
+    return f"beside it {', '.join(names)} would be zero, and water has inertia"
 
 
 def _beyond_chance(current: Round) -> list[FoundEffect]:

@@ -330,7 +330,8 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
 
 def _constant(at: Dynamics) -> tuple[Array, Array, float] | None:
     step = at.runs[0].step
-    return _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
+    found = _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
+    return found if found and np.isfinite(found[1][0]) else None  # without a command nothing tells
 
 
 def _acausal(delay: float, error: float, step: float) -> bool:

@@ -396,7 +396,8 @@ def dynamic_mistakes(
     None where pose rates and velocities hardly have anything in common: whatever fits such a log better is
     no evidence of anything.
     """
-    if kinematics and np.any(kinematics.mismatch(runs).excess > SETTINGS.unreadable):
+    given = kinematics.mismatch(runs) if kinematics else None
+    if given is not None and np.any((given.excess > SETTINGS.unreadable) & given.moves.astype(bool)):
         return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
     signs = reversed_commands(vehicle)
@@ -433,11 +434,11 @@ def allowed(
 ) -> list[Mistake]:
     """Mistakes that pose rates and velocities do not contradict and that matter to the model.
 
-    None where pose rates and velocities disagree: a log that cannot be read is no evidence about the model.
+    None where pose rates and velocities disagree in what moves: such a log is no evidence about the model.
     """
     result: list[Mistake] = []
     given = kinematics.mismatch(runs) if kinematics else None
-    if given is not None and np.any(inconsistent(given)):
+    if given is not None and np.any(inconsistent(given) & given.moves):
         return result
     seen = [_felt(at, at.runs[0])]
     for mistake in known:
@@ -448,7 +449,7 @@ def allowed(
         ):
             continue
         undone = [mistake.undo(run) for run in runs]
-        if given is None or kinematics.mismatch(undone).total < 1.25 * given.total + 0.01:
+        if given is None or np.all(kinematics.mismatch(undone).excess < 1.25 * given.excess + 0.01):
             seen.append(now)
             result.append(mistake)
     return result

@@ -145,12 +145,17 @@ def column_of(mapping: LogMapping, channel: str) -> tuple[str, Column]:
 
 
 def frames_edits(mapping: LogMapping, position: str, body: str, attitude: str) -> Edits:
-    """Say the three frames; what the mapping says already, or need not say, is left out."""
+    """Say the three frames; what the mapping says already, or need not say, is left out.
+
+    Velocities along the earth have the axes of the position, which they turn with.
+    """
     spec = mapping.frames
     implied = position if (position == "ENU") == (body == "FLU") else None
     frames = {"position": position, "body": body, "attitude": None if attitude == implied else attitude}
     if frames["attitude"] is None and spec.attitude not in (None, attitude):
         frames["attitude"] = attitude
+    if spec.velocity != "body" and position != spec.position:
+        frames["velocity"] = "ENU" if spec.velocity == "NED" else "NED"
     changed = {k: v for k, v in frames.items() if v is not None and v != getattr(spec, k)}
     return tuple(Edit("frames", k, v) for k, v in changed.items())
 

@@ -142,7 +142,7 @@ def impossible(
 ) -> Explanation | None:
     """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing."""
     check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, settings)
-    return check.by_force() or check.by_size() or check.by_limits()
+    return check.by_force() or check.by_size() or check.by_angles() or check.by_limits()
 
 
 _Known = dict[tuple[str, str], Response]
@@ -270,7 +270,18 @@ class _PlausibilityCheck:
         why = f"{own} reach {value:.3g} {unit}, and no vehicle of {mass:.4g} kg exceeds {limit:.3g} {unit}"
         return Explanation(found[0], f"{found[0].clause}: {why}", {"value": value, "limit": limit}, found[1:])
 
-    # --- limits of the commands ------------------------------------------------------------------
+    # --- size of the commands --------------------------------------------------------------------
+    def by_angles(self) -> Explanation | None:
+        """Rudders and fins that turn farther than any does: in degrees."""
+        limit = self.settings.angle
+        sizes = {n: _rms(self.runs, n) for n in self.vehicle.angle_names}
+        far = {n: size for n, size in sizes.items() if size > limit}
+        if not far:
+            return None
+        mistake, worst = _in_degrees(tuple(far)), max(far, key=lambda n: far[n])
+        why = f"{worst} is {far[worst]:.4g} rad rms, and no rudder or fin turns by more than {limit:.4g} rad"
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": far[worst], "limit": limit}, [])
+
     def by_limits(self) -> Explanation | None:
         """Commands far beyond what the vehicle file has as the largest."""
         limits = self.vehicle.command_limits
@@ -280,8 +291,6 @@ class _PlausibilityCheck:
             return None
         worst = max(far, key=lambda n: far[n])
         known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
-        angles = tuple(s.name for s in self.vehicle.surfaces if s.name in far)
-        known = known or ([_in_degrees(angles)] if angles else [])
         mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
         value, limit = far[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, and its limit in the vehicle file is {limit:.4g}"
@@ -304,7 +313,7 @@ def _brings_within(mistake: Mistake, runs: Sequence[Run], limits: dict[str, floa
 
 
 def _in_degrees(names: tuple[str, ...]) -> Mistake:
-    """Angles of control surfaces in degrees."""
+    """Angles of rudders and fins in degrees."""
     verb = "is" if len(names) == 1 else "are"
     clause = f"{', '.join(names)} {verb} in degrees, read as radians"
     return rescaled("command_unit", clause, dict.fromkeys(names, float(np.radians(1.0))), len(names))

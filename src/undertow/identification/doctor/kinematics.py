@@ -18,7 +18,7 @@ from undertow.identification.logs.mapping import to_body
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,9 @@ class KinematicsSettings:
     kept: float = 0.7  # share of the motion that wider test functions must keep
     # Mean square by which any log may disagree: quadrature over samples is not exact.
     quadrature: float = 1e-4
+    # Share of all translation or rotation (mean square) below which a block hardly moves: that a vehicle that
+    # floats upright rolls by a tenth of what it turns, or less, and not as its gyros say, spoils nothing.
+    hardly: float = 0.01
 
 
 SETTINGS = KinematicsSettings()
@@ -90,6 +93,7 @@ class Mismatch:
     # have nothing to do with each other, 2 where they are opposite.
     share: Array
     floor: Array  # (b,) what noise makes of it
+    moves: Flags  # (b,) whether it has a part in the translation or rotation that is worth a look
 
     @property
     def excess(self) -> Array:
@@ -198,7 +202,13 @@ class Kinematics:
         share, floor = (
             np.array([np.sum(s[b]) / p for b, p in zip(self.blocks, total, strict=True)]) for s in square
         )
-        return Mismatch(share, np.maximum(floor, SETTINGS.quadrature))
+        return Mismatch(share, np.maximum(floor, SETTINGS.quadrature), self._moves(np.array(total)))
+
+    def _moves(self, power: Array) -> Flags:
+        """Blocks that do more than hardly move, by the power of all."""
+        turns = np.array([self.rows[b[0]] in POSE[3:] for b in self.blocks])
+        of_kind = np.where(turns, power[turns].sum(), power[~turns].sum())
+        return np.asarray(power > SETTINGS.hardly * of_kind)
 
     def changed(self, first: Rates, second: Rates) -> Array:
         """How much of the motion of every block differs between two sets of rates, (b,), as of `Mismatch`."""

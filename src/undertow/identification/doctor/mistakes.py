@@ -16,6 +16,7 @@ from undertow.identification.logs.mapping import (
     swap_body,
     swap_position,
     velocity_to_body,
+    velocity_to_earth,
 )
 from undertow.identification.logs.run import Run, unwrapped
 from undertow.identification.logs.series import with_reports
@@ -166,6 +167,8 @@ class PlausibilitySettings:
     # Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the limit;
     # thousandths and pulse widths (1500) are far beyond.
     limit: float = 10.0
+    # Rms of the angle of a rudder or fin, rad: a right angle, at which it would be a wall; 2 degrees make 2.
+    angle: float = 1.571
     # Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
     scale: float = 0.35
     # Share by which pose rates over velocities may differ from the factor of a unit: scales and currents do
@@ -381,7 +384,7 @@ def other_frames(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         yield Mistake(
             "frame",
             _frames_clause(wrong, meant),
-            _turned(wrong),
+            _turned(wrong, spec.velocity),
             lambda m, meant=meant: frames_edits(m, **meant),  # type: ignore[misc]
             1 if together else len(wrong),
         )
@@ -406,9 +409,19 @@ def _frames_clause(wrong: list[str], meant: dict[str, str]) -> str:
     return ", and ".join((_HEADINGS if key == "attitude" else _FRAMES)[meant[key]] for key in wrong)
 
 
-def _turned(keys: list[str]) -> Undo:
-    """Turn some of position, body and attitude."""
-    return turning(lambda channels: reduce(lambda found, key: _SWAPS[key](found), keys, dict(channels)))
+def _turned(keys: list[str], velocity: str) -> Undo:
+    """Turn some of position, body and attitude; velocities along the earth go with the position."""
+
+    def turn(channels: Mapping[str, Array]) -> Channels:
+        return reduce(lambda found, key: _SWAPS[key](found), keys, dict(channels))
+
+    def turn_along_the_earth(channels: Mapping[str, Array]) -> Channels:
+        earth = velocity_to_earth(channels)
+        turned = swap_position(earth) if "position" in keys else earth
+        linear = {n: turned[axis] for n, axis in zip("uvw", "xyz", strict=True) if n in channels}
+        return velocity_to_body({**turn(channels), **linear}, "NED")
+
+    return turning(turn if velocity == "body" else turn_along_the_earth)
 
 
 def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from undertow.identification.estimation.data import channel_noise, noise_by_order
 from undertow.identification.logs.mapping import LogMapping
-from undertow.identification.logs.run import UNITS, Run
+from undertow.identification.logs.run import FORCES, UNITS, Run
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
@@ -353,6 +353,7 @@ def excitation_findings(
     yield from _headings(vehicle, runs)
     yield from _still_commands(rows, vehicle, runs)
     yield from _unused_inputs(vehicle, runs)
+    yield from _unused_forces(vehicle, runs)
 
 
 def _still_commands(
@@ -395,6 +396,21 @@ def _unused_inputs(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
             text=f"the log holds {', '.join(names)}, which effects can take: inputs = [{listed}] in the "
             "vehicle file",
             evidence={"inputs": float(len(names))},
+        )
+
+
+def _unused_forces(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Forces that the log holds, of a vehicle that nothing drives."""
+    rows = [FORCES[place] for place in vehicle.dof_indices]
+    names = [n for n in rows if any(r.has(n) and not _still(r.channels[n]) for r in runs)]
+    if names and not (vehicle.actuator_names or vehicle.force_channels):
+        listed = ", ".join(f'"{n}"' for n in names)
+        yield Finding(
+            id="unused_forces",
+            severity="warning",
+            text=f"the log holds {', '.join(names)}, and the vehicle file has no thruster and no force, so "
+            f"that nothing drives the model: generalised_forces = [{listed}] in the vehicle file",
+            evidence={"forces": float(len(names))},
         )
 
 

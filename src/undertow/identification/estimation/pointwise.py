@@ -139,7 +139,7 @@ class Pointwise:
     @cached_property
     def _drive(self) -> ca.SX:
         f = self.functions
-        return ca.vertcat(f.actuation, f.u[f.actuation.shape[0] :])
+        return ca.vertcat(f.actuation, f.u[f.actuation.shape[0] :, :])  # a single entry [1:] is a row
 
     @cached_property
     def _by_commands(self) -> ca.SX:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,12 @@ from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
 from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
-from .guess_frames import Axes, axes_of, rate_of_heading, unit_of_heading
-from .mapping import SCHEMA, LogMapping
+from .conversions import angles
+from .guess_frames import Axes, axes_of, formulas, quaternion_in, rate_of_heading, unit_of_heading
+from .guessed import Guess, GuessedMapping
+from .mapping import LogMapping
 from .run import FORCES, UNITS
 from .table import file_bytes, is_dates, numbers, read_table
 
@@ -192,7 +193,7 @@ class Name:
     @property
     def counts(self) -> str:
         """What the column of a command counts: "N", "rev/s", "rad", "command" (shares, pulses) or ""."""
-        return _COUNTS.get(self.unit) or next((_COUNTED[w] for w in self.words if w in _COUNTED), "")
+        return _COUNTS.get(self.unit) or next((_COUNTED[w] for w in self.unnumbered if w in _COUNTED), "")
 
     def fits(self, command: str, unit: str) -> tuple[float, int]:
         """How badly a column fits a command of a vehicle: its name, and what it counts; the least wins."""
@@ -231,88 +232,18 @@ class Name:
     def is_command(self) -> bool:
         """Whether it looks like what drives a vehicle."""
         numbered = any(re.fullmatch(r"[uftm]\d+|tau[xyzkmn]", word) for word in self.words)
-        return bool(set(self.words) & _DRIVES or numbered) and "limit" not in self.words
+        return bool({*self.unnumbered} & _DRIVES or numbered) and "limit" not in self.words
+
+    @property
+    def unnumbered(self) -> list[str]:
+        """The words without numbers at their ends, of columns that differ in these."""
+        return [re.sub(r"\d+$", "", word) for word in self.words]
 
 
 def is_time(name: str) -> bool:
     """Whether the name of a column means that it counts the time."""
     words = Name.of(name).words
     return bool(set(words) & _TIMES) and not set(words) & _WANTED
-
-
-# --- a guess ----------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Guess:
-    """What a column may be: keys and values of its entry in the mapping file, and what is not sure."""
-
-    column: str
-    entry: Mapping[str, object]
-    doubt: str = ""
-
-    @property
-    def channel(self) -> str:
-        """The channel that it becomes."""
-        return str(self.entry["channel"])
-
-    def line(self) -> str:
-        """The entry in TOML, after its question."""
-        inside = ", ".join(f"{key} = {_toml(value)}" for key, value in self.entry.items())
-        asked = f"# ? {self.doubt}\n" if self.doubt else ""
-        return f"{asked}{_key(self.column)} = {{ {inside} }}"
-
-
-@dataclass(frozen=True)
-class GuessedMapping:
-    """A mapping file in the making.
-
-    time: column, unit, and what was seen of the rate.
-    questions: what nobody but those who made the log can say.
-    ignored: columns that are left out, by the reason.
-    """
-
-    log: str
-    time: Guess
-    columns: tuple[Guess, ...]
-    axes: Axes
-    ignored: Mapping[str, tuple[str, ...]]
-    delimiter: str = ","
-    questions: tuple[str, ...] = field(default=())
-
-    @property
-    def asked(self) -> list[str]:
-        """All questions, those about columns with their names."""
-        doubts: dict[str, list[str]] = {}
-        for guess in (self.time, *self.columns):
-            doubts.setdefault(guess.doubt, []).append(guess.column)
-        of_columns = [f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items() if doubt]
-        return [*of_columns, *self.axes.questions, *self.questions]
-
-    def text(self) -> str:
-        """The mapping file."""
-        head = [f"# Guessed from {self.log}: every line with '# ?' asks something that the log does not say."]
-        head += [f"schema = {_toml(SCHEMA)}"]
-        head += [f"delimiter = {_toml(self.delimiter)}"] if self.delimiter != "," else []
-        head += ["ignore = [", *(line for part in self._ignored() for line in part), "]"]
-        time = [f"{key} = {_toml(value)}" for key, value in self.time.entry.items()]
-        asked = [f"# ? {self.time.doubt}"] if self.time.doubt else []
-        frames = [f"# ? {question}" for question in self.axes.questions]
-        frames += [f"{key} = {_toml(value)}" for key, value in self.axes.entry.items()]
-        columns = [*(guess.line() for guess in self.columns), *(f"# ? {q}" for q in self.questions)]
-        sections = {"time": [*asked, *time], "frames": frames, "columns": columns}
-        parts = [f"[{name}]\n" + "\n".join(lines) for name, lines in sections.items()]
-        return "\n\n".join(["\n".join(head), *parts]) + "\n"
-
-    def _ignored(self) -> Iterator[list[str]]:
-        for reason, names in self.ignored.items():
-            yield [f"    # {reason}", *(f"    {_toml(name)}," for name in names)]
-
-
-def _toml(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml(name)
 
 
 # --- from a table -----------------------------------------------------------------------------------
@@ -347,10 +278,13 @@ def guess_table(
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
     read = _rates_by_heading(read, {n: data[n.column] for n in names}, t)
-    axes = axes_of({g.channel: data[g.column] * _factor(g) for g in read}, t)
+    turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
+    attitude = angles(*(data[n] for n in turned)) if turned else {}
+    axes = axes_of({g.channel: data[g.column] * _factor(g) for g in read} | attitude, t)
+    read += _attitude(turned)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += [_command(command, name, data[name.column], units) for command, name in driving.items()]
-    used = {time.column, *(g.column for g in read), *(str(g.entry.get("fresh", "")) for g in read)}
+    used = {time.column, *turned, *(g.column for g in read), *(str(g.entry.get("fresh", "")) for g in read)}
     commands = vehicle.command_names if vehicle else ()
     questions = [_LACKING.format(c) for c in commands if c not in {g.channel for g in read}]
     questions += [
@@ -372,6 +306,15 @@ _FLAG = (
     "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
     'fresh = "{0}"'
 )
+
+
+def _attitude(quaternion: Sequence[str]) -> list[Guess]:
+    """Roll, pitch and yaw from the columns w, x, y, z of a quaternion; nothing from none."""
+    entries = formulas(quaternion) if quaternion else {}
+    return [
+        Guess(", ".join(quaternion), {"channel": channel, "expression": text, "unit": "rad"})
+        for channel, text in entries.items()
+    ]
 
 
 def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
@@ -424,17 +367,26 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
         )
     if found not in data:
         return Guess(found, {"column": found, "unit": "iso"})
-    stated, step = Name.of(found).unit, float(np.median(np.diff(data[found])))
+    sampled = _sampled(data, found)
+    stated, step = Name.of(found).unit, float(np.median(np.diff(data[found][sampled])))
     unit = stated if stated in ("s", "ms", "us", "ns") else _unit_of_time(data[found], step)
     rate = 1.0 / (step * _seconds(unit))
+    one = "row" if np.all(sampled) else "sample"
     said = (
         ""
         if stated
-        else f"{step:.4g} from row to row: that is {rate:.3g} rows a second if it is in {unit}; is it?"
+        else f"{step:.4g} from {one} to {one}: that is {rate:.3g} {one}s a second if it is in {unit}; is it?"
     )
-    if rate > SETTINGS.fast:
+    if rate > SETTINGS.fast and np.all(sampled):
         said += f"{' ' if said else ''}{rate:.3g} rows a second: every = {round(rate / 20)} would do at first"
     return Guess(found, {"column": found, "unit": unit}, said)
+
+
+def _sampled(data: Mapping[str, Array], time: str) -> Flags:
+    """Rows of the column with most samples: in a table of several clocks none has one in every row."""
+    rows = [np.isfinite(column) for name, column in data.items() if name != time]
+    most = max(rows, key=np.count_nonzero, default=np.ones(len(data[time]), dtype=bool))
+    return most if np.count_nonzero(most) > 1 else np.ones_like(most)
 
 
 def _unit_of_time(t: Array, step: float) -> str:
@@ -466,7 +418,20 @@ def _commands(names: Sequence[Name], vehicle: Vehicle | None) -> dict[str, Name]
         fits = sorted((*fitting(name, command, unit), k) for k, name in enumerate(known))
         if fits and fits[0][0] < _NO_FIT:
             found[command] = known[fits[0][2]]
+    if found.keys().isdisjoint(vehicle.actuator_names):
+        found |= _in_order(names, vehicle.actuator_names)
     return found
+
+
+def _in_order(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]:
+    """Columns that differ in a number alone, as many as there are commands, in the order of that number."""
+    rows: dict[str, list[tuple[int, Name]]] = {}
+    for name in names:
+        if name.is_command and (parts := re.fullmatch(r"(.*?)(\d+)(\D*)", name.column)):
+            rows.setdefault(f"{parts[1]}#{parts[3]}", []).append((int(parts[2]), name))
+    fitting = (row for row in rows.values() if len(row) == len(commands) > 1)
+    row = sorted(next(fitting, []), key=lambda pair: pair[0])
+    return {command: name for command, (_, name) in zip(commands, row, strict=False)}
 
 
 def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:
@@ -604,6 +569,8 @@ def _command(command: str, name: Name, values: Array, units: Mapping[str, str]) 
             doubt += (
                 " The vehicle counts it in N: a curve in its file, or the force of a full command as scale"
             )
+    elif unit == "rad":
+        entry["unit"], doubt = _unit("phi", values)
     elif max(most, -least) > SETTINGS.full:
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
     return Guess(name.column, entry, f"{asked}{doubt}".strip())

@@ -1,8 +1,8 @@
-"""Which axes a log may have, as far as its motion says: position against velocity, heading against rate."""
+"""Which axes a log may have, as far as its motion says, and which of its columns are a quaternion."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +21,7 @@ class FrameSettings:
     clearly: float = 0.6  # share of the next best that the best may leave at most
     jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
     like: float = 0.9  # correlation of a rate with the change of the heading
+    rounded: float = 1e-2  # how far the length of a quaternion may be from one
 
 
 SETTINGS = FrameSettings()
@@ -154,3 +155,31 @@ def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[s
         if alike > best:
             best, found = alike, (name, float(np.sum(expected * turned) / np.sum(expected**2)))
     return found
+
+
+# --- attitudes ------------------------------------------------------------------------------------
+def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
+    """Columns w, x, y, z of a quaternion: alike but for these letters, and of length one; none: ()."""
+    for name in data:
+        letters = {"w": "wxyz", "W": "WXYZ"}.get(name[-1:], "")
+        found = tuple(name[:-1] + letter for letter in letters)
+        if found and all(n in data for n in found) and _is_unit([data[n] for n in found]):
+            return found
+    return ()
+
+
+def _is_unit(columns: Sequence[Array]) -> bool:
+    length = np.sqrt(sum(c**2 for c in columns))
+    there = np.isfinite(length)
+    return bool(there.any() and np.all(np.abs(length[there] - 1.0) < SETTINGS.rounded))
+
+
+def formulas(names: Sequence[str]) -> dict[str, str]:
+    """Roll, pitch and yaw, rad, from columns w, x, y, z, as a mapping file computes them."""
+    w, x, y, z = (n if n.isidentifier() else f'column("{n}")' for n in names)
+    ahead, across = f"1 - 2*({y}**2 + {z}**2)", f"2*({w}*{z} + {x}*{y})"
+    return {
+        "phi": f"atan2(2*({w}*{x} + {y}*{z}), 1 - 2*({x}**2 + {y}**2))",
+        "theta": f"atan2(2*({w}*{y} - {z}*{x}), hypot({ahead}, {across}))",
+        "psi": f"atan2({across}, {ahead})",
+    }

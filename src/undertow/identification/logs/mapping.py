@@ -304,6 +304,12 @@ def velocity_to_body(channels: Mapping[str, NDArray[np.float64]], axes: str) -> 
     return {**channels, **_present(channels, turned)}
 
 
+def velocity_to_earth(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
+    """Rates of x, y, z in NED, from u, v, w and the attitude (what is missing is zero)."""
+    turned = np.einsum("ijn,in->jn", to_body(*_three(channels, _ANGLES)), _three(channels, _LINEAR))
+    return dict(zip("xyz", turned, strict=True))
+
+
 def over_ground(channels: Mapping[str, NDArray[np.float64]], water: Sequence[float]) -> Channels:
     """Add the velocity of the water (NED, m/s) to u, v, w that are measured through the water."""
     drift = np.einsum("ijn,j->in", to_body(*_three(channels, _ANGLES)), np.asarray(water))

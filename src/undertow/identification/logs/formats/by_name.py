@@ -11,7 +11,8 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.guess import SETTINGS, Guess, GuessedMapping, guess_table
+from undertow.identification.logs.guess import SETTINGS, guess_table
+from undertow.identification.logs.guessed import Guess, GuessedMapping
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.identification.logs.run import UNITS
 from undertow.model.catalogue import catalogue, logged_quantities
@@ -35,10 +36,11 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
     found = [(one, _guess(path, one)) for one in series if len(one.t) > 1]
     found.sort(key=lambda pair: -sum(guess.channel in UNITS for guess in pair[1].columns))
     for number, (one, guess) in enumerate(found):
-        new = [g for g in guess.columns if g.channel in UNITS and g.channel not in taken and _can_be(one, g)]
+        plain = [g for g in guess.columns if not g.is_formula]
+        new = [g for g in plain if g.channel in UNITS and g.channel not in taken and _can_be(one, g)]
         columns |= {f"{one.name}.{_plain(one, g)}": _column(one, g) for g in new}
         taken |= {g.channel for g in new}
-        driving += [f"{one.name}.{_plain(one, g)}" for g in guess.columns if g.channel not in UNITS]
+        driving += [f"{one.name}.{_plain(one, g)}" for g in plain if g.channel not in UNITS]
         doubtful = [g for g in new if g.doubt and _plain(one, g) not in one.units]
         doubts = [f"{one.name}.{_plain(one, g)}: {g.doubt}" for g in doubtful]
         notes += [*doubts, *(guess.axes.questions if number == 0 and new else ())]

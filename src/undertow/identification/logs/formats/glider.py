@@ -18,10 +18,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.conversions import depth, north_east
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .conversions import depth, north_east
 from .fieldlog import FieldLog, Format, Series
 
 KNOWN = {

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.conversions import north_east
 from undertow.identification.logs.guess import is_time
 from undertow.identification.logs.mapping import Column
 from undertow.model.units import scale_offset
 from undertow.typing import Array
 
 from .by_name import fits, guessed
-from .conversions import north_east
 from .fieldlog import FieldLog, Format, Series, library
 from .glider import KNOWN as SLOCUM
 

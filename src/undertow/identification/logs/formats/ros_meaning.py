@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
+from undertow.identification.logs.conversions import ANGLES, angles, depth
 from undertow.identification.logs.mapping import FLIPPED_BODY, Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .conversions import ANGLES, angles, depth
 from .fieldlog import Series
 
 # Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
@@ -137,8 +137,9 @@ def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Colum
     """The mapping, the columns that drive the vehicle, and notes on what was chosen."""
     known, sources = _Understood(), list(_sources(topics))
     frames = _frames(sources, known) if sources else Frames()
+    filled = {c for topic, fields in sources for c, n in _named(topic, fields, frames) if _filled(topic, n)}
     for topic, fields in sources:
-        _take_motion(known, topic, fields, frames)
+        _take_motion(known, topic, fields, frames, filled)
     for topic in (one for one in _most(topics, _DVL) if "velocity.x" in one.series.columns):
         _take_doppler(known, topic, frames)
     for topic in _most(topics, re.compile("/FluidPressure$")):
@@ -147,6 +148,9 @@ def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Colum
         known.take(topic, {"voltage": "voltage"}, unit="V")
     actuators = _actuators(topics, known)
     _take_wrench(known, topics, bool(actuators))
+    if known.columns and not actuators and "tau_X" not in known.columns:
+        lacking = "no topic is known to hold commands of thrusters"
+        known.notes.append(f"{lacking}: a model needs what drives the vehicle")
     columns = dict(known.columns.values())
     return LogMapping(columns=columns, frames=frames), actuators, known.notes
 
@@ -188,9 +192,12 @@ def _is_down(topic: Topic) -> bool:
     return any(_said(name, "ned", "frd") for name in told) and not any(_said(n, "enu", "flu") for n in told)
 
 
-def _take_motion(known: _Understood, topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> None:
+def _take_motion(
+    known: _Understood, topic: Topic, fields: Mapping[Kind, str], frames: Frames, filled: Set[str]
+) -> None:
+    """Let a topic be the channels that no earlier one is; `filled` are those that some topic measures."""
     before, like = len(known.columns), _is_down(topic) == (frames.position == "NED")
-    named = dict(_named(topic, fields, frames))
+    named = {c: n for c, n in _named(topic, fields, frames) if _filled(topic, n) or c not in filled}
     if like:
         known.take(topic, named)
     else:  # of other axes only what is measured along those of the body can be turned here
@@ -216,6 +223,12 @@ def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator
                 yield from ((channel, f"{base}.angular.{axis}") for channel, axis in _RATES.items())
         elif kind == "rates":
             yield from ((channel, f"{base}.{axis}") for channel, axis in _RATES.items())
+
+
+def _filled(topic: Topic, name: str) -> bool:
+    """Whether a column is of a vector that is not zero throughout; no sensor fills some of a message."""
+    vector, _, axis = name.rpartition(".")
+    return axis in ANGLES or any(np.any(topic.series.columns[f"{vector}.{a}"]) for a in _AXES)
 
 
 def _has_attitude(imu: Any) -> bool:
@@ -250,6 +263,12 @@ def _take_depth(known: _Understood, topic: Topic, frames: Frames) -> None:
         return
     usual = float(np.nanmedian(topic.series.columns["fluid_pressure"]))
     pascal = 1.0 if usual > _LEAST_PRESSURE else 100.0
+    if usual * pascal < _LEAST_PRESSURE:
+        known.notes.append(
+            f"{topic.series.name}: a pressure of {usual:.3g} is none of air and water in Pa or hPa, so that "
+            "it is no depth: column fluid_pressure can be z in a mapping file"
+        )
+        return
     down = 1.0 if frames.position == "NED" else -1.0
     column, water = depth(pascal, absolute=True, down=down)
     known.columns["z"] = f"{topic.series.name}.fluid_pressure", column

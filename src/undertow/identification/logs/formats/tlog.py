@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.conversions import north_east
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
 from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
-from .conversions import north_east
 from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
 from .stretches import armed_stretches, runs_of, used_stretches
 

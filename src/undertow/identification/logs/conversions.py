@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from undertow.identification.logs.mapping import Column
 from undertow.typing import Array
+
+from .mapping import Column
 
 ANGLES = ("phi", "theta", "psi")
 
