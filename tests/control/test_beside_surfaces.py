@@ -11,6 +11,7 @@ import pytest
 from undertow.control.allocation import allocation_of
 from undertow.control.closed_loop import Choices, ClosedLoop, Scenario
 from undertow.control.conditions.tracking import check_mission
+from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.guidance.mission import MissionTable, mission_from_table
 from undertow.control.linear.family import family
@@ -190,3 +191,16 @@ def test_a_torpedo_steered_by_a_surface_keeps_its_leg_across_a_current(tmp_path:
     assert np.abs(record.commands["rudder"]).max() <= np.radians(20) + 1e-9
     turned = replace(gains, values={k: -v if k.endswith("psi") else v for k, v in gains.values.items()})
     assert not check_mission(turned, mission).ok
+
+
+def test_a_rudder_holds_no_heading_at_rest(tmp_path: Path) -> None:
+    """Nothing is left alone and the conditions hold, but without way on no rudder corrects an error."""
+    path = tmp_path / "sideways.toml"
+    path.write_text(TORPEDO + '[[thrusters]]\nname = "side"\nposition = [0, 0, 0]\ndirection = [0, 1, 0]\n')
+    gains = {n: STEERED["gains"][n] for n in ("K_P", "K_V")}
+    table = STEERED | {"law": "pd", "unactuated": [], "allocation": {"speed": 1.5}, "gains": gains}
+    report = certify(gains_from_table(GainTable.model_validate(table), load_vehicle(path)), forms=["derived"])
+    assert report.conditions_hold
+    assert not report.ok
+    assert report.whole is not None
+    assert not report.whole.stable
