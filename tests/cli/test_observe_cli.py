@@ -98,3 +98,15 @@ def test_a_diagnosis_of_smoothed_velocities_names_the_hidden_current(tmp_path: P
     *fitted, kept = smoothed.values()
     assert main(["diagnose", vehicle, *fitted, "--holdout", kept]) == 0
     assert "Missing: ocean_current" in " ".join(capsys.readouterr().out.split())
+
+
+def test_several_logs_have_numbered_files_and_common_tests(dive: Path, tmp_path: Path, capsys) -> None:
+    second = tmp_path / "second.csv"
+    pl.read_csv(dive).with_columns(pl.col("x") + 1.0).write_csv(second)
+    command = ["observe", "mini-auv", str(dive), str(second), "--out", str(tmp_path / "smoothed.csv")]
+    assert main(command) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "Innovations of all 2 logs" in told
+    first, other = (pl.read_csv(tmp_path / f"smoothed-{k}.csv") for k in (1, 2))
+    np.testing.assert_allclose(other["x"] - first["x"], 1.0, atol=1e-3)
+    assert not (tmp_path / "smoothed.csv").exists()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 import sympy as sm
@@ -12,6 +14,7 @@ from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import Interval, enclose
+from undertow.control.conditions.definite import Work, sums_positive
 from undertow.control.conditions.embedding import certainly_positive
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.quadratic import search
@@ -158,6 +161,32 @@ def test_positive_definite_is_said_only_where_it_is() -> None:
         wide = np.full((6, 6), 1e-6)
         shifted = singular + 1e-6 * np.eye(6)
         assert not certainly_positive(Interval((shifted - wide)[None], (shifted + wide)[None]))
+
+
+@pytest.mark.parametrize("counts", [(2, 3), (3, 4, 2)])
+def test_sums_are_positive_only_where_each_of_them_is(counts: tuple[int, ...]) -> None:
+    """Against every sum on its own, near the border: none is said positive that is not."""
+    rng, n, rows = np.random.default_rng(4), 6, 200
+    ends = []
+    for count in counts:
+        some = rng.normal(size=(2, count, n, n))
+        some[:, -1] = -some[:, 0]
+        ends.append(0.5 * (some + np.swapaxes(some, -1, -2)))
+    place = np.arange(rows) % 2
+    sums = [sum(e[:, k] for e, k in zip(ends, ways, strict=True)) for ways in product(*map(range, counts))]
+    worst = np.min([np.linalg.eigvalsh(s)[:, 0] for s in sums], axis=0)[place]
+    off = rng.uniform(-0.2, 0.2, rows)
+    rest = enclose((off - worst)[:, None, None] * np.eye(n))
+    found = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows), Work(10**6))
+    np.testing.assert_array_equal(found[np.abs(off) > 1e-3], off[np.abs(off) > 1e-3] > 0)
+    pairs = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows) // 2, Work(10**6))
+    np.testing.assert_array_equal(pairs, found.reshape(-1, 2).all(axis=1))
+    wide = Interval(rest.lo - 0.02 / n, rest.hi + 0.02 / n)  # takes 0.02 at most, and 0.02 of the sum of all
+    left = sums_positive(wide, place, [enclose(e) for e in ends], np.arange(rows), Work(10**6))
+    assert not left[off < 0.015].any()
+    assert left[off > 0.03].all()
+    few = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows), Work(10))
+    assert not few.any()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.observer_log import BIAS, CURRENT, DRIVE, NOISE, auv, log
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
-from undertow.identification.observe import deviations, observe, observer_file, reports_of
+from undertow.identification.observe import deviations, observe, observe_logs, observer_file, reports_of
 from undertow.observer.design import ObserverTable, design
 from undertow.observer.process import process_of
 
@@ -78,7 +78,7 @@ def test_the_noise_that_drives_the_motion_is_found() -> None:
         assert found.disturbance[name] == pytest.approx(true, rel=0.35)
     assert found.nis[-1].honest
     assert found.noise["x"] == NOISE["x"]
-    table = observer_file(found, run, "found")
+    table = observer_file(found, [run], "found")
     again = design(ObserverTable.model_validate(tomllib.loads(table)), auv())
     assert again.noise["psi"] == pytest.approx(NOISE["psi"])
     assert again.period == pytest.approx(np.full(8, 0.1))
@@ -90,3 +90,22 @@ def test_too_few_reports_and_missing_commands_are_refused() -> None:
         observe(auv(), Run("empty", t, {"f1": t}))
     with pytest.raises(UndertowError, match="no command 'f1'"):
         observe(auv(), Run("no commands", t, {"x": t}), process="model")
+
+
+def test_several_logs_are_tested_together() -> None:
+    """NIS is the mean over all reports, sums of Ljung and Box add up, the file takes the mean noise."""
+    runs = [log(auv(), 20.0, seed, {"x": 1, "y": 1, "z": 1, "psi": 1})[0] for seed in (1, 2)]
+    one, other = (observe(auv(), run) for run in runs)
+    both = observe_logs(auv(), runs)
+    for single, other_one, pooled in zip(one.nis, other.nis, both.nis, strict=True):
+        assert pooled.count == single.count + other_one.count
+        total = single.mean * single.count + other_one.mean * other_one.count
+        assert pooled.mean == pytest.approx(total / pooled.count)
+        assert pooled.high < single.high
+    for single, other_one, pooled in zip(one.white, other.white, both.white, strict=True):
+        assert pooled.statistic == pytest.approx(single.statistic + other_one.statistic)
+        assert pooled.lags == single.lags + other_one.lags
+    noise = np.sqrt((one.noise["x"] ** 2 + other.noise["x"] ** 2) / 2)
+    table = tomllib.loads(observer_file(both, runs, "both"))
+    assert float(table["sensors"]["x"]["noise"].split()[0]) == pytest.approx(noise, rel=1e-3)
+    assert list(both.content()["logs"]) == [run.name for run in runs]

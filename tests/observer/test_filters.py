@@ -167,9 +167,9 @@ def test_errors_and_innovations_are_as_large_as_the_filter_says(estimates) -> No
     values = np.array([nees(found, truth, slice(200, 201))[0] for _, found, truth in estimates])
     low, high = nees_bounds(len(process.state_names), len(values))
     assert low < values.mean() < high
-    squares = [nis(found, process.channels)[-1] for _, found, _ in estimates]
+    squares = [nis([found], process.channels)[-1] for _, found, _ in estimates]
     assert sum(one.honest for one in squares) >= 8
-    white = [one.white for _, found, _ in estimates for one in whiteness(found, process.channels)]
+    white = [one.white for _, found, _ in estimates for one in whiteness([found], process.channels)]
     assert len(white) == 50
     assert sum(white) >= 46
 
@@ -213,7 +213,7 @@ def test_a_wrong_model_is_seen_in_the_innovations() -> None:
         given, _ = reports_of(run, process)
         q = np.array([DRIVE[n] for n in process.driven_names]) ** 2
         found = Observer(process, q).run(given, *first_guess(process, given))
-        verdicts.append({one.name: one.p_value for one in whiteness(found, process.channels)}["w"])
+        verdicts.append({one.name: one.p_value for one in whiteness([found], process.channels)}["w"])
     assert verdicts[0] > 0.01
     assert verdicts[1] < 1e-6
 

@@ -71,20 +71,21 @@ def allocation_of(gains: GainSet) -> Allocation:
             f"thrusters of '{vehicle.name}' cannot push in {', '.join(dofs[i] for i in rows)} independently: "
             "name in unactuated, in the gain file, what is to be left out"
         )
-    own = {t.name: t.limit for t in vehicle.thrusters}
-    stated = {name: _limit(name, limit) for name, limit in gains.allocation.limits.items()}
+    own, units = vehicle.command_limits, vehicle.command_units
+    stated = {name: _limit(name, limit, units[name]) for name, limit in gains.allocation.limits.items()}
     names = vehicle.command_names
-    limits = [stated.get(n, own.get(n)) for n in names]
+    limits = [stated.get(n, own.get(n, np.inf)) for n in names]
     weights = np.array([gains.allocation.weights.get(n, 1.0) for n in names])
-    return Allocation(matrix, rows, weights, np.array([np.inf if v is None else v for v in limits]))
+    return Allocation(matrix, rows, weights, np.array(limits))
 
 
-def _limit(name: str, stated: Quantity) -> float:
-    """A limit as vehicle files state it: in N where the command is the thrust itself."""
+def _limit(name: str, stated: Quantity, unit: str) -> float:
+    """A limit as vehicle files state it: an angle, or in N where the command is the thrust itself."""
+    newtons = isinstance(stated, str) and "N" in stated
     try:
-        value = to_si(stated, "N" if isinstance(stated, str) and "N" in stated else "command")
+        value = to_si(stated, "rad" if unit == "rad" else "N" if newtons else "command")
     except UndertowError as error:
-        raise UndertowError(f"[allocation] limit of thruster '{name}': {error}") from error
+        raise UndertowError(f"[allocation] limit of '{name}': {error}") from error
     if value <= 0:
-        raise UndertowError(f"[allocation] limit of thruster '{name}' is {stated}: give one above zero")
+        raise UndertowError(f"[allocation] limit of '{name}' is {stated}: give one above zero")
     return value

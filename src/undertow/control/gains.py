@@ -143,7 +143,7 @@ def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
         )
     law = LAWS[table.law]()
     plant = Plant(vehicle, _speed(table.allocation))
-    _check_axes(table, plant)
+    _check_axes(table, plant, bool(vehicle.surfaces))
     values: dict[str, float] = {}
     for gain in _declared(table, type(law)):
         values |= _values(gain, table.gains[gain.name], vehicle, table.unactuated)
@@ -247,15 +247,17 @@ def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
 
 
 # --- what the law needs of the vehicle ----------------------------------------------------------
-def _check_axes(table: GainTable, plant: Plant) -> None:
+def _check_axes(table: GainTable, plant: Plant, steered: bool) -> None:
     """Refuse a law that asks for forces which no thruster gives, unless the file says that it knows."""
     vehicle = plant.vehicle
     silent = [vehicle.degrees_of_freedom[i] for i in plant.unactuated]
     missing = [d for d in silent if d not in table.unactuated]
     if missing:
+        idle = steered and not plant.speed
+        remedy = "state [allocation] speed, at which surfaces steer" if idle else "add a thruster"
         raise UndertowError(
             f"law '{table.law}' asks for a force in {', '.join(missing)}, which no thruster of "
-            f"'{vehicle.name}' gives: add a thruster, or write unactuated = {json.dumps(silent)} if that "
+            f"'{vehicle.name}' gives: {remedy}, or write unactuated = {json.dumps(silent)} if that "
             "force is to be left out"
         )
     odd = [d for d in table.unactuated if d not in silent and not _dependent(d, table, plant)]
@@ -277,7 +279,7 @@ def _dependent(dof: str, table: GainTable, plant: Plant) -> bool:
 
 
 def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
-    known = [t.name for t in vehicle.thrusters]
+    known = vehicle.actuator_names if allocation.speed is not None else [t.name for t in vehicle.thrusters]
     for key in (*allocation.weights, *allocation.limits):
         if key not in known:
             raise UndertowError(

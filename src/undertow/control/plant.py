@@ -29,13 +29,14 @@ class Plant:
     Every wrench is sorted by what it depends on: its derivative in the acceleration goes to M, what stays at
     rest to g, what is proportional to inputs to B, and what moves to C (workless effects) or D (all others).
     What fits nowhere is named in `left_out`, with the reason by id; simulations contain it, conditions on
-    gains do not.
+    gains do not. `vehicle` is the model as given, but for logged inputs, which no law commands, and without a
+    speed for control surfaces; `speed`, m/s, is that ahead at which forces of fins are taken.
     """
 
     def __init__(self, vehicle: Vehicle, speed: float = 0.0) -> None:
         self.speed = speed
         self.left_out: dict[str, str] = {}
-        self.vehicle = vehicle = _by_thrusters_alone(vehicle, self.left_out)
+        self.vehicle = vehicle = _as_commanded(vehicle, speed, self.left_out)
         self._composition = _in_still_water(vehicle, self.left_out).composition
         n = len(vehicle.dof_indices)
         self._mass, self._damping, self._moving = sm.zeros(n, n), sm.zeros(n, n), sm.zeros(n, 1)
@@ -56,9 +57,9 @@ class Plant:
 
     @property
     def inputs(self) -> sm.Matrix:
-        """What reaches each thruster, in units of its command, then forces known directly, N and N m."""
+        """What reaches thrusters, in units of the command; angles of surfaces; known forces, N and N m."""
         forces = [symbol(name) for name in self._composition.forces]
-        inputs = [*self._composition.signals.actuation, *forces]
+        inputs = [*self._composition.actuation, *forces]
         return sm.Matrix(len(inputs), 1, inputs)
 
     @cached_property
@@ -223,25 +224,27 @@ class Plant:
         return ""
 
 
-def _by_thrusters_alone(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
-    """The vehicle without control surfaces, which need way on, and without inputs that only a log has."""
-    if not vehicle.surfaces and not vehicle.inputs:
+def _as_commanded(vehicle: Vehicle, speed: float, left_out: dict[str, str]) -> Vehicle:
+    """The vehicle without inputs that only a log has, and at no speed without surfaces, which need way on."""
+    idle = () if speed else vehicle.surfaces
+    if not idle and not vehicle.inputs:
         return vehicle
-    left_out |= {s.name: "laws command thrusters, and this surface stays at zero" for s in vehicle.surfaces}
+    reason = "it stays at zero: laws command surfaces at a speed ahead ([allocation] speed)"
+    left_out |= {s.name: reason for s in idle}
     left_out |= {name: "an input that logs hold: laws take it as zero" for name in vehicle.inputs}
-    kept = tuple(e for e in vehicle.effects if ControlSurfaces.id not in e.requires)
-    alone = replace(vehicle, effects=kept, surfaces=(), inputs={})
+    kept = tuple(e for e in vehicle.effects if not idle or ControlSurfaces.id not in e.requires)
+    alone = replace(vehicle, effects=kept, surfaces=() if idle else vehicle.surfaces, inputs={})
     return alone.with_values({n: Value(0.0) for n in vehicle.inputs if n in alone.declared_parameters})
 
 
 def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
     """The vehicle without what the water, the way of a command and the sensors do."""
-    for effect in vehicle.effects:
+    for effect in vehicle.all_effects:
         other = [k for k in kinds_of(effect) if k != "wrench"]
         if other:
             left_out[effect.id] = f"{other[0]}: conditions are for still water, ideal thrust and true states"
     kept = tuple(e for e in vehicle.effects if e.id not in left_out)
-    ids = {e.id for e in kept} | {"thrusters"}
+    ids = {e.id for e in kept} | {"thrusters", ControlSurfaces.id}
     for effect in kept:
         if not set(effect.requires) <= ids:
             left_out[effect.id] = f"it needs {', '.join(effect.requires)}"

@@ -71,10 +71,103 @@ class Observed:
             "noise": self.noise,
             "disturbance": self.disturbance,
             "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in self.parameters.items()},
-            "nis": [vars(one) | {"honest": one.honest} for one in self.nis],
-            "whiteness": [vars(one) | {"white": one.white} for one in self.white],
+            **_tests(self.nis, self.white),
             "disbelieved": self.disbelieved,
         }
+
+
+@dataclass(frozen=True)
+class ObservedLogs:
+    """Some logs with their states, and the tests over all of them.
+
+    Attributes
+    ----------
+    each : tuple of Observed
+        By log.
+    nis, white : tuple
+        Tests of the innovations of all logs together.
+    """
+
+    each: tuple[Observed, ...]
+    nis: tuple[Normalised, ...]
+    white: tuple[Whiteness, ...]
+
+    @property
+    def process(self) -> Kind:
+        """ "model" or "kinematics"."""
+        return self.each[0].process
+
+    @property
+    def honest(self) -> bool:
+        """Whether innovations of all logs are as large as the filter says, and white."""
+        return self.nis[-1].honest and all(one.white for one in self.white)
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Root mean square over the logs of the standard deviation of a report, by channel."""
+        return _root_mean_squares([one.noise for one in self.each])
+
+    @property
+    def disturbance(self) -> dict[str, float]:
+        """The same of the noise on rates."""
+        return _root_mean_squares([one.disturbance for one in self.each])
+
+    @property
+    def disbelieved(self) -> dict[str, int]:
+        """Reports beyond the gate by channel, of all logs."""
+        names = dict.fromkeys(n for one in self.each for n in one.disbelieved)
+        return {n: sum(one.disbelieved.get(n, 0) for one in self.each) for n in names}
+
+    def content(self) -> dict[str, object]:
+        """The numbers, for JSON: those of the log where it is one, else by log and over all."""
+        if len(self.each) == 1:
+            return self.each[0].content()
+        return {
+            "process": self.process,
+            "logs": {one.run.name: one.content() for one in self.each},
+            "noise": self.noise,
+            "disturbance": self.disturbance,
+            **_tests(self.nis, self.white),
+            "disbelieved": self.disbelieved,
+        }
+
+
+def _root_mean_squares(each: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    names = dict.fromkeys(n for one in each for n in one)
+    return {n: float(np.sqrt(np.mean([one[n] ** 2 for one in each if n in one]))) for n in names}
+
+
+def _tests(nis: Sequence[Normalised], white: Sequence[Whiteness]) -> dict[str, object]:
+    return {
+        "nis": [vars(one) | {"honest": one.honest} for one in nis],
+        "whiteness": [vars(one) | {"white": one.white} for one in white],
+    }
+
+
+def observe_logs(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    *,
+    process: Kind = "kinematics",
+    estimated: Sequence[str] = (),
+    method: Method | None = None,
+    progress: Progress = lambda done, words: None,
+) -> ObservedLogs:
+    """`observe` for every one of some logs, with NIS and whiteness over all of them.
+
+    Noise, the disturbance and estimated parameters are those of each log.
+    """
+    found = []
+    for k, run in enumerate(runs):
+
+        def part(done: float, words: str, k: int = k, name: str = run.name) -> None:
+            progress((k + done) / len(runs), f"{name}: {words}" if len(runs) > 1 else words)
+
+        one = observe(vehicle, run, process=process, estimated=estimated, method=method, progress=part)
+        found.append(one)
+    channels = process_of(vehicle, estimated, process).channels
+    filtered = [one.filtered for one in found]
+    return ObservedLogs(tuple(found), nis(filtered, channels), whiteness(filtered, channels))
 
 
 def observe(
@@ -125,8 +218,8 @@ def observe(
         filtered,
         {n: float(np.sqrt(reports.variance[i])) for i, n in enumerate(what.channels) if known[i]},
         dict(zip(what.driven_names, np.sqrt(densities).tolist(), strict=True)),
-        nis(filtered, what.channels),
-        whiteness(filtered, what.channels),
+        nis([filtered], what.channels),
+        whiteness([filtered], what.channels),
         {n: (float(last[0][what.index(n)]), float(last[1][what.index(n)])) for n in estimated},
         {n: int(c) for n, c in zip(what.channels, gone.sum(axis=0), strict=True) if c},
     )
@@ -264,19 +357,22 @@ def csv(observed: Observed) -> str:
     return pl.DataFrame(columns).fill_nan(None).write_csv()
 
 
-def observer_file(observed: Observed, run: Run, name: str) -> str:
-    """An observer file (TOML): the sensors of a log with noise and rates, and the noise that was found."""
+def observer_file(observed: Observed | ObservedLogs, runs: Sequence[Run], name: str) -> str:
+    """An observer file (TOML): the sensors of logs with noise and rates, and the noise that was found.
+
+    Of several logs, root mean squares of the noise, and the median of the rates.
+    """
     import tomlkit
 
     document = tomlkit.document()
     document.update({"schema": SCHEMA, "name": name, "process": observed.process})
-    document["estimate"] = list(observed.parameters)
+    first = observed.each[0] if isinstance(observed, ObservedLogs) else observed
+    document["estimate"] = list(first.parameters)
     sensors = tomlkit.table()
     for channel, sigma in observed.noise.items():
         row = tomlkit.inline_table()
-        row.update(
-            {"noise": f"{sigma:.4g} {MOTION_UNITS[channel]}", "period": f"{run.period(channel):.4g} s"}
-        )
+        period = np.median([run.period(channel) for run in runs if run.has(channel)])
+        row.update({"noise": f"{sigma:.4g} {MOTION_UNITS[channel]}", "period": f"{period:.4g} s"})
         sensors[channel] = row
     document["sensors"] = sensors
     document["disturbance"] = {n: float(f"{v:.4g}") for n, v in observed.disturbance.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,18 +77,34 @@ def innovations(found: Estimate, channel: int) -> Array:
     return (e / np.sqrt(s))[SETTINGS.burn_in :]
 
 
-def nis(found: Estimate, channels: tuple[str, ...]) -> tuple[Normalised, ...]:
-    """Normalised innovation squared of every channel that reports, and of all (Bar-Shalom et al. 2001)."""
-    each = {n: innovations(found, i) ** 2 for i, n in enumerate(channels)}
+def nis(found: Sequence[Estimate], channels: tuple[str, ...]) -> tuple[Normalised, ...]:
+    """Normalised innovation squared of every channel that reports, and of all (Bar-Shalom et al. 2001).
+
+    Over all of some logs.
+    """
+    each = {n: np.concatenate([innovations(one, i) for one in found]) ** 2 for i, n in enumerate(channels)}
     each = {n: squares for n, squares in each.items() if len(squares)}
     whole = np.concatenate(list(each.values())) if each else np.empty(0)
     return (*(_normalised(n, squares) for n, squares in each.items()), _normalised("all", whole))
 
 
-def whiteness(found: Estimate, channels: tuple[str, ...]) -> tuple[Whiteness, ...]:
-    """The Ljung-Box test for every channel with reports enough (Ljung and Box 1978)."""
-    each = ((n, innovations(found, i)) for i, n in enumerate(channels))
-    return tuple(ljung_box(n, e) for n, e in each if len(e) >= 2 * SETTINGS.per_lag)
+def whiteness(found: Sequence[Estimate], channels: tuple[str, ...]) -> tuple[Whiteness, ...]:
+    """The Ljung-Box test for every channel with reports enough (Ljung and Box 1978).
+
+    Over all of some logs: statistics of logs that do not know each other add up, and so do their degrees of
+    freedom.
+    """
+    tests = []
+    for i, name in enumerate(channels):
+        each = [ljung_box(name, e) for e in (innovations(one, i) for one in found) if _enough(e)]
+        if each:
+            lags, statistic = sum(one.lags for one in each), sum(one.statistic for one in each)
+            tests.append(Whiteness(name, lags, statistic, float(chi2.sf(statistic, lags))))
+    return tuple(tests)
+
+
+def _enough(e: Array) -> bool:
+    return len(e) >= 2 * SETTINGS.per_lag
 
 
 def ljung_box(name: str, e: Array) -> Whiteness:

@@ -20,10 +20,17 @@ such a log finds the model that it was made with, so it is written with --trust-
 
 The noise of a report is that of the mapping file, or found from differences; the noise that drives the motion
 is that for which the reports are likeliest.
+
+Of several logs (or stretches of one) each has its own filter and noise, and the tests are those of all
+together. Files of each log are numbered in their order (smoothed-1.csv ...), and an observer file takes
+the noise of all.
+
+    undertow observe rov.toml dive1.csv dive2.csv --out smoothed.csv
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -31,14 +38,15 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import JsonOption, ReadOptions, VehicleArgument, bundled, words
+from .._options import JsonOption, LogsArgument, ReadOptions, VehicleArgument, bundled, words
 from .._terminal import print_json, progress, say, section, table, write_files
 
 if TYPE_CHECKING:
     from undertow.identification.logs.run import Run
-    from undertow.identification.observe import Observed
+    from undertow.identification.observe import Observed, ObservedLogs
     from undertow.model.vehicle import Vehicle
 
+_Pair = tuple[Path | None, Path | None]
 _PROCESS = typer.Option(help="What moves: kinematics alone, or the model.")
 _FILTER = typer.Option(
     help="Extended or unscented Kalman filter.",
@@ -55,7 +63,7 @@ _PLOT = typer.Option(metavar="OUT.png", help="Draw estimates with two sigma, and
 @bundled
 def observe(
     vehicle: VehicleArgument,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A table, or a log as a vehicle wrote it.")],
+    logs: LogsArgument,
     options: ReadOptions,
     process: Annotated[Literal["kinematics", "model"], _PROCESS] = "kinematics",
     filter: Annotated[Literal["ekf", "ukf"] | None, _FILTER] = None,
@@ -68,62 +76,89 @@ def observe(
     json: JsonOption = False,
 ) -> None:
     from undertow.files import check_writable, write_whole
-    from undertow.identification.observe import csv, observe, observer_file
+    from undertow.identification.observe import observe_logs, observer_file
 
-    check_writable(out, save, plot, inputs=[vehicle, log, *options.files])
+    check_writable(out, save, plot, inputs=[vehicle, *logs, *options.files])
     if out is not None and process == "model" and not trust_model:
         raise UndertowError(
             f"--out {out}: velocities that the model made must not go into a diagnosis of it; take --process "
             "kinematics, or give --trust-model if the log is for something else"
         )
-    model, run = _read(vehicle, log, options)
+    model, runs = _read(vehicle, logs, options)
     estimated = (*(("V_N", "V_E") if current else ()), *(f"b_{n}" for n in words([bias] if bias else [])))
     with progress("observing") as report:
-        found = observe(model, run, process=process, estimated=estimated, method=filter, progress=report)
+        found = observe_logs(
+            model, runs, process=process, estimated=estimated, method=filter, progress=report
+        )
+
+    names = _of_each(out, plot, runs)
+    check_writable(*(path for pair in names for path in pair), inputs=[*logs, *options.files])
+    write_files(
+        *(pair for n, one, run in zip(names, found.each, runs, strict=True) for pair in _files(n, one, run)),
+        (save, lambda path: write_whole(path, observer_file(found, runs, path.stem))),
+    )
+    if json:
+        print_json(found.content())
+    else:
+        _show_all(found)
+
+
+def _files(names: _Pair, one: Observed, run: Run) -> list[tuple[Path | None, Callable[[Path], object]]]:
+    """The table and the picture of a log, with what writes them."""
+
+    def table_of(path: Path) -> None:
+        from undertow.files import write_whole
+        from undertow.identification.observe import csv
+
+        write_whole(path, csv(one))
 
     def draw(path: Path) -> None:
         from undertow.figures import save_png
         from undertow.identification.report.pictures import observed_picture
 
-        save_png(observed_picture(found, run), path)
+        save_png(observed_picture(one, run), path)
 
-    write_files(
-        (out, lambda path: write_whole(path, csv(found))),
-        (save, lambda path: write_whole(path, observer_file(found, run, path.stem))),
-        (plot, draw),
-    )
-    if json:
-        print_json(found.content())
-    else:
-        show(found)
+    return [(names[0], table_of), (names[1], draw)]
 
 
-def _read(vehicle: str, log: Path, options: ReadOptions) -> tuple[Vehicle, Run]:
-    """The vehicle and the log, as it is: an observer derives nothing."""
+def _of_each(out: Path | None, plot: Path | None, runs: Sequence[Run]) -> list[_Pair]:
+    """The table and the picture of every log: numbered where there are several."""
+    if len(runs) == 1:
+        return [(out, plot)]
+
+    def numbered(path: Path | None, k: int) -> Path | None:
+        return path and path.with_name(f"{path.stem}-{k}{path.suffix}")
+
+    return [(numbered(out, k), numbered(plot, k)) for k in range(1, len(runs) + 1)]
+
+
+def _read(vehicle: str, logs: Sequence[Path], options: ReadOptions) -> tuple[Vehicle, list[Run]]:
+    """The vehicle and the logs, as they are: an observer derives nothing."""
     from undertow.identification.logs.reading import read_logs
     from undertow.model.loading import load_vehicle
 
     model = load_vehicle(vehicle, effect_files=options.effects or [])
     window, fill = (options.since, options.until), options.fill
     runs = read_logs(
-        [log], model, options.mapping, window=window, missing_commands=fill or "gap", one_motion=True
+        list(logs), model, options.mapping, window=window, missing_commands=fill or "gap", one_motion=True
     )
-    if len(runs) > 1:
-        raise UndertowError(f"log {log} has {len(runs)} stretches: choose one with --from and --to")
-    return model, runs[0]
+    return model, list(runs)
+
+
+def _show_all(found: ObservedLogs) -> None:
+    """Print each log, then the tests over all."""
+    for one in found.each:
+        if len(found.each) > 1:
+            section(one.run.name)
+        show(one)
+    if len(found.each) > 1:
+        innovations(f"Innovations of all {len(found.each)} logs", found)
+        say(verdict(found), "bold")
 
 
 def show(found: Observed) -> None:
     """Print sensors, noise, estimated parameters and the tests."""
-    white = {one.name: one for one in found.white}
-    rows = []
-    for one in found.nis[:-1]:
-        p = f"{white[one.name].p_value:.2g}" if one.name in white else ""
-        gone = found.disbelieved.get(one.name, 0)
-        numbers = (f"{found.noise[one.name]:.3g}", str(one.count), f"{gone or ''}", f"{one.mean:.3f}")
-        rows.append((one.name, *numbers, f"{one.low:.3f} to {one.high:.3f}", p))
-    head = ("sensor", "noise", "reports", "disbelieved", "NIS", "95 %", "white, p")
-    section(f"Innovations ({found.process})", table(head, rows))
+    innovations(f"Innovations ({found.process})", found)
     driven = [(n, f"{v:.3g}") for n, v in found.disturbance.items()]
     section("Noise on rates, root of the spectral density", table(("state", "SI, s^0.5"), driven))
     if found.parameters:
@@ -132,12 +167,25 @@ def show(found: Observed) -> None:
     say(verdict(found), "bold")
 
 
+def innovations(title: str, found: Observed | ObservedLogs) -> None:
+    """Print the tests by sensor."""
+    white = {one.name: one for one in found.white}
+    rows = []
+    for one in found.nis[:-1]:
+        p = f"{white[one.name].p_value:.2g}" if one.name in white else ""
+        gone = found.disbelieved.get(one.name, 0)
+        numbers = (f"{found.noise[one.name]:.3g}", str(one.count), f"{gone or ''}", f"{one.mean:.3f}")
+        rows.append((one.name, *numbers, f"{one.low:.3f} to {one.high:.3f}", p))
+    head = ("sensor", "noise", "reports", "disbelieved", "NIS", "95 %", "white, p")
+    section(title, table(head, rows))
+
+
 _KINEMATIC = (
     "noise is not as stated, or the acceleration jumps (thrusters that step), where kinematics are too sure"
 )
 
 
-def verdict(found: Observed) -> str:
+def verdict(found: Observed | ObservedLogs) -> str:
     """One line on the whole."""
     whole = found.nis[-1]
     if found.honest:

@@ -13,7 +13,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, block, enclose, enclosing
 from .commands import Commands
@@ -494,3 +494,15 @@ def halved(boxes: Boxes) -> Boxes:
     upper = boxes | {longest: Interval(middle, boxes[longest].hi)}
     join = np.concatenate
     return {a: Interval(join([lower[a].lo, upper[a].lo]), join([lower[a].hi, upper[a].hi])) for a in boxes}
+
+
+def corners_of(boxes: Boxes) -> tuple[Boxes, Index]:
+    """The attitudes at the corners of boxes, each once, and their places, shape (corners, boxes)."""
+    if not boxes:
+        return {}, np.zeros((1, 1), dtype=int)
+    ends = [np.stack([v.lo, v.hi]) for v in boxes.values()]
+    rows = np.array(
+        [[e[k] for e, k in zip(ends, ways, strict=True)] for ways in product((0, 1), repeat=len(ends))]
+    )
+    found, place = np.unique(rows.swapaxes(1, 2).reshape(-1, len(ends)), axis=0, return_inverse=True)
+    return {a: point(found[:, i]) for i, a in enumerate(boxes)}, place.reshape(len(rows), -1)

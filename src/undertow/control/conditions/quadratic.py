@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,18 +17,16 @@ from .attitude import Interval, enclose
 from .commands import Commands
 from .definite import (
     ROOM,
+    Work,
     along,
     bounded,
-    covers,
     doubled,
     flat,
-    mean_roots,
-    positive,
     rows_of,
+    sums_positive,
     touched,
-    widest,
 )
-from .embedding import Boxes, Corners, Embedding, certainly_positive, count_of, halved, point
+from .embedding import Boxes, Corners, Embedding, certainly_positive, corners_of, count_of, halved, point
 from .problem import Problem
 from .result import Quadratic, together
 from .semidefinite import Form, solved
@@ -47,22 +45,24 @@ class QuadraticSettings:
     sectors: int = 6
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
-    most: float = 2e9  # size^3 of all matrices that one proof may look at: seconds
-    batch: int = 1024  # attitudes and signs at a time: memory
+    most: int = 400_000  # matrices that one proof may look at: seconds
+    batch: int = 256  # boxes of attitudes and signs at a time: memory
     looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     starts: int = 3  # eigenvectors from which that corner is looked for, and
     steps: int = 4  # turns between the corner and its eigenvector
-    most_forms: int = 800  # matrix inequalities that the solver is given in one search: seconds
+    most_forms: int = 2000  # matrix inequalities that the solver is given in one search: seconds
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
     rise: float = 0.02  # of the start's level from a round to the next, below which the level is known
-    tries: int = 16  # boxes of speeds that are tried
+    tries: int = 40  # boxes of speeds that are tried
+    first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
     smaller: float = 0.6  # factor on speeds for which there is no V
     # Factors on speeds that a V asks for which does not hold the start: a little more, and at most so much.
     more: float = 1.15
     most_more: float = 8.0
+    least_fall: float = 0.003  # of the logarithm of the start's level that a step has to promise
     least_step: float = 0.03  # change of speeds, relative, below which no better ones are looked for
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
@@ -94,6 +94,34 @@ class Row(NamedTuple):
     states: Array
     bound: float
     velocity: int | None = None  # which one, if it is one
+
+
+class _Slopes:
+    """Tangents of the logarithm of the start's level over the logarithms of speeds.
+
+    Their maximum stands in for the level, which has kinks where other corners become the worst (Kelley 1960,
+    The cutting-plane method for solving convex programs). Where it is not convex, steps are only worse.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[Array] = []  # slope and value at the origin
+
+    def add(self, place: Array, found: Proposal) -> None:
+        """Take what a program came to at some speeds; one that was left early bounds the level, too."""
+        slope = found.slopes / found.start
+        self._rows.append(np.append(slope, np.log(found.start) - slope @ place))
+
+    def step(self, place: Array, radius: float) -> tuple[Array, float]:
+        """The change of each logarithm, up to the radius, that brings the maximum down most, and to what."""
+        from scipy.optimize import linprog
+
+        rows, n = np.array(self._rows), len(place)
+        left = np.column_stack([rows[:, :n], -np.ones(len(rows))])
+        cost, limits = np.append(np.zeros(n), 1.0), [(-radius, radius)] * n + [(None, None)]
+        found = linprog(cost, left, -(rows[:, n] + rows[:, :n] @ place), bounds=limits)
+        if not found.success:
+            return -radius * np.sign(rows[-1, :n]), -np.inf
+        return np.asarray(found.x[:n]), float(found.x[n])
 
 
 class Bounds(NamedTuple):
@@ -157,7 +185,7 @@ class Search:
     def _in_sector(self, bounds: Bounds) -> tuple[Bounds, Quadratic] | None:
         """V is searched for on smaller speeds until there is one, then on those that its start asks for."""
         best: tuple[Bounds, Program, Proposal] | None = None
-        step = 0.0
+        slopes, radius = _Slopes(), SETTINGS.first_step
         for _ in range(SETTINGS.tries):
             program = Program(self, bounds)
             if program.rate <= 0:
@@ -170,12 +198,16 @@ class Search:
             if best is None and (proposal is None or proposal.start < 1):
                 bounds = self._smaller(bounds)
                 continue
-            if proposal is not None and (best is None or proposal.start < best[2].start):
-                best = bounds, program, proposal
-                step = max(1.5 * step, min(0.5 * np.log(proposal.start * SETTINGS.more), np.log(8.0)))
-            else:
-                step /= 2
-            if best is None or step < SETTINGS.least_step:
+            better = proposal is not None and (best is None or proposal.start < best[2].start)
+            radius *= 1.0 if best is None else 1.5 if better else 0.5
+            if proposal is not None:
+                slopes.add(np.log(bounds.speeds), proposal)
+                best = (bounds, program, proposal) if better else best
+            if best is None or radius < SETTINGS.least_step:
+                return None
+            radius = min(radius, np.log(SETTINGS.most_more))
+            step, level = slopes.step(np.log(best[0].speeds), radius)
+            if level > np.log(best[2].start) - SETTINGS.least_fall:
                 return None
             bounds = self._moved(*best, step)
         return None
@@ -185,12 +217,11 @@ class Search:
         tilts = {a: max(SETTINGS.smaller * t, self._tilt(a, least[a])) for a, t in bounds.tilts.items()}
         return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
 
-    def _moved(self, bounds: Bounds, program: Program, proposal: Proposal, step: float) -> Bounds:
-        """Speeds along the slope of the start's level, and tilts that the start asks for."""
-        way = -proposal.slopes / max(float(np.abs(proposal.slopes).max()), 1e-300)
+    def _moved(self, bounds: Bounds, program: Program, proposal: Proposal, step: Array) -> Bounds:
+        """Speeds changed by these logarithms, and tilts that the start asks for."""
         reach = program.reach(proposal) * np.sqrt(proposal.start) * SETTINGS.more
         tilts = {a: self._tilt(a, v) for a, v in self._tilted(reach).items()}
-        return Bounds(bounds.speeds * np.exp(step * way), tilts)
+        return Bounds(bounds.speeds * np.exp(step), tilts)
 
     def _require_thrust(self) -> None:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
@@ -256,7 +287,7 @@ class Program:
         self.search, self.bounds, self.loop = search, bounds, search.loop
         self.corners: Corners = self.loop.corners(bounds.speeds)
         self.samples = self._samples()
-        self._looked = 0.0
+        self._work = Work(SETTINGS.most)
         self._scale = self._scaling()
 
     @property
@@ -530,16 +561,16 @@ class Program:
         P = 0.5 * (proposal.P + proposal.P.T)
         if not (certainly_positive(enclose(P[None])) and self._fixed_proved(P)):
             return None
-        weights = self._start_weights(P)
-        if weights is None or not self._everywhere(P):
+        weights, start = self._start_weights(P)
+        if not start < 1 or not self._everywhere(P):
             return None
-        return self._stated(P, proposal, weights)
+        return self._stated(P, proposal, weights, start)
 
     def _fixed_proved(self, P: Array) -> bool:
         return all(bounded(P, enclose(row[None, None]), np.array([b])).all() for row, b in self._fixed_rows())
 
-    def _start_weights(self, P: Array) -> Array | None:
-        """S diagonal with S > P_EE, proved, and E' S E < 1 on the start box; None if there is none."""
+    def _start_weights(self, P: Array) -> tuple[Array, float]:
+        """S diagonal with S > P_EE, proved, and a bound on E' S E on the start box, infinite if not."""
         n, size = self.loop.n, self.loop.size
         own = P[size - 2 * n : size - n, size - 2 * n : size - n]
         weights = np.zeros(n)
@@ -547,10 +578,10 @@ class Program:
         for group in self.loop.groups:
             weights[group] = np.max((np.diag(own) + off)[group]) * (1 + 1e-9)
         if not certainly_positive(enclose((np.diag(weights) - own)[None] + 1e-12 * np.diag(weights))):
-            return None
+            return weights, np.inf
         scaled = self.search.start / self._scale[size - 2 * n : size - n]
         total = sum(weights[g[0]] * scaled[g[0]] ** 2 for g in self.loop.groups)
-        return weights if total * (1 + 1e-9) < 1 else None
+        return weights, float(total * (1 + 1e-9))
 
     def _everywhere(self, P: Array) -> bool:
         """Whether V falls and all bounds hold at every attitude: boxes of angles are halved until it does."""
@@ -558,12 +589,12 @@ class Program:
 
     def _halving(self, P: Array, holds: Callable[[Array, Boxes], Flags]) -> bool:
         boxes = self.loop.boxes(self._ranges)
-        self._looked = 0.0
+        self._work = Work(SETTINGS.most)
         for _ in range(SETTINGS.halvings * max(len(boxes), 1)):
             open_ = ~holds(P, boxes)
             if not open_.any():
                 return True
-            if not boxes or self._looked > SETTINGS.most:
+            if not boxes or self._work.left < 0:
                 return False
             boxes = halved({a: Interval(v.lo[open_], v.hi[open_]) for a, v in boxes.items()})
             if open_.all():
@@ -594,76 +625,20 @@ class Program:
         for angle, side in boxes.items():
             width = (side.hi - side.lo)[:, None, None]
             missed += 1.001 * width**2 / 8 * self.loop.bend(self.corners, boxes, angle) * ratio
-        around = Interval(-missed[:, None], missed[:, None])
-        held = np.ones(count_of(boxes), dtype=bool)
-        for corner in product(*(("lo", "hi") for _ in boxes)):
-            at = {a: point(getattr(v, side)) for (a, v), side in zip(boxes.items(), corner, strict=True)}
-            held[held] = self._falls_at(
-                {a: Interval(v.lo[held], v.hi[held]) for a, v in at.items()},
-                Interval(around.lo[held], around.hi[held]) if boxes else around,
-                P,
-            )
-            if not held.any():
-                break
-        return held
-
-    def _falls_at(self, at: Boxes, around: Interval, P: Array) -> Flags:
-        """The same at attitudes that are points; `around` is added to A."""
-        rest = P @ (self._scaled(self.loop.rest(self.corners, at)) + around)
-        falls, shape = -(rest + rest.T), rest.lo.shape[:2]
-        ends = []
-        for end in self.loop.added(self.corners, at):
-            added = P @ self._scaled(end)
-            ends.append(flat(-(added + added.T)))
-        place = np.arange(shape[0] * shape[1]) % len(ends[0].lo)  # ends are the same at all attitudes, or not
-        held: Flags = self._sums_positive(flat(falls), place, ends).reshape(shape)
-        return np.asarray(held.all(axis=1))
-
-    def _sums_positive(self, rest: Interval, place: Any, ends: list[Interval]) -> Flags:
-        """By row, whether rest + one of the ends of each is positive definite whichever they are, proved.
-
-        The ends of a row are those at its `place`. With C_i in the middle of the ends and T_i >= C_i - end
-        for each of them, rest + sum of (C_i - T_i) is below every such sum. Where that is not positive, one
-        set of ends is cut into two. (Ben-Tal and Nemirovski 2002, On tractable approximations of uncertain
-        linear matrix inequalities affected by interval uncertainty, SIAM J. Optim. 12, look for T_i by a
-        program.)
-        """
-        held = np.zeros(len(rest.lo), dtype=bool)
-        own, place = np.unique(place, return_inverse=True)
-        ends = [rows_of(e, own) for e in ends]
-        centres = [0.5 * (e.middle[:, 0] + e.middle[:, -1]) for e in ends]
-        centre = np.sum(centres, axis=0)
-        middle = rest.middle + centre[place]
-        live = np.flatnonzero(np.linalg.eigvalsh(middle)[:, 0] > 0)
-        work = len(own) * sum(e.lo.shape[1] for e in ends) + len(held)
-        self._looked += work * rest.lo.shape[-1] ** 3
-        if self._looked > SETTINGS.most or not len(live):
-            return held
-        root = mean_roots(middle[live], place[live], len(own))
-        taken, sure = covers(ends, centres, root)
-        lowered = centre - root @ np.sum(taken, axis=0) @ np.swapaxes(root, -1, -2)
-        inverse = np.linalg.inv(root)[place[live]]  # triangular: regular for certain
-        left = inverse @ (rows_of(rest, live) + lowered[place[live]]) @ np.swapaxes(inverse, -1, -2)
-        blur = left.radius.sum(axis=-1).max(axis=-1)  # what the width of the attitudes takes
-        good = sure[place[live]] & (np.linalg.eigvalsh(left.middle)[:, 0] > blur)
-        held[live[good]] = positive(rows_of(left, good))
-        # Where attitudes alone take everything, cutting ends is of no use.
-        hopeful = live[~held[live] & (blur < 1)]
-        cutting = widest(ends, taken, np.unique(place[hopeful]))
-        if not len(hopeful) or cutting is None:
-            return held
-        half = ends[cutting].lo.shape[1] // 2
-        for part in (slice(None, half), slice(half, None)):
-            cut = ends.copy()
-            cut[cutting] = Interval(ends[cutting].lo[:, part], ends[cutting].hi[:, part])
-            hopeful = hopeful[self._sums_positive(rows_of(rest, hopeful), place[hopeful], cut)]
-        held[hopeful] = True
-        return held
+        around = _doubled(P @ Interval(-missed, missed))
+        at, place = corners_of(boxes)
+        falls = -_doubled(P @ self._scaled(self.loop.rest(self.corners, at)))
+        ends = [flat(-_doubled(P @ self._scaled(e))) for e in self.loop.added(self.corners, at)]
+        rows = rows_of(falls, place) + Interval(around.lo[:, None], around.hi[:, None])
+        own = place[..., None] * self.corners.cases + np.arange(self.corners.cases)
+        box = np.broadcast_to(np.arange(len(missed))[:, None], own.shape).ravel()
+        # Ends are the same at all attitudes, or not.
+        return sums_positive(flat(flat(rows)), own.ravel() % len(ends[0].lo), ends, box, self._work)
 
     def _by(self, rows: Interval) -> Interval:
         return Interval(rows.lo * self._scale, rows.hi * self._scale)
 
-    def _stated(self, P: Array, proposal: Proposal, weights: Array) -> Quadratic:
+    def _stated(self, P: Array, proposal: Proposal, weights: Array, start: float) -> Quadratic:
         """The proof's result in the units of the states."""
         n, size = self.loop.n, self.loop.size
         inverse = 1 / self._scale
@@ -679,5 +654,9 @@ class Program:
             speeds=self.bounds.speeds,
             starts=1 / np.sqrt(own),
             commands=largest,
-            start=float(proposal.start),
+            start=start,
         )
+
+
+def _doubled(held: Interval) -> Interval:
+    return held + held.T
