@@ -18,8 +18,7 @@ from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .formats.attitude import angles
-from .guess_attitude import formulas, quaternion_in
+from .attitude import angles, formulas, quaternion_in
 from .guess_frames import Axes, axes_of, rate_of_heading, unit_of_heading
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping

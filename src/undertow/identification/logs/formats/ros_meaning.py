@@ -17,10 +17,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from undertow.identification.logs.attitude import ANGLES, angles
 from undertow.identification.logs.mapping import FLIPPED_BODY, Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .attitude import ANGLES, angles
 from .fieldlog import Series
 from .pressure import depth
 

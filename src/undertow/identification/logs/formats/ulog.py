@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.attitude import ANGLES, angles
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .attitude import ANGLES, angles
 from .fieldlog import OFF, FieldLog, Format, Series, library, outputs_of, switched_off
 from .stretches import armed_stretches, used_stretches
 

@@ -1,4 +1,4 @@
-"""The attitude in four columns: which are a quaternion, and roll, pitch and yaw as formulas in them."""
+"""Roll, pitch and yaw of the quaternions that vehicles log, and which columns of a table are one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,24 @@ import numpy as np
 
 from undertow.typing import Array
 
+ANGLES = ("phi", "theta", "psi")
 _ROUNDED = 1e-2  # how far the length of a quaternion may be from one
+
+
+def angles(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:
+    """Roll, pitch and yaw, rad, of rotations from body axes to those of the earth (Fossen 2021, section 2.2).
+
+    Parameters
+    ----------
+    w, x, y, z : (n,) arrays
+        Quaternions of any length; one of no length gives NaN.
+    """
+    square = w**2 + x**2 + y**2 + z**2
+    length = np.where(square > 0.0, square, np.nan)
+    phi = np.arctan2(2.0 * (w * x + y * z) / length, 1.0 - 2.0 * (x**2 + y**2) / length)
+    theta = np.arcsin(np.clip(2.0 * (w * y - z * x) / length, -1.0, 1.0))
+    psi = np.arctan2(2.0 * (w * z + x * y) / length, 1.0 - 2.0 * (y**2 + z**2) / length)
+    return dict(zip(ANGLES, (phi, theta, psi), strict=True))
 
 
 def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
