@@ -483,8 +483,8 @@ class _Selector:
         vehicle = bench.base.model.functions.vehicle
         known = {n: replace(vehicle.values[n], value=before.values[n], estimate=False) for n in names}
         held = self._validator.final(fitted(vehicle.with_values(known), [finding], bench).fit)[0]
-        ahead = (self._validator.squares_ahead(f) for f in (before, held))
-        return without_inertia(names, Worth.of(*ahead, self._settings), self._settings)
+        without, alone = (self._validator.squares_ahead(f) for f in (before, held))
+        return without_inertia(names, Worth.of(without, alone, self._settings), self._settings)
 
 
 def without_inertia(names: Sequence[str], held: Worth, settings: Settings = DEFAULT) -> str:

@@ -18,7 +18,7 @@ from undertow.identification.logs.mapping import to_body
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Mismatch:
     # have nothing to do with each other, 2 where they are opposite.
     share: Array
     floor: Array  # (b,) what noise makes of it
-    moves: Array  # (b,) whether it has a part in the translation or rotation that is worth a look
+    moves: Flags  # (b,) whether it has a part in the translation or rotation that is worth a look
 
     @property
     def excess(self) -> Array:
@@ -204,11 +204,11 @@ class Kinematics:
         )
         return Mismatch(share, np.maximum(floor, SETTINGS.quadrature), self._moves(np.array(total)))
 
-    def _moves(self, power: Array) -> Array:
+    def _moves(self, power: Array) -> Flags:
         """Blocks that do more than hardly move, by the power of all."""
         turns = np.array([self.rows[b[0]] in POSE[3:] for b in self.blocks])
         of_kind = np.where(turns, power[turns].sum(), power[~turns].sum())
-        return power > SETTINGS.hardly * of_kind
+        return np.asarray(power > SETTINGS.hardly * of_kind)
 
     def changed(self, first: Rates, second: Rates) -> Array:
         """How much of the motion of every block differs between two sets of rates, (b,), as of `Mismatch`."""
