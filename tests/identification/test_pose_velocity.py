@@ -9,15 +9,26 @@ import pytest
 
 from tests.quick import first_quick
 from undertow.errors import UndertowError
-from undertow.identification.logs.mapping import read_mapping
-from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.logs.mapping import LogMapping, read_mapping
+from undertow.identification.logs.pose_velocity import as_reported, velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
+from undertow.model.loading import load_vehicle
 
 ROOT = Path(__file__).parents[2]
 CSE1 = ROOT.parent / "shared" / "data" / "ntnu-cse1" / "freerun"
 ALL = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 NOISE = {"x": 2e-3, "y": 1e-3, "z": 1e-3, "phi": 2e-3, "theta": 1e-3, "psi": 2e-3}
+
+
+@pytest.mark.parametrize(("velocity", "along"), [("NED", True), ("ENU", True), ("body", False)])
+def test_a_log_with_velocities_along_the_earth_says_so_to_the_model(velocity: str, *, along: bool) -> None:
+    mapping = LogMapping.model_validate({"frames": {"velocity": velocity}})
+    t = np.arange(3.0)
+    run = Run("log", t, dict.fromkeys(("psi", "u", "v", "r"), t), mapping=mapping)
+    vehicle = load_vehicle("otter")
+    assert as_reported(vehicle, [run]).velocity_along_earth is along
+    assert not as_reported(vehicle, [run, Run("other", t, run.channels)]).velocity_along_earth
 
 
 def _waves(t, parts):

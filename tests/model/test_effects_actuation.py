@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations
 
 import casadi as ca
@@ -365,6 +366,17 @@ def test_biases_add_and_scales_multiply() -> None:
     pose, velocity = read("attitude_bias", angles, numbers)
     np.testing.assert_allclose(pose, eta + np.array([0, 0, 0, 0.01, -0.02, 0.3]))
     np.testing.assert_array_equal(velocity, nu)
+
+
+def test_a_compass_turns_a_velocity_that_was_logged_along_the_earth() -> None:
+    """The velocity over ground stays, and the body is thought to point elsewhere."""
+    numbers, error = motion(13), {"b_psi": 0.3}
+    plain = craft(("surge", "sway", "yaw"), error, "attitude_bias")
+    along = replace(plain, velocity_along_earth=True)
+    given, turned = (stated(v.composition.reported[1], numbers | error) for v in (plain, along))
+    np.testing.assert_allclose(given, [numbers[n] for n in ("u", "v", "r")])
+    (u, v, r), (cos, sin) = given, (np.cos(0.3), np.sin(0.3))
+    np.testing.assert_allclose(turned, [cos * u + sin * v, cos * v - sin * u, r])
 
 
 def test_an_antenna_swings_about_the_origin() -> None:

@@ -41,6 +41,7 @@ from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
 from .logs.mapping import LogMapping, read_mapping
 from .logs.opening import save_log as save_log
+from .logs.pose_velocity import as_reported
 from .logs.reading import read_log as read
 from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
@@ -335,7 +336,7 @@ def refit(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
-    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
+    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
     train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     report(0.0, "fitting")
     # Whole logs have been looked at: what is left of them without the validation data need not be.

@@ -22,6 +22,7 @@ from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.estimation.weak_form import WeakFit
+from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -584,7 +585,7 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
-    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
+    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
     logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)

@@ -72,7 +72,8 @@ class Composition:
     """The equations of a set of effects in the chosen degrees of freedom.
 
     `dofs`: degrees of freedom, indices among the six; `thrusters`, `surfaces`: names of the actuators;
-    `inputs`: names of logged quantities that are inputs.
+    `inputs`: names of logged quantities that are inputs; `velocity_along_earth`: whether the velocity that is
+    reported was turned from the axes of the earth into those of the body by the attitude that is reported.
     """
 
     def __init__(
@@ -84,10 +85,13 @@ class Composition:
         split: Mapping[str, tuple[sm.Symbol, sm.Symbol]] | None = None,
         surfaces: tuple[str, ...] = (),
         inputs: tuple[str, ...] = (),
+        *,
+        velocity_along_earth: bool = False,
     ) -> None:
         self.effects, self.dofs, self.thrusters, self.forces = effects, dofs, thrusters, forces
         self.split = dict(split or {})
         self.surfaces, self.inputs = surfaces, inputs
+        self.velocity_along_earth = velocity_along_earth
         self.signals: Signals = signals(thrusters, surfaces)
 
     # --- symbols of the chosen degrees of freedom --------------------------------------------
@@ -258,6 +262,11 @@ class Composition:
         for effect in self.of_kind(Measurement):
             assert isinstance(effect, Measurement)
             eta, nu = effect.reported(eta, nu, self.signals)
+        true = self.signals.eta
+        believed = sm.Matrix([(eta if i in self.dofs else true)[i] for i in (3, 4, 5)])
+        if self.velocity_along_earth and believed != true[3:, :]:
+            along = rotation(true[3:, :]) * nu[:3, :]
+            nu = sm.Matrix([*(rotation(believed).T * along), *nu[3:]])
         return self._rows(eta).xreplace(self.locked), self._rows(nu).xreplace(self.locked)
 
     @cached_property

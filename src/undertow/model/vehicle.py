@@ -100,6 +100,9 @@ class Vehicle:
         Logged quantities that effects take as inputs (wind, voltage ...), with their SI units.
     fitted_to : mapping
         Hashes (sha256) of the logs that values with their standard deviations were fitted to, by name.
+    velocity_along_earth : bool
+        Whether what the logs have as body velocity was reported along the axes of the earth, and turned into
+        the body by the attitude as reported: then an error of the attitude turns the velocity, too.
     """
 
     name: str
@@ -113,6 +116,7 @@ class Vehicle:
     surfaces: tuple[Surface, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     fitted_to: Mapping[str, frozenset[str]] = field(default_factory=dict, compare=False)
+    velocity_along_earth: bool = False
 
     def __repr__(self) -> str:
         parts = {
@@ -272,6 +276,7 @@ class Vehicle:
             split,
             tuple(s.name for s in self.surfaces),
             tuple(self.inputs),
+            velocity_along_earth=self.velocity_along_earth,
         )
 
     @cached_property

@@ -18,6 +18,7 @@ from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.windows import Prediction, cut, prediction_error
+from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import UNITS, Run
 from undertow.identification.long_logs.result import LongLogs
 from undertow.model.symbols import FORCE_UNITS
@@ -379,6 +380,7 @@ def compare(
     """
     began = time.perf_counter()
     refuse_impossible(vehicle, runs, trust_log=trust_log)
+    vehicle = as_reported(vehicle, runs)
     functions = Functions(vehicle)
     progress(0.0, "residual force")
     vehicles, runs = zip(*(adapted(vehicle, run) for run in runs), strict=True)

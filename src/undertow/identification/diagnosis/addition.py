@@ -25,6 +25,7 @@ from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
+from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -96,7 +97,7 @@ def set_up_addition(
     vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (), *, trust_log: bool = False
 ) -> AdditionSetup:
     """Fit a model as it is, and get ready to judge what is added to it."""
-    vehicle = vehicle.without_priors_from(run.sha256 for run in runs)
+    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
     train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import factorial
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .mapping import to_body
@@ -374,6 +375,12 @@ def _cut(intervals: list[Interval], length: int) -> list[Interval]:
 
 
 _DOF = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+
+
+def as_reported(vehicle: Vehicle, runs: Sequence[Run]) -> Vehicle:
+    """The vehicle with its velocity reported along the earth, where all logs have it so."""
+    along = bool(runs) and all(r.mapping is not None and r.mapping.frames.velocity != "body" for r in runs)
+    return replace(vehicle, velocity_along_earth=along) if along != vehicle.velocity_along_earth else vehicle
 
 
 def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge", "sway", "yaw")) -> Run:
