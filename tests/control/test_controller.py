@@ -167,7 +167,7 @@ def test_continuous_and_sampled_are_the_same_law() -> None:
     ("table", "words"),
     [
         (AllocationTable(limits={"f1": "-1 N"}), "above zero"),
-        (AllocationTable(limits={"f1": "1 kg"}), "limit of thruster 'f1'"),
+        (AllocationTable(limits={"f1": "1 kg"}), "limit of 'f1'"),
     ],
 )
 def test_limits_that_are_none_are_refused(table: AllocationTable, words: str) -> None:

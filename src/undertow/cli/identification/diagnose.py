@@ -43,12 +43,10 @@ from .._options import (
     of_experiment,
     say_long,
 )
-from .._terminal import console, progress, say, text
+from .._terminal import console, progress, say, section, table, text
 from .doctor import show_finding
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from undertow.identification.diagnose import DiagnosisResult
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
     from undertow.identification.diagnosis.settings import Settings
@@ -185,8 +183,8 @@ def show(outcome: DiagnosisResult) -> None:
     console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
     if diagnosis.command:
         console.print(f"run: [bold]{escape(diagnosis.command)}[/bold]", highlight=False, soft_wrap=True)
-    console.print(_ranking(diagnosis))
-    console.print(_steps(diagnosis))
+    _show_ranking(diagnosis)
+    _show_steps(diagnosis)
     for values in diagnosis.by_run:
         console.print(escape(str(values)), highlight=False)
     for equals in diagnosis.indistinguishable:
@@ -210,46 +208,33 @@ def show(outcome: DiagnosisResult) -> None:
     )
 
 
-def _ranking(diagnosis: Diagnosis) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
+def _show_ranking(diagnosis: Diagnosis) -> None:
     from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
     model = "model with other values" if diagnosis.freed else "model as it is"
-    table = Table(
-        title=f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)",
-        title_justify="left",
-        caption_justify="left",
-    )
-    table.add_column("effect", no_wrap=True)
     longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
-    lowered = [] if longest is None else [f"{longest} error"]
-    for name in (*lowered, "error", "explains", "chance"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("sure", no_wrap=True)
-    table.add_column("parameters")
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
-    for i, r in enumerate(helping):
-        most = 4 if i == 0 else 1
-        more = " ..." if len(r.parameters) > most else ""
-        text = ", ".join(_value(p) for p in r.parameters[:most]) + more
-        change = [f"{-r.falls[longest]:+.0%}" if r.falls else ""] if longest else []
-        table.add_row(
-            r.effect,
-            *change,
-            f"{r.error_after:.3g}",
-            f"{r.explained:.0%}",
-            _chance(r.p_value),
-            r.sure,
-            escape(text),
-        )
+    heads = ("effect", *([f"{longest} error"] if longest else []), "error", "explains", "chance", "sure")
+    numbers = (
+        [r.effect]
+        + ([f"{-r.falls[longest]:+.0%}" if r.falls else ""] if longest else [])
+        + [f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), r.sure]
+        for r in helping
+    )
+    section(
+        f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)", table(heads, numbers)
+    )
     rest = len(diagnosis.ranking) - len(helping)
     more = f"{rest} more effects were tried and do not help. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
-    table.caption = f"{more}Chance: that the best of all looks as good when nothing is missing.{partly}"
-    return table
+    say(f"{more}Chance: that the best of all looks as good when nothing is missing.{partly}", "dim")
+    fitted = [(r.effect, _values(r.parameters, 4 if i == 0 else 1)) for i, r in enumerate(helping)]
+    console().print(table(("effect", "fitted values"), [row for row in fitted if row[1]]))
+
+
+def _values(parameters: Sequence[Estimate], most: int) -> str:
+    return ", ".join(_value(p) for p in parameters[:most]) + (" ..." if len(parameters) > most else "")
 
 
 def _chance(p: float | None) -> str:
@@ -263,22 +248,15 @@ def _value(p: Estimate) -> str:
     return f"{p.name} = {p.value:.4g}{error} {p.unit}".rstrip()
 
 
-def _steps(diagnosis: Diagnosis) -> Table:
-    from rich.table import Table
-
+def _show_steps(diagnosis: Diagnosis) -> None:
     horizons = list(dict.fromkeys(h for step in diagnosis.steps for h in step.ahead))
-    table = Table(
-        title="Error on validation data against effects added (noise floor 1); error of predicted velocities",
-        title_justify="left",
-    )
-    table.add_column("model")
-    for name in ("error", "simulated", *horizons):
-        table.add_column(name, justify="right", no_wrap=True)
+    rows = []
     for step in diagnosis.steps:
         simulated = "diverges" if step.simulation is None else f"{step.simulation:.3g}"
         ahead = [f"{step.ahead[h]:.1%}" if h in step.ahead else "diverges" for h in horizons]
-        table.add_row(" + ".join(["model", *step.changes]), f"{step.error:.3g}", simulated, *ahead)
-    return table
+        rows.append([" + ".join(["model", *step.changes]), f"{step.error:.3g}", simulated, *ahead])
+    title = "Error on validation data against effects added (noise floor 1); error of predicted velocities"
+    section(title, table(("model", "error", "simulated", *horizons), rows))
 
 
 def _content(diagnosis: Diagnosis) -> str:
