@@ -106,7 +106,7 @@ def page(said: dict[str, Said], gains: dict[str, str]) -> str:
         *(block(said["simulated on the model"], 11), FIRST, block(said["first update"])),
         *(DISAGREES, block(said["simulated on the vehicle"], 15)),
         *(CHECKED, block(said["gains on the vehicle"], 1)),
-        *("## 4. What is missing\n", block(said["diagnosis"], 13)),
+        *("## 4. What is missing\n", block(said["diagnosis"], 17)),
         *("## 5. The model with it\n", block(said["added"])),
         *(EDITED, block(said["second update"]), block(said["gains on the new model"], 1)),
         *(ANEW, code(gains["second"]), block(said["gains tuned anew"], 1), block(said["third update"])),

@@ -23,7 +23,7 @@ SHOWN = {
     "gains on the model": 1,
     "gains on the complete model": 1,
     "certificate": 1,
-    "diagnosis": 12,
+    "diagnosis": 15,
     "added": 12,
 }
 

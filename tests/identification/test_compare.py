@@ -238,8 +238,8 @@ def test_pictures_get_what_they_show(lacking: Comparison, complete: Comparison) 
     for found, whole in ((traces(lacking), 0.9), (traces(lacking, free=True), 0.95)):
         assert [t.channel for t in found[0].traces] == ["x", "y", "psi", "u", "v", "r"]
         assert np.isfinite(found[0].traces[3].before).mean() > whole
-    assert {c.degree_of_freedom for c in curves(lacking)} == {"surge", "sway", "yaw"}
-    assert all(c.degree_of_freedom == "yaw" for c in leading(curves(lacking), "yaw"))
+    assert {c.before.degree_of_freedom for c in curves(lacking)} == {"surge", "sway", "yaw"}
+    assert all(c.before.degree_of_freedom == "yaw" for c in leading(curves(lacking), "yaw"))
     assert list(budgets(complete)[0].shares)[-1] == "unexplained"
 
 
