@@ -2,7 +2,8 @@
 
 By the weak form (quick, needs no simulation; integral is its simplest kind), then by output error: simulation
 of many windows with the start of each estimated, too. They are as long as the vehicle's own time constants,
-and the result is kept where it predicts validation data no worse. --method has each of them alone (output
+and whole runs where little more than noise is left; the result is kept where it predicts validation data no
+worse. --method has each of them alone (output
 error over windows of --horizon seconds), or prediction error where something pushes the vehicle that no log
 holds: its strength is estimated with the parameters. Instrumental variables take the bias out of the weak
 form that noisy velocities cause, by regressors of the simulated motion. Every value comes with its standard
