@@ -50,17 +50,19 @@ class QuadraticSettings:
     looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     starts: int = 3  # eigenvectors from which that corner is looked for, and
     steps: int = 4  # turns between the corner and its eigenvector
-    most_forms: int = 800  # matrix inequalities that the solver is given in one search: seconds
+    most_forms: int = 2000  # matrix inequalities that the solver is given in one search: seconds
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
     rise: float = 0.02  # of the start's level from a round to the next, below which the level is known
-    tries: int = 16  # boxes of speeds that are tried
+    tries: int = 40  # boxes of speeds that are tried
+    first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
     smaller: float = 0.6  # factor on speeds for which there is no V
     # Factors on speeds that a V asks for which does not hold the start: a little more, and at most so much.
     more: float = 1.15
     most_more: float = 8.0
+    least_fall: float = 0.003  # of the logarithm of the start's level that a step has to promise
     least_step: float = 0.03  # change of speeds, relative, below which no better ones are looked for
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
@@ -92,6 +94,34 @@ class Row(NamedTuple):
     states: Array
     bound: float
     velocity: int | None = None  # which one, if it is one
+
+
+class _Slopes:
+    """Tangents of the logarithm of the start's level over the logarithms of speeds.
+
+    Their maximum stands in for the level, which has kinks where other corners become the worst (Kelley 1960,
+    The cutting-plane method for solving convex programs). Where it is not convex, steps are only worse.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[Array] = []  # slope and value at the origin
+
+    def add(self, place: Array, found: Proposal) -> None:
+        """Take what a program came to at some speeds; one that was left early bounds the level, too."""
+        slope = found.slopes / found.start
+        self._rows.append(np.append(slope, np.log(found.start) - slope @ place))
+
+    def step(self, place: Array, radius: float) -> tuple[Array, float]:
+        """The change of each logarithm, up to the radius, that brings the maximum down most, and to what."""
+        from scipy.optimize import linprog
+
+        rows, n = np.array(self._rows), len(place)
+        left = np.column_stack([rows[:, :n], -np.ones(len(rows))])
+        cost, limits = np.append(np.zeros(n), 1.0), [(-radius, radius)] * n + [(None, None)]
+        found = linprog(cost, left, -(rows[:, n] + rows[:, :n] @ place), bounds=limits)
+        if not found.success:
+            return -radius * np.sign(rows[-1, :n]), -np.inf
+        return np.asarray(found.x[:n]), float(found.x[n])
 
 
 class Bounds(NamedTuple):
@@ -155,7 +185,7 @@ class Search:
     def _in_sector(self, bounds: Bounds) -> tuple[Bounds, Quadratic] | None:
         """V is searched for on smaller speeds until there is one, then on those that its start asks for."""
         best: tuple[Bounds, Program, Proposal] | None = None
-        step = 0.0
+        slopes, radius = _Slopes(), SETTINGS.first_step
         for _ in range(SETTINGS.tries):
             program = Program(self, bounds)
             if program.rate <= 0:
@@ -168,12 +198,16 @@ class Search:
             if best is None and (proposal is None or proposal.start < 1):
                 bounds = self._smaller(bounds)
                 continue
-            if proposal is not None and (best is None or proposal.start < best[2].start):
-                best = bounds, program, proposal
-                step = max(1.5 * step, min(0.5 * np.log(proposal.start * SETTINGS.more), np.log(8.0)))
-            else:
-                step /= 2
-            if best is None or step < SETTINGS.least_step:
+            better = proposal is not None and (best is None or proposal.start < best[2].start)
+            radius *= 1.0 if best is None else 1.5 if better else 0.5
+            if proposal is not None:
+                slopes.add(np.log(bounds.speeds), proposal)
+                best = (bounds, program, proposal) if better else best
+            if best is None or radius < SETTINGS.least_step:
+                return None
+            radius = min(radius, np.log(SETTINGS.most_more))
+            step, level = slopes.step(np.log(best[0].speeds), radius)
+            if level > np.log(best[2].start) - SETTINGS.least_fall:
                 return None
             bounds = self._moved(*best, step)
         return None
@@ -183,12 +217,11 @@ class Search:
         tilts = {a: max(SETTINGS.smaller * t, self._tilt(a, least[a])) for a, t in bounds.tilts.items()}
         return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
 
-    def _moved(self, bounds: Bounds, program: Program, proposal: Proposal, step: float) -> Bounds:
-        """Speeds along the slope of the start's level, and tilts that the start asks for."""
-        way = -proposal.slopes / max(float(np.abs(proposal.slopes).max()), 1e-300)
+    def _moved(self, bounds: Bounds, program: Program, proposal: Proposal, step: Array) -> Bounds:
+        """Speeds changed by these logarithms, and tilts that the start asks for."""
         reach = program.reach(proposal) * np.sqrt(proposal.start) * SETTINGS.more
         tilts = {a: self._tilt(a, v) for a, v in self._tilted(reach).items()}
-        return Bounds(bounds.speeds * np.exp(step * way), tilts)
+        return Bounds(bounds.speeds * np.exp(step), tilts)
 
     def _require_thrust(self) -> None:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
