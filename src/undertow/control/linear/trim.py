@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from math import inf, isfinite
 
 import casadi as ca
@@ -185,17 +186,13 @@ def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
         if name in places:
             begin[places[name]] = value
     ways = {"u": SETTINGS.speeds, "psi": tuple(np.radians(SETTINGS.headings))}
-    starts = [begin]
-    for name, values in ways.items():
-        if name in places:
-            starts = [_with(start, places[name], value) for start in starts for value in values]
+    names = [n for n in ways if n in places]
+    starts = []
+    for values in product(*(ways[n] for n in names)):
+        start = begin.copy()
+        start[[places[n] for n in names]] = values
+        starts.append(start)
     return starts
-
-
-def _with(y: Array, place: int, value: float) -> Array:
-    changed = y.copy()
-    changed[place] = value
-    return changed
 
 
 def _from(balance: Balance, y: Array) -> Array:
