@@ -14,11 +14,18 @@ from undertow.typing import Array, Flags
 from .attitude import Interval, enclose
 from .embedding import certainly_positive
 
-ROOM = 1e-7
-"""What bounds of proofs are widened by, relative: beyond all rounding of 64-bit numbers."""
 
-ROUNDING = 1e-13
-"""Beyond the rounding of some products of matrices of twenty rows, relative to their norms."""
+@dataclass(frozen=True)
+class ProofSettings:
+    """Numbers of the proofs; none of them decides what is proved, only what room rounding is given."""
+
+    room: float = 1e-7  # what bounds are widened by, relative: beyond all rounding of 64-bit numbers
+    # Beyond the rounding of some products of matrices of twenty rows, relative to their norms.
+    rounding: float = 1e-13
+    together: int = 4096  # matrices that are looked at together: memory
+
+
+SETTINGS = ProofSettings()
 
 
 def rows_of(stack: Interval, rows: Any) -> Interval:
@@ -102,10 +109,6 @@ class Work:
     left: int
 
 
-TOGETHER = 4096
-"""Matrices that are looked at together: memory."""
-
-
 class Choices:
     """The ends of one velocity in sets, by halving, and a matrix below all ends of each set.
 
@@ -145,8 +148,8 @@ def _norm(matrices: Array) -> Array:
 def _below(ends: Array) -> tuple[Array, Array]:
     """A matrix below each of the ends (places, k, size, size), and how far it is from their middle."""
     centre = 0.5 * (ends[:, 0] + ends[:, -1])
-    # Eigenvalues and eigenvectors are exact for a matrix nearby: ROOM is beyond how far it is.
-    shift = (ROOM * _norm(ends).max(axis=1))[:, None, None] * np.eye(ends.shape[-1])
+    # Eigenvalues and eigenvectors are exact for a matrix nearby: SETTINGS.room is beyond how far it is.
+    shift = (SETTINGS.room * _norm(ends).max(axis=1))[:, None, None] * np.eye(ends.shape[-1])
     off = _cover(centre[:, None] - ends) + shift
     return centre - off, off
 
@@ -155,7 +158,7 @@ def lowest(stack: Interval) -> Array:
     """A symmetric matrix below all that each place of a stack holds."""
     symmetric = 0.5 * (stack + stack.T)
     middle, radius = symmetric.middle, symmetric.radius
-    less = radius.sum(axis=-1) * (1 + ROOM) + ROUNDING * _norm(middle)[..., None]
+    less = radius.sum(axis=-1) * (1 + SETTINGS.room) + SETTINGS.rounding * _norm(middle)[..., None]
     return np.asarray(middle - less[..., None] * np.eye(middle.shape[-1]))
 
 
@@ -190,7 +193,7 @@ def _turned(stack: Interval, by: Array) -> Interval:
 def _lowest_turned(stack: Interval, by: Array) -> Array:
     """`lowest` of `_turned`, for intervals of hardly any width: in numbers, lowered by more than rounding."""
     below = lowest(stack)
-    shift = ROUNDING * _norm(by) ** 2 * _norm(below)
+    shift = SETTINGS.rounding * _norm(by) ** 2 * _norm(below)
     return np.asarray(by @ below @ np.swapaxes(by, -1, -2) - shift[..., None, None] * np.eye(by.shape[-1]))
 
 
@@ -200,9 +203,9 @@ def _cut(rows: Array, place: Any, choices: list[Choices], box: Any, held: Flags,
     while pending:
         row, picks = pending.pop()
         row, picks = row[held[box[row]]], picks[held[box[row]]]
-        if len(row) > TOGETHER:
-            pending.append((row[TOGETHER:], picks[TOGETHER:]))
-            row, picks = row[:TOGETHER], picks[:TOGETHER]
+        if len(row) > SETTINGS.together:
+            pending.append((row[SETTINGS.together :], picks[SETTINGS.together :]))
+            row, picks = row[: SETTINGS.together], picks[: SETTINGS.together]
         work.left -= len(row)
         if work.left < 0:
             held[:] = False
@@ -228,7 +231,7 @@ def _open(rows: Array, place: Any, picks: Any, choices: list[Choices]) -> tuple[
     pairs = list(zip(choices, picks.T, strict=True))
     total = rows + sum(c.below[place, p] for c, p in pairs)
     size = _norm(rows) + sum(c.sizes[place, p] for c, p in pairs)
-    open_ = np.flatnonzero(~(np.linalg.eigvalsh(total)[:, 0] > ROOM * size))
+    open_ = np.flatnonzero(~(np.linalg.eigvalsh(total)[:, 0] > SETTINGS.room * size))
     return open_, np.linalg.eigh(total[open_])[1][..., 0]
 
 

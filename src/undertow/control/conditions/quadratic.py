@@ -15,8 +15,8 @@ from undertow.typing import Array, Flags
 
 from .attitude import Interval, enclose
 from .commands import Commands
+from .definite import SETTINGS as PROOFS
 from .definite import (
-    ROOM,
     Work,
     along,
     bounded,
@@ -295,7 +295,7 @@ class Program:
         """Roll and pitch, and headings near those of the set-point."""
         found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
         if "psi" in found:
-            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + ROOM)
+            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + PROOFS.room)
             found["psi"] = (self.search.centre - half, self.search.centre + half)
         return found
 
