@@ -187,3 +187,15 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
     values = {"X_memu": 2.0, "T_memory": 0.4}
     assert "T_memory" in undetermined(memory, values, {"X_memu": 0.1, "T_memory": 0.3})
     assert undetermined(memory, values, {"X_memu": 0.1, "T_memory": 0.1}) == ""
+
+
+@pytest.mark.parametrize(
+    ("frequency", "error", "said"),
+    [(0.1, 0.01, "lies on its bound"), (0.3, 0.2, "frequency"), (30.0, 0.1, "lies on its bound"), (2.0, 0.1, "")],
+)
+def test_a_mass_that_swings_has_a_frequency_of_its_own(frequency: float, error: float, said: str) -> None:
+    """Slower than any tank it is a drift, quicker a stiff part of the hull."""
+    values = {"m_slosh": 9.0, "slosh_frequency": frequency, "slosh_damping": 0.1}
+    errors = {"m_slosh": 1.0, "slosh_frequency": error, "slosh_damping": 0.01}
+    words = undetermined(catalogue()["slosh"](()), values, errors)
+    assert said in words if said else words == ""

@@ -140,8 +140,8 @@ def undetermined(
 ) -> str:
     """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
 
-    A memory without a time of its own is a spring or a damper; what has run into a bound is not what it is
-    called. Where an effect is there beyond chance but nothing that it is proportional to is known, only a
+    A memory without a time of its own is a spring or a damper, and so is one that is as slow or as quick as
+    it may be; what has run into a bound is not what it is called. Where an effect is there beyond chance but nothing that it is proportional to is known, only a
     product is, which another effect may be: a soft spring to a far point pulls like a constant force.
 
     values, errors: those of its free parameters, by name, with standard errors.
@@ -150,9 +150,12 @@ def undetermined(
     words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
     known = {p.name for p in own if abs(values[p.name]) > settings.known_times * errors[p.name]}
     for p in own:
-        if effect.states and p.unit == "s" and not (p.name in known and values[p.name] > 0.0):
-            return f"its time constant {words[p.name]} is not known from these logs"
-        if np.isclose(values[p.name], p.bounds[1], rtol=1e-6):
+        own_time = bool(effect.states) and p.unit in ("s", "rad/s")
+        if own_time and not (p.name in known and values[p.name] > 0.0):
+            which = "time constant" if p.unit == "s" else "frequency"
+            return f"its {which} {words[p.name]} is not known from these logs"
+        ends = p.bounds if own_time else p.bounds[1:]
+        if np.isclose(values[p.name], ends, rtol=1e-6).any():
             return f"{p.name} = {values[p.name]:.3g} lies on its bound"
     sizes = [p.name for p in own if p.linear]
     if sizes and len(own) > len(sizes) and not known & {*sizes}:
