@@ -74,6 +74,11 @@ _ROLL_ALSO = {"linear_damping": ("quadratic_damping",)}
 _SURGE_ALSO = {"added_mass": ("entrained_water",)}
 
 
+#: What is lost with the Coriolis forces of the added mass is surge force per v r, which is X_vr; what they do
+#: in sway and yaw is in this file's lift.
+_TANKER_ALSO = dict.fromkeys(("added_mass", "added_mass_coriolis"), ("manoeuvring_drag",))
+
+
 def _ship(way: int, horizons: tuple[float, float, float] = (5.0, 30.0, 60.0)) -> LogSet:
     return LogSet(cse1.WAYS[way], cse1.FOLDER, horizons)
 
@@ -144,6 +149,7 @@ def tanker(folder: Path) -> LogSet:
             "lift", "crossflow_drag", "rudder_force", "quadratic_damping", "rigid_body_coriolis",
             "added_mass", "added_mass_coriolis",
         ),
+        _TANKER_ALSO,
     )  # fmt: skip
 
 

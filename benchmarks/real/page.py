@@ -27,7 +27,7 @@ from .tally import (
 )
 
 _GOALS = ("", "measured (95 % interval)", "goal", "")
-_CASE = ("case", "size", "error before → with the truth", "place", "verdict", "named", "s")
+_CASE = ("case", "right answers", "size", "error before → with the truth", "place", "verdict", "named", "s")
 
 
 def page(records: Iterable[Record], earlier: Iterable[Record] = (), planned: Sequence[Case] = ()) -> str:
@@ -139,7 +139,7 @@ def _named(record: Record) -> str:
 
 # --- cases --------------------------------------------------------------------------------------
 def _table(cases: Sequence[Graded]) -> str:
-    return table(_CASE, [_row(c) for c in cases], left=3) if cases else "None yet.\n"
+    return table(_CASE, [_row(c) for c in cases], left=2) if cases else "None yet.\n"
 
 
 def _row(case: Graded) -> list[str]:
@@ -148,7 +148,8 @@ def _row(case: Graded) -> list[str]:
     change = f"{errors(found.get('refitted'))} → {errors(found.get('true'))}" + " *" * case.counts
     size = f"{r['value']:.3g}" if r.get("value") else MISSING
     place = str(case.place or MISSING)
-    return [f"`{r['id']}`", size, change, place, r["answer"]["verdict"], _named(r), number(r["seconds"])]
+    right, verdict = " or ".join(r["truth"]), r["answer"]["verdict"]
+    return [f"`{r['id']}`", right, size, change, place, verdict, _named(r), number(r["seconds"])]
 
 
 _GRADES = {"first": "ranked first", "named": "named", "wrong": "wrong cause", "new": "new beside it"}
@@ -264,7 +265,8 @@ none. Before: the answers before the changes of this version.
 """
 REMOVAL = f"""\
 The error of the refitted model before and after the true effect is added by `undertow add`. With * it counts:
-the error of the longest simulation falls by {100 * WORTH:g} % or more.
+the error of the longest simulation falls by {100 * WORTH:g} % or more. Where another effect is the same
+equation for this vehicle, both names are right.
 """
 INJECTION = f"""\
 Each at three sizes, on every log whose channels can show it. A current is a ground that moves: nothing in the
