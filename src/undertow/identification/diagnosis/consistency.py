@@ -71,6 +71,14 @@ def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
     return [a for a in found if len(a.value) > 1]
 
 
+def disagreement(finding: FoundEffect, bench: Bench) -> str:
+    """How the size of an effect differs between parts of the logs, in words; empty where it does not."""
+    parts = agreements(finding, bench)
+    if not parts:
+        return "no part of the logs by itself shows how large it is"
+    return next(filter(None, (a.doubt(bench.settings, len(parts)) for a in parts)), "")
+
+
 def _agreement(
     over: str, before: Array, change: Array, part: Index, block: Index, settings: Settings
 ) -> Agreement:
@@ -141,8 +149,9 @@ def undetermined(
     """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
 
     A memory without a time of its own is a spring or a damper, and so is one that is as slow or as quick as
-    it may be; what has run into a bound is not what it is called. Where an effect is there beyond chance but nothing that it is proportional to is known, only a
-    product is, which another effect may be: a soft spring to a far point pulls like a constant force.
+    it may be; what has run into a bound is not what it is called. Where an effect is there beyond chance but
+    nothing that it is proportional to is known, only a product is, which another effect may be: a soft spring
+    to a far point pulls like a constant force.
 
     values, errors: those of its free parameters, by name, with standard errors.
     """

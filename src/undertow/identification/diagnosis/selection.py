@@ -19,7 +19,7 @@ from undertow.typing import Array, Progress
 
 from .consistency import (
     SPRING,
-    agreements,
+    disagreement,
     is_spring,
     left_open,
     never_turned,
@@ -266,12 +266,24 @@ class _Selector:
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
     ) -> None:
         self._found, self._validator, self._known, self._said = found, validator, known, report
-        self._share = 0.0
+        self._share = self._done = 0.0
         self._settings = found.bench.settings
         self._reasons: dict[str, str] = {}
         self._worth: dict[str, Worth] = {}
+        self._rounds = list(found.rounds)
+        self._predicted: dict[int, tuple[WeakFit, dict[float, Array]]] = {}
+        self._later: list[FoundEffect] = []
 
     def run(self) -> Selection:
+        """The effects; where the first is in doubt, once more with those that were found after it in view."""
+        found = self._forward()
+        self._later = [g.chosen for g in found.graded[1:]]
+        if not self._later or found.established:
+            return found
+        again = self._forward()
+        return again if again.established else found
+
+    def _forward(self) -> Selection:
         graded: list[Graded] = []
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
@@ -285,7 +297,8 @@ class _Selector:
         return Selection(graded, rounds, self._reasons, self._worth)
 
     def _report(self, done: float, words: str) -> None:
-        self._said(self._share + done / self._settings.most_effects, words)
+        self._done = max(self._done, self._share + done / self._settings.most_effects)
+        self._said(self._done, words)
 
     def _tried(self, done: float, words: str) -> None:
         self._report(_TRYING * done, words)
@@ -312,15 +325,15 @@ class _Selector:
         return replace(current, findings=[*others[: len(seen)], *more, *others[len(seen) :]]), None
 
     def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
-        """Candidates on top of what was chosen; a round of the search serves where it is the same."""
-        vehicle = self._found.vehicle
-        grown = with_effects(vehicle, chosen)
-        for done in self._found.rounds:
+        """Candidates on top of what was chosen; a round from before serves where it is the same."""
+        grown = with_effects(self._found.vehicle, chosen)
+        for done in self._rounds:
             if done.bench.base.vehicle.parameter_names == grown.parameter_names:
                 return done
         bench = rounds[-1].bench
         base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
-        return try_all(replace(bench, base=base), self._known, self._tried)
+        self._rounds.append(try_all(replace(bench, base=base), self._known, self._tried))
+        return self._rounds[-1]
 
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate that is worth adding, with what does as well; an established one leads.
@@ -416,13 +429,15 @@ class _Selector:
 
     def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
         """How models predict once each is fitted as the result will be, on all cores."""
-        validator, most, found = self._validator, len(fits), list[dict[float, Array]]()
-        for squares in mapped(lambda i: validator.squares_ahead(validator.final(fits[i])[0]), most):
-            found.append(squares)
+        validator, most = self._validator, len(fits)
+        new = [f for f in fits if id(f) not in self._predicted]
+        work = mapped(lambda i: validator.squares_ahead(validator.final(new[i])[0]), len(new))
+        for i, squares in enumerate(work):
+            self._predicted[id(new[i])] = new[i], squares  # kept: its identity is the key
             if most > 1:  # else one of many pairs
-                share = _TRYING + (1.0 - _TRYING) * len(found) / most
-                self._report(share, f"refitted and simulated candidates: {len(found)} of {most}")
-        return found
+                share = _TRYING + (1.0 - _TRYING) * (i + 1) / len(new)
+                self._report(share, f"refitted and simulated candidates: {i + 1} of {len(new)}")
+        return [self._predicted[id(f)][1] for f in fits]
 
     def _leading(
         self, findings: list[FoundEffect], ahead: Mapping[str, dict[float, Array]], bench: Bench
@@ -457,10 +472,7 @@ class _Selector:
             return words
         if words := self._in_place_of_inertia(finding, bench):
             return words
-        parts = agreements(finding, bench)
-        if not parts:
-            return "no part of the logs by itself shows how large it is"
-        if words := next(filter(None, (a.doubt(self._settings, len(parts)) for a in parts)), ""):
+        if words := self._size_differs(finding, bench):
             return words
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
@@ -473,6 +485,22 @@ class _Selector:
                 f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
             )
         return ""
+
+    def _size_differs(self, finding: FoundEffect, bench: Bench) -> str:
+        """How the size of an effect differs between parts of the logs, in words; empty where it does not.
+
+        What else is missing moves it: where it is the same everywhere beside what was found after it, it is
+        the same.
+        """
+        words = disagreement(finding, bench)
+        vehicle = bench.base.model.functions.vehicle
+        there = {e.id for e in vehicle.effects} | {finding.id}
+        later = [f for f in self._later if f.id not in there]
+        if not words or not later:
+            return words
+        without, both = (fitted(vehicle, more, bench) for more in (later, [finding, *later]))
+        grown = replace(finding, trial=replace(finding.trial, fit=both.fit, score=both.score))
+        return disagreement(grown, replace(bench, base=without.fit))
 
     def _in_place_of_inertia(self, finding: FoundEffect, bench: Bench) -> str:
         """What of the water's inertia an effect takes the place of, in words; empty for none."""
