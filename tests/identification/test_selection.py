@@ -191,7 +191,12 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
 
 @pytest.mark.parametrize(
     ("frequency", "error", "said"),
-    [(0.1, 0.01, "lies on its bound"), (0.3, 0.2, "frequency"), (30.0, 0.1, "lies on its bound"), (2.0, 0.1, "")],
+    [
+        (0.1, 0.01, "lies on its bound"),
+        (0.3, 0.2, "frequency"),
+        (30.0, 0.1, "lies on its bound"),
+        (2.0, 0.1, ""),
+    ],
 )
 def test_a_mass_that_swings_has_a_frequency_of_its_own(frequency: float, error: float, said: str) -> None:
     """Slower than any tank it is a drift, quicker a stiff part of the hull."""

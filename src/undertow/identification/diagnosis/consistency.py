@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -18,7 +18,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
 from .candidates import Candidate
-from .evidence import FoundEffect
+from .evidence import FoundEffect, fitted
 from .settings import DEFAULT, Settings
 from .trial import Bench
 
@@ -71,8 +71,24 @@ def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
     return [a for a in found if len(a.value) > 1]
 
 
-def disagreement(finding: FoundEffect, bench: Bench) -> str:
-    """How the size of an effect differs between parts of the logs, in words; empty where it does not."""
+def disagreement(finding: FoundEffect, bench: Bench, later: Sequence[FoundEffect] = ()) -> str:
+    """How the size of an effect differs between parts of the logs, in words; empty where it does not.
+
+    What else is missing moves it: an effect that is the same everywhere beside what was found later is
+    the same.
+    """
+    words = _differing(finding, bench)
+    vehicle = bench.base.model.functions.vehicle
+    there = {e.id for e in vehicle.effects} | {finding.id}
+    others = [f for f in later if f.id not in there]
+    if not words or not others:
+        return words
+    without, both = (fitted(vehicle, more, bench) for more in (others, [finding, *others]))
+    grown = replace(finding, trial=replace(finding.trial, fit=both.fit, score=both.score))
+    return _differing(grown, replace(bench, base=without.fit))
+
+
+def _differing(finding: FoundEffect, bench: Bench) -> str:
     parts = agreements(finding, bench)
     if not parts:
         return "no part of the logs by itself shows how large it is"

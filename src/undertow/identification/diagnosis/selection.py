@@ -472,7 +472,7 @@ class _Selector:
             return words
         if words := self._in_place_of_inertia(finding, bench):
             return words
-        if words := self._size_differs(finding, bench):
+        if words := disagreement(finding, bench, self._later):
             return words
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
@@ -485,22 +485,6 @@ class _Selector:
                 f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
             )
         return ""
-
-    def _size_differs(self, finding: FoundEffect, bench: Bench) -> str:
-        """How the size of an effect differs between parts of the logs, in words; empty where it does not.
-
-        What else is missing moves it: where it is the same everywhere beside what was found after it, it is
-        the same.
-        """
-        words = disagreement(finding, bench)
-        vehicle = bench.base.model.functions.vehicle
-        there = {e.id for e in vehicle.effects} | {finding.id}
-        later = [f for f in self._later if f.id not in there]
-        if not words or not later:
-            return words
-        without, both = (fitted(vehicle, more, bench) for more in (later, [finding, *later]))
-        grown = replace(finding, trial=replace(finding.trial, fit=both.fit, score=both.score))
-        return disagreement(grown, replace(bench, base=without.fit))
 
     def _in_place_of_inertia(self, finding: FoundEffect, bench: Bench) -> str:
         """What of the water's inertia an effect takes the place of, in words; empty for none."""
