@@ -171,41 +171,36 @@ _SHOWN = 6
 
 def show(outcome: DiagnosisResult) -> None:
     """Print verdict, ranking, the falling error and warnings."""
-    from rich.console import Console
-    from rich.markup import escape
-
     from undertow.identification.diagnosis.floors import in_words
 
-    console, diagnosis = Console(), outcome.diagnosis
+    diagnosis = outcome.diagnosis
     for finding in diagnosis.doctor:
         if finding.severity == "mistake":
             show_finding(finding, None)
-    console.print(f"[bold]{diagnosis.verdict}[/bold]: {escape(diagnosis.headline)}")
+    say(f"{diagnosis.verdict}: {diagnosis.headline}", "bold")
     if diagnosis.command:
-        console.print(f"run: [bold]{escape(diagnosis.command)}[/bold]", highlight=False, soft_wrap=True)
+        say(f"run: {diagnosis.command}", "bold")
     _show_ranking(diagnosis)
     _show_steps(diagnosis)
     for values in diagnosis.by_run:
-        console.print(escape(str(values)), highlight=False)
+        say(str(values))
     for equals in diagnosis.indistinguishable:
         if equals.separated_by:
-            console.print(f"to tell {' and '.join(equals.effects)} apart: {escape(equals.separated_by)}")
+            say(f"to tell {' and '.join(equals.effects)} apart: {equals.separated_by}")
     for entry in diagnosis.ranking:
         if entry.not_named:
-            console.print(escape(f"not named: {entry.effect} {entry.not_named}"), highlight=False)
+            say(f"not named: {entry.effect} {entry.not_named}")
     horizons = [share for name, share in diagnosis.last_step.ahead.items() if name != "free run"]
     if diagnosis.predictable and horizons:
-        console.print(escape(f"Over the longest horizon {in_words(horizons[-1], diagnosis.predictable)}."))
+        say(f"Over the longest horizon {in_words(horizons[-1], diagnosis.predictable)}.")
     for left in diagnosis.remaining:
-        console.print(escape(left.summary or f"{left.degree_of_freedom}: {left.note}"), highlight=False)
+        say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
-        console.print("[dim]an effect made of it: undertow effects new ID --from (the file of --json)[/dim]")
+        say("an effect made of it: undertow effects new ID --from (the file of --json)", "dim")
     shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
     for warning in (w for w in diagnosis.warnings if w not in shown):
-        console.print(f"[yellow]warning[/yellow]: {escape(warning)}")
-    console.print(
-        f"[dim]{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms[/dim]"
-    )
+        say(f"warning: {warning}", "yellow")
+    say(f"{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms", "dim")
 
 
 def _show_ranking(diagnosis: Diagnosis) -> None:
