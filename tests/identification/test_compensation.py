@@ -117,6 +117,17 @@ def test_an_effect_that_does_not_bring_it_back_is_not_named() -> None:
 
 
 # --- the rules ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("after", "back"), [(1.1, True), (3.0, True), (0.01, False), (-0.0, False), (-1.0, False)]
+)
+def test_a_value_that_an_effect_brings_down_to_nothing_has_not_come_back(after: float, *, back: bool) -> None:
+    """Sixteen times its prior, and with a thruster that gives nothing a hundredth of it."""
+    vehicle = _float()
+    helper = Relief(("thruster_gain",), {"Z_wdot": -ADDED * after}, 1.0)
+    line = absorbing(vehicle, _fit(vehicle, Z_wdot=-16 * ADDED), [helper])[0]
+    assert ("it is absorbing thruster_gain" in line) == back
+
+
 def test_a_parameter_near_its_prior_is_not_told() -> None:
     box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
     assert absorbing(box, _fit(box, X_u=-6.0), []) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 
 import numpy as np
 
@@ -504,7 +505,16 @@ def _number(vehicle: Vehicle, name: str, value: float) -> str:
 
 def _comes_back(pushed: _Pushed, helper: Relief, settings: Settings) -> bool:
     after = helper.values.get(pushed.name)
-    return after is not None and abs(after - pushed.prior) < settings.comes_back * abs(pushed.change)
+    if after is None or abs(after - pushed.prior) >= settings.comes_back * abs(pushed.change):
+        return False
+    # From ten times its prior to a tenth or to nothing is not the way back.
+    return not pushed.prior or _times_off(after, pushed.prior) < _times_off(pushed.value, pushed.prior)
+
+
+def _times_off(value: float, prior: float) -> float:
+    """How many times a value is larger or smaller than its prior; infinite where its sign is another."""
+    ratio = value / prior
+    return max(ratio, 1.0 / ratio) if ratio > 0.0 else inf
 
 
 def _impossible(stated: Vehicle, fitted: Vehicle) -> list[str]:
