@@ -132,6 +132,9 @@ def test_each_verdict_says_what_to_do() -> None:
     either = _diagnosis("indistinguishable", indistinguishable=equals)
     assert "but wind would do the same" in first_sentence(either)
     assert "--goal separate --between lift,wind --out plan.csv" in next_command(either, LINE)
+    two = [*equals, Indistinguishable(effects=["slosh", "wind"], reason="")]
+    both = _diagnosis("indistinguishable", indistinguishable=two, effects=["lift", "slosh"])
+    assert "but wind would do the same" in first_sentence(both)  # once
     helped = _diagnosis("missing_effect", helps=["wind", "slosh"])
     also = "; adding wind and slosh as well improves predictions further, without establishing a cause."
     assert first_sentence(helped).endswith(f"on validation runs{also}")

@@ -220,8 +220,8 @@ def _without(diagnosis: Diagnosis) -> Step:
 
 
 def _sets(diagnosis: Diagnosis) -> str:
-    others = [e for s in diagnosis.indistinguishable for e in s.effects if e not in diagnosis.effects]
-    return " or ".join(others) or "others"
+    others = dict.fromkeys(e for s in diagnosis.indistinguishable for e in s.effects)
+    return " or ".join(e for e in others if e not in diagnosis.effects) or "others"
 
 
 def _terms(diagnosis: Diagnosis) -> bool:
