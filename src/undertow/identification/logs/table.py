@@ -18,7 +18,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 from undertow.files import sha256_of
 
 from .helper import Helper
@@ -157,9 +157,12 @@ WHOLE = LogLimits()
 
 def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
     """Return the bytes of a log file; one that is too large is refused before they are read."""
+    if path.is_dir():
+        raise UndertowError(f"log {path} is a folder, not a file: give the path of a file in it")
     if not path.is_file():
-        found = "is a folder, not a log file" if path.is_dir() else "does not exist or is not a file"
-        raise UndertowError(f"log {path} {found}: give the path of a CSV, CSV.gz or Parquet file")
+        there = [p.name for p in path.parent.iterdir() if p.is_file()] if path.parent.is_dir() else []
+        alike = nearest(path.name, there)
+        raise UndertowError(f"log {path} does not exist or is not a file{alike}: give the path of a log")
     where = f"log {path}"
     try:
         with path.open("rb") as stream:
