@@ -480,7 +480,11 @@ def _line(vehicle: Vehicle, pushed: _Pushed, helping: Sequence[Relief], alike: S
         return f"{line}: either the prior is wrong, or it makes up for {missing}"
     best, after = helping[0].name, helping[0].values[pushed.name]
     others = [h.name for h in helping[1:] if not {*helping[0].effects} & {*h.effects}][:_SHOWN_OTHERS]
-    back = f"{after / pushed.prior:.3g} times" if pushed.prior else _number(vehicle, pushed.name, after)
+    back = (
+        f"{after / pushed.prior:.3g} times its prior"
+        if pushed.prior
+        else _number(vehicle, pushed.name, after)
+    )
     return f"{line}: it is absorbing {' or '.join([best, *others])}; with {best} it returns to {back}"
 
 
