@@ -7,8 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.search import only_one_in_evidence
 from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.model.catalogue import catalogue
 
 _BLOCKS, _PER_BLOCK = 40, 10
 _ROWS = _BLOCKS * _PER_BLOCK
@@ -46,3 +50,18 @@ def test_a_pair_is_named_where_it_alone_leaves_only_noise(
     tried = [_pair(i, size) for i, size in enumerate(sizes)]
     found = only_one_in_evidence(tried, _bench(base), 190, lambda fit, data: fit < 1.1)
     assert (None if found is None else found.pair) == named
+
+
+@pytest.mark.slow
+def test_a_rival_is_judged_under_its_own_noise() -> None:
+    """A ship whose roll turns with sway, in a log of speed through the water.
+
+    A memory in roll takes up most of the coupling, and passes the noise of the roll rate on: under that noise
+    the coupling itself seemed to leave more.
+    """
+    case = make_case("ship", ("water_speed_log", "added_mass_coupling"), 70495916)
+    known = {n: catalogue()[n] for n in ("water_speed_log", "added_mass_coupling", "radiation_memory")}
+    runs = runs_of(case)
+    found = diagnose(vehicle_of(case), runs[:-1], runs[-1:], known=known).diagnosis
+    assert found.verdict == "missing_effect"
+    assert found.effects == ["water_speed_log", "added_mass_coupling"]

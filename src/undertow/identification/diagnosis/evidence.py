@@ -15,7 +15,7 @@ from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import Linearised
 from undertow.identification.estimation.step import inverse_of, prior_of
-from undertow.identification.estimation.weak_form import WeakFit, free_parameters
+from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -336,16 +336,35 @@ def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
     return effect_set
 
 
+def under_own_noise(effect_set: EffectSet, bench: Bench) -> EffectSet:
+    """The same effects, fitted under the noise model that goes with what they leave themselves."""
+    fit = with_reestimated_noise(effect_set.fit)
+    return EffectSet(effect_set.findings, fit, bench.judge(fit))
+
+
 def alternatives(
     vehicle: Vehicle, effect_set: EffectSet, place: int, rivals: Sequence[FoundEffect], bench: Bench
 ) -> list[EffectSet]:
-    """Chains with another effect in one place that do as well or better, the best first."""
+    """Effect sets with another effect in one place that do as well or better, the best first.
+
+    The noise model of the bench is that of the effect found: it passes the sensors' noise through that model,
+    and has room for what it leaves. What does less well under it may leave less of its own noise.
+    """
     found = []
     for rival in rivals:
         others = list(effect_set.findings)
-        if rival.id not in {f.id for f in others}:
-            others[place] = rival
-            tried = fitted(vehicle, others, bench)
-            if as_good(effect_set.score, tried.score, bench):
-                found.append(tried)
+        if rival.id in {f.id for f in others}:
+            continue
+        others[place] = rival
+        tried = fitted(vehicle, others, bench)
+        if not as_good(effect_set.score, tried.score, bench):
+            tried = under_own_noise(tried, bench)
+            if _times_own_noise(tried, bench) > _times_own_noise(under_own_noise(effect_set, bench), bench):
+                continue
+        found.append(tried)
     return sorted(found, key=lambda c: c.score.error)
+
+
+def _times_own_noise(effect_set: EffectSet, bench: Bench) -> float:
+    """What a model leaves of the validation data over what the sensors' noise gives, over all equations."""
+    return float(np.nansum(noise_ratio(effect_set.fit, bench.test)))

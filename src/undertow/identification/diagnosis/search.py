@@ -37,6 +37,7 @@ from .evidence import (
     fitted,
     hidden_by_disturbance,
     thinned,
+    under_own_noise,
     with_effects,
 )
 from .rounds import Round, freed, try_all, values_to_free
@@ -363,8 +364,8 @@ def _plain_ones(
     plain = [fitted(vehicle, [f], bench) for f in near]
     if not plain:
         return []
-    best = bench.judge(with_reestimated_noise(effect_set.fit))
-    return [c for c in plain if as_good(best, bench.judge(with_reestimated_noise(c.fit)), bench)]
+    best = under_own_noise(effect_set, bench).score
+    return [c for c in plain if as_good(best, under_own_noise(c, bench).score, bench)]
 
 
 def much_plainer(
