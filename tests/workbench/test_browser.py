@@ -204,6 +204,7 @@ def _asked_nobody_else(user: Browser) -> None:
     assert [c for c in complaints if "Resize must be passed a displayed plot" not in c] == []
 
 
+@pytest.mark.slow
 def test_the_story_from_the_error_map_to_the_saved_vehicle(place: Workspace) -> None:
     """On a session that was worked out already: a reload shows it, and it goes on from there."""
     folder = place.folder.parent
