@@ -27,7 +27,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 #: A module all of whose tests have this mark.
-_WHOLLY = re.compile(r"^pytestmark = pytest\.mark\.(docs|slow)$", re.MULTILINE)
+_WHOLLY = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.(docs|slow)\b", re.MULTILINE)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

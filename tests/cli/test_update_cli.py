@@ -43,9 +43,7 @@ def _edit(old: str, new: str) -> None:
     Path("auv.toml").write_text(text.replace(old, new))
 
 
-def test_an_update_tells_what_an_edit_changes(
-    folder: Path, first: tuple[Path, str], capsys: Capture
-) -> None:
+def test_an_update_tells_what_an_edit_changes(folder: Path, first: tuple[Path, str], capsys: Capture) -> None:
     shutil.copytree(first[0], folder, dirs_exist_ok=True)
     assert "first time" in first[1]
     made = {p.name for p in Path("build/mini-auv").rglob("*") if p.is_file()}
