@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-from pathlib import Path
 
 import hypothesis
 import pytest
@@ -24,14 +22,3 @@ def pytest_configure(config: pytest.Config) -> None:
     if cache is not None:
         cache.chmod(0o700)
         os.environ["XDG_CACHE_HOME"] = str(cache)
-
-
-#: A module all of whose tests have this mark.
-_WHOLLY = re.compile(r"^pytestmark = (\[\s*)?pytest\.mark\.(docs|slow)\b", re.MULTILINE)
-
-
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Modules that `make test` would collect and then leave out are not imported by it."""
-    if config.option.markexpr != "not slow and not docs" or not collection_path.name.startswith("test_"):
-        return None
-    return True if collection_path.is_file() and _WHOLLY.search(collection_path.read_text()) else None
