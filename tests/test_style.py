@@ -31,13 +31,15 @@ def _modules() -> dict[str, tuple[str, ast.Module]]:
     return {name: (text, ast.parse(text)) for name, text in sorted(texts.items())}
 
 
+@cache
 def _bodies() -> list[Body]:
     """Every function, the longest first; docstring and blank lines are not counted."""
     found = []
     for name, (text, tree) in _modules().items():
+        lines = text.splitlines()
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                found.append(Body(_length(node, text.splitlines()), f"{name}:{node.lineno} {node.name}"))
+                found.append(Body(_length(node, lines), f"{name}:{node.lineno} {node.name}"))
     return sorted(found, reverse=True)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import re
+import shutil
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -24,15 +27,25 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder after the first update of auv.toml with a law and a motion, and what that printed."""
+    made, out = tmp_path_factory.mktemp("first"), io.StringIO()
+    (made / "auv.toml").write_text(bundled_vehicles()["mini-auv"].read_text())
+    with chdir(made), redirect_stdout(out):
+        assert main(["update", "auv.toml", "--gains", "paper-pid", "--at", "u=0.5"]) == 0
+    return made, out.getvalue()
+
+
 def _edit(old: str, new: str) -> None:
     text = Path("auv.toml").read_text()
     assert old in text
     Path("auv.toml").write_text(text.replace(old, new))
 
 
-def test_an_update_tells_what_an_edit_changes(folder: Path, capsys: Capture) -> None:
-    assert main(["update", "auv.toml", "--gains", "paper-pid", "--at", "u=0.5"]) == 0
-    assert "first time" in capsys.readouterr().out
+def test_an_update_tells_what_an_edit_changes(folder: Path, first: tuple[Path, str], capsys: Capture) -> None:
+    shutil.copytree(first[0], folder, dirs_exist_ok=True)
+    assert "first time" in first[1]
     made = {p.name for p in Path("build/mini-auv").rglob("*") if p.is_file()}
     assert {"mini_auv_vehicle.c", "mini_auv_paper_pid.c", "update.json"} <= made
     assert {"vehicle-bode.png", "paper-pid-step.png"} <= made
@@ -72,8 +85,8 @@ def test_an_effect_that_is_added_is_told(folder: Path, capsys: Capture) -> None:
     assert re.search(r"X_0 +\(none\) +0\.1 N", out)
 
 
-def test_a_bad_edit_changes_nothing(folder: Path, capsys: Capture) -> None:
-    assert main(["update", "auv.toml"]) == 0
+def test_a_bad_edit_changes_nothing(folder: Path, first: tuple[Path, str], capsys: Capture) -> None:
+    shutil.copytree(first[0], folder, dirs_exist_ok=True)
     _edit('m = { value = "7.5 kg"', 'm = { value = "-7.5 kg"')
     assert "m" in refusal(["update", "auv.toml"], capsys, folder)
 

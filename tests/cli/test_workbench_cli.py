@@ -11,7 +11,7 @@ import pytest
 import undertow
 from undertow.cli.main import main
 from undertow.errors import UndertowError
-from undertow.workbench.server import require_nicegui, require_port
+from undertow.workbench.bench import require_nicegui, require_port
 
 DEMO = Path(undertow.__file__).parent / "demo_data" / "auv"
 Capture = pytest.CaptureFixture[str]
@@ -29,7 +29,7 @@ def _refused(capsys: Capture, *words: str) -> str:
 
 
 def test_a_missing_library_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("undertow.workbench.server.find_spec", lambda name: None)
+    monkeypatch.setattr("undertow.workbench.bench.find_spec", lambda name: None)
     with pytest.raises(UndertowError, match=r'not installed: pip install "undertow\[workbench\]"$'):
         require_nicegui()
 

@@ -6,23 +6,44 @@ import json
 import multiprocessing
 import os
 import signal
+import socket
 import threading
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
 from .session import LogChoice, ModelStep, Remedy, Role, Session, Stretch, Workspace
 from .tasks import TASKS, Job, read_all
 
+INSTALL = 'pip install "undertow[workbench]"'
+HOST = "127.0.0.1"
 Message = dict[str, Any]
+
+
+def require_nicegui() -> None:
+    """Refuse to begin without the library."""
+    if find_spec("nicegui") is None:
+        raise UndertowError(f"the workbench is drawn by NiceGUI, which is not installed: {INSTALL}")
+
+
+def require_port(port: int) -> None:
+    """Refuse a port that somebody else has."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, port))
+        except OSError as error:
+            raise UndertowError(f"port {port} is taken: choose another one with --port") from error
 
 
 @dataclass
@@ -295,6 +316,4 @@ class Bench:
 
 
 def _load(place: Workspace, step: int = -1) -> Vehicle:
-    from undertow.model.loading import load_vehicle
-
     return load_vehicle(place.vehicle_file(step), effect_files=[Path(p) for p in place.session.effects])

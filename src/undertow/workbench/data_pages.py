@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from nicegui import ui
 
 from undertow.identification.logs.run import UNITS, Run
 from undertow.typing import Array
@@ -24,8 +25,6 @@ _SEVERITY = {"mistake": "red", "warning": "amber-10", "note": "grey"}
 # --- Log ----------------------------------------------------------------------------------------
 def log_page(view: View) -> None:
     """Channels on linked time axes, what is done with their stretches, and the doctor beside them."""
-    from nicegui import ui
-
     bench = view.bench
     if not bench.runs:
         words = "reading the logs ..." if bench.reading else "The logs could not be read."
@@ -45,8 +44,6 @@ def log_page(view: View) -> None:
 
 def _logs(view: View) -> None:
     """What is done with each log."""
-    from nicegui import ui
-
     heading("Logs", "Choose what the model is fitted to, what it is judged by, and what is left out.")
     words = {role: figures.ROLE_WORDS[role] for role in ROLES}
     for i, (choice, run) in enumerate(zip(view.bench.session.logs, view.bench.runs, strict=True)):
@@ -80,8 +77,6 @@ def _show_log(view: View, log: int) -> None:
 
 def _channels(view: View) -> None:
     """The channels of one log, and buttons for the stretch that the mouse chose."""
-    from nicegui import ui
-
     run = view.bench.runs[view.log]
     known = _in_order(view)
     moving = [n for n in known if np.ptp(_there(run.channels[n])) > 0]
@@ -207,8 +202,6 @@ def _marks(view: View, run: Run) -> list[tuple[float, float]]:
 
 def _doctor(view: View) -> None:
     """What the doctor found, with buttons that apply its remedies."""
-    from nicegui import ui
-
     heading("Doctor", "Is anything wrong with the logs, or with how they are read?")
     action("Examine the logs", view, "examine")
     _remedies(view)
@@ -225,8 +218,6 @@ def _doctor(view: View) -> None:
 
 
 def _finding(view: View, finding: Mapping[str, Any], place: int, current: bool) -> None:
-    from nicegui import ui
-
     with ui.card().classes("w-full gap-1 p-2").props("flat bordered"):
         with ui.row().classes("items-center gap-2"):
             ui.badge(finding["severity"]).props(f"color={_SEVERITY[finding['severity']]}")
@@ -258,8 +249,6 @@ def _focus(view: View, name: str) -> None:
 
 def _remedies(view: View) -> None:
     """The remedies that were taken, and what they did."""
-    from nicegui import ui
-
     taken = view.bench.session.remedies
     if not taken:
         return
@@ -302,8 +291,6 @@ def _there(data: Array) -> Array:
 
 
 def _excitation(rows: Sequence[Mapping[str, Any]]) -> None:
-    from nicegui import ui
-
     columns = [
         {"name": n, "label": words, "field": n, "align": "left" if n == "motion" else "right"}
         for n, words in (("motion", "motion"), ("rms", "rms"), ("moving", "moving"), ("turns", "reversals"))
@@ -323,8 +310,6 @@ def _excitation(rows: Sequence[Mapping[str, Any]]) -> None:
 # --- Where it fails -----------------------------------------------------------------------------
 def fails_page(view: View) -> None:
     """The error map; a click on a cell marks its times and shows the residual force against a variable."""
-    from nicegui import ui
-
     with ui.row().classes("w-full items-center gap-4"):
         heading("Where it fails", f"The model {view.bench.session.steps[-1].what}, beside all logs in use.")
         action("Compare the model with the logs", view, "compare")
@@ -361,8 +346,6 @@ def fails_page(view: View) -> None:
 
 def _residual(view: View, found: Mapping[str, Any], again: Any) -> None:
     """What one cell of the map is made of."""
-    from nicegui import ui
-
     if view.cell is None or view.cell[0] not in found["dofs"]:
         return
     dof, regime = view.cell

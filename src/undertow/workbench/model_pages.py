@@ -9,6 +9,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+from nicegui import ui
+
 from undertow.figures import unit_text
 from undertow.identification.report.page import parameter_text
 from undertow.identification.report.sentences import CommandLine
@@ -35,8 +37,6 @@ _VERDICTS = {
 # --- What is missing ------------------------------------------------------------------------------
 def missing_page(view: View) -> None:
     """Candidates by what they do to the error, their simulations, and the waterfall of the error."""
-    from nicegui import ui
-
     with ui.row().classes("w-full items-center gap-4"):
         heading("What is missing", f"in the model {view.bench.session.steps[-1].what}")
         action("Look for what is missing", view, "diagnose")
@@ -60,8 +60,6 @@ def missing_page(view: View) -> None:
 
 
 def _undo(view: View) -> None:
-    from nicegui import ui
-
     steps = view.bench.session.steps
     if len(steps) > 1:
         words = steps[-1].what
@@ -70,8 +68,6 @@ def _undo(view: View) -> None:
 
 
 def _verdict(found: Mapping[str, Any], current: bool) -> None:
-    from nicegui import ui
-
     if not current:
         stale()
     diagnosis = found["diagnosis"]
@@ -83,8 +79,6 @@ def _verdict(found: Mapping[str, Any], current: bool) -> None:
 
 def _measure(view: View, found: Mapping[str, Any]) -> None:
     """Which error counts, on this page and in every window."""
-    from nicegui import ui
-
     session = view.bench.session
     names = measures(found["errors"])
     session.measure = session.measure if session.measure in names else FORCE
@@ -101,8 +95,6 @@ def _measure(view: View, found: Mapping[str, Any]) -> None:
 
 def _candidates(view: View, found: Mapping[str, Any]) -> None:
     """The candidates, the one that leaves the smallest error first."""
-    from nicegui import ui
-
     measure = view.bench.session.measure
     before = found["errors"].get(measure)
     ranked = sorted(found["candidates"], key=lambda c: c["errors"].get(measure, float("inf")))
@@ -122,7 +114,6 @@ def _candidates(view: View, found: Mapping[str, Any]) -> None:
 
 def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | None, since: Set[str]) -> None:
     """One candidate; `since` are the effects that were added after it was tried."""
-    from nicegui import ui
 
     def pointed() -> None:
         if view.hovered != c["effect"]:
@@ -154,8 +145,6 @@ def _candidate(view: View, c: Mapping[str, Any], measure: str, before: float | N
 
 def _add(view: View, effect: str, there: Set[str]) -> None:
     """The button that adds an effect, or a word that it is there."""
-    from nicegui import ui
-
     if effect in there:
         ui.badge("in the model").props("color=green-9")
     else:
@@ -163,8 +152,6 @@ def _add(view: View, effect: str, there: Set[str]) -> None:
 
 
 def _details(view: View, c: Mapping[str, Any]) -> None:
-    from nicegui import ui
-
     details = ui.expansion("equation, what it is confused with").mark(f"details-{c['effect']}")
     with details.props("dense").classes("w-full text-sm"):
         ui.label(c["about"]).classes("text-sm")
@@ -206,8 +193,6 @@ def _chance(p: float | None) -> str:
 
 def _remaining(view: View, found: Mapping[str, Any]) -> None:
     """What no effect of the catalogue explains, and an effect made of it."""
-    from nicegui import ui
-
     left = [r for r in found["diagnosis"]["remaining"] if r["depends_on"] or r["spectrum"]]
     own = [Path(path).stem for path in view.bench.session.effects]
     with ui.card().classes("w-full gap-1 p-2").props("flat bordered").mark("remaining"):
@@ -241,8 +226,6 @@ def _remaining(view: View, found: Mapping[str, Any]) -> None:
 
 def _waterfall(view: View) -> None:
     """The error from model to model."""
-    from nicegui import ui
-
     session = view.bench.session
     measure = session.measure
     bars = list(falling(session.steps, measure))
@@ -272,8 +255,6 @@ def falling(steps: Sequence[ModelStep], measure: str) -> Iterator[tuple[str, flo
 
 def _simulation(view: View, found: Mapping[str, Any]) -> None:
     """The candidate that is pointed at, over the measurement."""
-    from nicegui import ui
-
     measure = view.bench.session.measure
     horizons = list(found["traces"])
     horizon = measure if measure in horizons else horizons[-1]
@@ -297,8 +278,6 @@ def _simulation(view: View, found: Mapping[str, Any]) -> None:
 # --- Parameters -----------------------------------------------------------------------------------
 def parameters_page(view: View) -> None:
     """Stated values beside estimates, how the errors hang together, and edits."""
-    from nicegui import ui
-
     with ui.row().classes("w-full items-center gap-4"):
         heading("Parameters", f"of the model {view.bench.session.steps[-1].what}, signs as in its file")
         action("Refit", view, "fit")
@@ -348,8 +327,6 @@ _VERDICT_COLOURS = {"identified": "green-9", "weakly identified": "amber-10", "n
 
 
 def _table(view: View, rows: Sequence[Mapping[str, Any]]) -> None:
-    from nicegui import ui
-
     view.edits = {}
     with ui.grid(columns="auto auto auto auto auto auto").classes("items-center gap-x-4 gap-y-0"):
         for head in ("parameter", "stated", "value", "unit", "estimated", "these logs"):
@@ -359,8 +336,6 @@ def _table(view: View, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _row(view: View, row: Mapping[str, Any]) -> None:
-    from nicegui import ui
-
     name = row["name"]
 
     def changed(key: str, wanted: Any) -> None:
@@ -390,8 +365,6 @@ def _row(view: View, row: Mapping[str, Any]) -> None:
 
 def _model(vehicle: Vehicle) -> None:
     """The effects of the model, each with the equations that its parameters stand in."""
-    from nicegui import ui
-
     ui.label("Where they stand: the forces are the sum of these").classes("font-medium pt-4")
     for effect in vehicle.all_effects:
         details = ui.expansion(effect.id).mark(f"effect-{effect.id}")
@@ -421,8 +394,6 @@ def _apply(view: View) -> None:
 
 
 def _fitted(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], current: bool) -> None:
-    from nicegui import ui
-
     if not current:
         stale()
     ui.label(found["sentence"]).classes("text-sm").mark("fit-sentence")
@@ -446,8 +417,6 @@ def _fitted(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], current
 # --- Out ------------------------------------------------------------------------------------------
 def out_page(view: View) -> None:
     """Vehicle file, report, C code, and the command lines that would do the same."""
-    from nicegui import ui
-
     bench = view.bench
     stem = Path(bench.session.vehicle).stem
     heading("Out", f"What is written is the model {bench.session.steps[-1].what}.")
@@ -473,8 +442,6 @@ def out_page(view: View) -> None:
 
 
 def _output(view: View, title: str, task: str, name: str, **args: Any) -> None:
-    from nicegui import ui
-
     ui.label(title)
     path = ui.input(value=name).props("dense").mark(f"path-{task}")
     button = ui.button("Write", on_click=lambda: view.bench.start(task, out=path.value, **args))

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import secrets
-import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from http.cookies import SimpleCookie
-from importlib.util import find_spec
 from typing import Any
 from urllib.parse import parse_qs
 
-from undertow.errors import UndertowError
+from nicegui import app, context, ui
 
-from .bench import Bench
+from .bench import HOST, Bench
 from .data_pages import fails_page, log_page
 from .model_pages import missing_page, out_page, parameters_page
 from .tasks import TASKS
 from .view import View
 
-INSTALL = 'pip install "undertow[workbench]"'
-HOST = "127.0.0.1"
 PAGES: dict[str, tuple[str, Callable[[View], None]]] = {
     "log": ("Log", log_page),
     "fails": ("Where it fails", fails_page),
@@ -45,22 +41,6 @@ class PageSettings:
 
 
 SETTINGS = PageSettings()
-
-
-def require_nicegui() -> None:
-    """Refuse to begin without the library."""
-    if find_spec("nicegui") is None:
-        raise UndertowError(f"the workbench is drawn by NiceGUI, which is not installed: {INSTALL}")
-
-
-def require_port(port: int) -> None:
-    """Refuse a port that somebody else has."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, port))
-        except OSError as error:
-            raise UndertowError(f"port {port} is taken: choose another one with --port") from error
 
 
 class TokenGate:
@@ -109,8 +89,6 @@ class TokenGate:
 
 def set_up(bench: Bench, token: str, port: int) -> Callable[[], None]:
     """Put the gate before the application; what is returned draws the page for one window."""
-    from nicegui import app
-
     # Cookies of 127.0.0.1 are shared by all its ports: two workbenches must not overwrite each other's.
     app.add_middleware(TokenGate, token=token, name=f"undertow_{port}")
     return lambda: window(bench)
@@ -118,8 +96,6 @@ def set_up(bench: Bench, token: str, port: int) -> Callable[[], None]:
 
 def window(bench: Bench) -> None:
     """One window on the workbench."""
-    from nicegui import context, ui
-
     asked = context.client.request.query_params.get("page", "log")
     view = View(bench, page=asked if asked in PAGES else "log")
     ui.colors(primary="#0d47a1")
@@ -140,8 +116,6 @@ def _draw(view: View, body: Any) -> None:
 
 
 def _header(view: View) -> None:
-    from nicegui import ui
-
     with ui.header().classes("items-center gap-4 py-0 px-4 bg-primary"):
         ui.label(view.bench.vehicle.name).classes("text-base font-bold")
         with ui.tabs().props("dense no-caps") as tabs:
@@ -154,16 +128,12 @@ def _header(view: View) -> None:
 
 
 def _turn(view: View, page: str) -> None:
-    from nicegui import ui
-
     view.page = page
     ui.navigate.history.replace(f"/?page={page}")  # a reload comes back to this page; the cookie stays
     view.draw()
 
 
 def _progress(view: View) -> None:
-    from nicegui import ui
-
     with ui.row().classes("items-center gap-2 no-wrap").mark("progress") as row:
         bar = ui.linear_progress(0.0, show_value=False, size="8px").props("color=amber track-color=blue-3")
         bar.classes("w-40")
@@ -184,8 +154,6 @@ def _progress(view: View) -> None:
 
 
 def _messages(bench: Bench) -> None:
-    from nicegui import ui
-
     if bench.place.vehicle_changed:
         ui.label(
             f"{bench.session.vehicle} was edited or moved after this session began: 'as given' is what it is "
@@ -199,8 +167,6 @@ def _messages(bench: Bench) -> None:
 
 def serve(bench: Bench, port: int, *, show: bool, said: Callable[[str], None]) -> None:
     """Serve the page until Ctrl-C; `said` is told the address."""
-    from nicegui import app, ui
-
     token = secrets.token_urlsafe(24)
     root = set_up(bench, token, port)
     address = f"/?token={token}"

@@ -7,24 +7,41 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from undertow.codegen.library import Library
 from undertow.errors import UndertowError
-from undertow.files import write_whole
+from undertow.files import check_writable, write_whole
+from undertow.identification import api
+from undertow.identification.compare import comparison
+from undertow.identification.compare.comparison import Comparison, Profile
+from undertow.identification.diagnose import DiagnosisResult
+from undertow.identification.diagnose import diagnose as diagnosis
+from undertow.identification.diagnosis.addition import force_errors
+from undertow.identification.diagnosis.result import Diagnosis
+from undertow.identification.diagnosis.validation import SimulationValidator, training_and_validation
+from undertow.identification.doctor.examine import examine as doctor
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.fitted import Fitted, base_parameters, correlation, notes
+from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
+from undertow.identification.report.data import RunTraces
+from undertow.identification.report.page import estimate_text, render_report
+from undertow.identification.report.results import addition_sentence
+from undertow.identification.report.scaffold import check_id, effect_file, suggested
+from undertow.identification.report.tables import report_data, simulated
+from undertow.model.catalogue import catalogue, load_effects, merge
+from undertow.model.describe import describe, equations_on
+from undertow.model.effect import Effect
+from undertow.model.loading import load_vehicle
+from undertow.model.parameter import printed
+from undertow.model.saving import save_vehicle
+from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .figures import plain, thinned
 from .session import FORCE, REFITTED, ModelStep, Workspace
-
-if TYPE_CHECKING:
-    from undertow.identification.compare.comparison import Comparison, Profile
-    from undertow.identification.diagnose import DiagnosisResult
-    from undertow.identification.diagnosis.validation import SimulationValidator
-    from undertow.identification.estimation.fitted import Fitted
-    from undertow.identification.report.data import RunTraces
-    from undertow.model.effect import Effect
 
 Result = dict[str, Any]
 
@@ -60,14 +77,10 @@ class Job:
     @cached_property
     def known(self) -> dict[str, type[Effect]]:
         """The catalogue with the effects of the user."""
-        from undertow.model.catalogue import catalogue, load_effects, merge
-
         return merge(catalogue(), [cls for path in self.effect_files for cls in load_effects(path)])
 
     def vehicle_of(self, step: int) -> Vehicle:
         """A model of the session."""
-        from undertow.model.loading import load_vehicle
-
         return load_vehicle(self.place.vehicle_file(step), effect_files=self.effect_files)
 
     @cached_property
@@ -101,20 +114,12 @@ class Job:
     @cached_property
     def validator(self) -> SimulationValidator:
         """Who simulates the validation data, over horizons that stay the same from model to model."""
-        from undertow.identification.diagnosis.validation import (
-            SimulationValidator,
-            training_and_validation,
-        )
-        from undertow.identification.estimation.data import prepare
-
         given = self.vehicle_of(0)
         train, test = training_and_validation(given, *self.to_fit, trust_log=self.trust)
         return SimulationValidator(given, train, test, prepare(train, given).sigma)
 
     def errors(self, *models: Fitted | Vehicle) -> list[dict[str, float]]:
         """Errors of models on validation data by measure; the noise of the force is that of the last one."""
-        from undertow.identification.diagnosis.addition import force_errors
-
         validator = self.validator
         try:
             force = force_errors(models, validator.test, self.vehicle_of(0), validator.sigma)
@@ -125,29 +130,23 @@ class Job:
 
 def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list[Run]:
     """All logs of a session; without `mended` as they were read before the last remedy of the doctor."""
-    from undertow.identification.logs.reading import read_logs
-
     session, mapping = place.session, place.mapping(mended=mended)
     return read_logs(session.paths, vehicle, mapping, missing_commands=session.fill, in_any_order=True)
 
 
 def examine(job: Job) -> Result:
     """What the doctor says about the logs."""
-    from undertow.identification.doctor.examine import examine as run
-
     used = [run for role, run in job.chosen if role != "out"]
-    result = run(job.vehicle, used, mapping=job.place.mapping(), report=job.report).result
+    result = doctor(job.vehicle, used, mapping=job.place.mapping(), report=job.report).result
     return result.model_dump()
 
 
 def compare(job: Job) -> Result:
     """Where the present model fails."""
-    from undertow.identification.compare.comparison import compare as run
-
     used = [run for role, run in job.chosen if role != "out"]
     if not used:
         raise UndertowError("all logs are left out: choose a stretch on the page Log")
-    found = run(job.vehicle, used, progress=_share(job.report, 0.0, 0.8), trust_log=job.trust)
+    found = comparison.compare(job.vehicle, used, progress=_share(job.report, 0.0, 0.8), trust_log=job.trust)
     job.report(0.8, "predicting validation data")
     return {**_compared(found), "errors": _predicted(job)}
 
@@ -204,11 +203,9 @@ def _profile(p: Profile) -> Result:
 
 def diagnose(job: Job) -> Result:
     """What is missing in the present model, and what every candidate would do."""
-    from undertow.identification.diagnose import diagnose as run
-
     train, judge = job.to_fit
     progress = _share(job.report, 0.0, 0.8)
-    found = run(job.vehicle, train, judge, known=job.known, report=progress, trust_log=job.trust)
+    found = diagnosis(job.vehicle, train, judge, known=job.known, report=progress, trust_log=job.trust)
     ranking = {r.effect: r for r in found.diagnosis.ranking}
     best = sorted(found.tried, key=lambda name: ranking[name].error_after)[: SETTINGS.candidates]
     candidates = []
@@ -236,10 +233,6 @@ def _does_something(candidate: Result, without: Mapping[str, float]) -> bool:
 
 
 def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool) -> Result:
-    from undertow.identification.compare.comparison import supplied
-    from undertow.identification.report.page import estimate_text
-    from undertow.model.describe import describe, equations_on
-
     diagnosis, fit = found.diagnosis, found.tried[name]
     ranked = next(r for r in diagnosis.ranking if r.effect == name)
     alike = next((s for s in diagnosis.indistinguishable if name in s.effects), None)
@@ -264,21 +257,19 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
         "confused": [] if alike is None else [e for e in alike.effects if e != name],
         "tell": "" if alike is None else alike.separated_by,
         "traces": _simulated(job, fit.vehicle),
-        "supplied": [_profile(p) for p in supplied(job.vehicle, fit.vehicle, used)] if with_force else [],
+        "supplied": [_profile(p) for p in comparison.supplied(job.vehicle, fit.vehicle, used)]
+        if with_force
+        else [],
     }
 
 
 def _simulated(job: Job, vehicle: Vehicle) -> dict[str, list[Result]]:
     """Measured and simulated velocities of the first validation runs, by horizon."""
-    from undertow.identification.report.tables import simulated
-
     runs = job.validator.test[: SETTINGS.runs]
     return {f"{h:g} s": [_run_traces(r) for r in simulated(vehicle, runs, h)] for h in job.validator.horizons}
 
 
 def _run_traces(run: RunTraces) -> Result:
-    from undertow.model.symbols import VELOCITY
-
     channels = []
     for trace in run.traces:
         if trace.channel in VELOCITY:
@@ -290,12 +281,9 @@ def _run_traces(run: RunTraces) -> Result:
 
 def add(job: Job) -> Result:
     """Put an effect into the present model, and write the vehicle file where that helps."""
-    from undertow.identification.api import save_addition, try_effect
-    from undertow.identification.report.results import addition_sentence
-
     effect, force = str(job.args["effect"]), bool(job.args.get("force", False))
     train, judge = job.to_fit
-    setup, done = try_effect(
+    setup, done = api.try_effect(
         job.vehicle, effect, train, judge, known=job.known, report=job.report, trust_log=job.trust
     )
     job.report(0.9, "predicting validation data")
@@ -308,7 +296,7 @@ def add(job: Job) -> Result:
     if not (done.helps or force):
         return result
     out = job.place.new_file("model")
-    save_addition(setup, done, job.place.vehicle_file(), out)
+    api.save_addition(setup, done, job.place.vehicle_file(), out)
     step = ModelStep(
         what=f"with {effect}",
         file=out.name,
@@ -322,11 +310,8 @@ def add(job: Job) -> Result:
 
 def fit(job: Job) -> Result:
     """Refit what the present model marks as estimated, and write the vehicle file."""
-    from undertow.identification.api import fit as run
-    from undertow.identification.estimation.fitted import base_parameters, correlation, notes
-
     train, judge = job.to_fit
-    done = run(job.vehicle, train, judge, report=_share(job.report, 0.0, 0.9), trust_log=job.trust)
+    done = api.fit(job.vehicle, train, judge, report=_share(job.report, 0.0, 0.9), trust_log=job.trust)
     out = job.place.new_file("model")
     done.save(job.place.vehicle_file(), out)
     given, errors = job.errors(job.vehicle, done.fit)
@@ -348,9 +333,6 @@ def fit(job: Job) -> Result:
 
 def edit(job: Job) -> Result:
     """Change values of the present model, and which of them are estimated."""
-    from undertow.model.parameter import printed
-    from undertow.model.saving import save_vehicle
-
     changed, words, vehicle = {}, [], job.vehicle
     for name, wanted in dict(job.args["values"]).items():
         old = vehicle.value_of(name)
@@ -369,9 +351,6 @@ def edit(job: Job) -> Result:
 
 def invent(job: Job) -> Result:
     """Write an effect of the user's own, made from what remains."""
-    from undertow.identification.diagnosis.result import Diagnosis
-    from undertow.identification.report.scaffold import check_id, effect_file, suggested
-
     effect = str(job.args["effect"])
     check_id(effect)
     diagnosis = Diagnosis.model_validate(_last_diagnosis(job)["diagnosis"])
@@ -394,8 +373,6 @@ def _last_diagnosis(job: Job) -> Result:
 # --- what is written ------------------------------------------------------------------------------
 def write_vehicle(job: Job) -> Result:
     """Write the present model."""
-    from undertow.model.saving import save_vehicle
-
     out = _target(job)
     save_vehicle(job.vehicle, job.place.vehicle_file(), out)
     return {"written": [str(out)]}
@@ -403,17 +380,12 @@ def write_vehicle(job: Job) -> Result:
 
 def write_report(job: Job) -> Result:
     """Write the report of the last diagnosis, with the present model beside the one that was diagnosed."""
-    from undertow.identification.compare.comparison import compare as run
-    from undertow.identification.diagnosis.result import Diagnosis
-    from undertow.identification.report.page import render_report
-    from undertow.identification.report.tables import report_data
-
     out, found = _target(job), _last_diagnosis(job)
     steps, test = job.place.session.steps, job.validator.test
     first = min(int(found["step"]), len(steps) - 1)
     job.report(0.1, "comparing the models with validation data")
-    before = run(job.vehicle_of(first), test, trust_log=job.trust)
-    after = run(job.vehicle, test, trust_log=job.trust) if first < len(steps) - 1 else None
+    before = comparison.compare(job.vehicle_of(first), test, trust_log=job.trust)
+    after = comparison.compare(job.vehicle, test, trust_log=job.trust) if first < len(steps) - 1 else None
     job.report(0.7, "drawing")
     data = report_data(before, after, names=(f"model {steps[first].what}", f"model {steps[-1].what}"))
     write_whole(out, render_report(Diagnosis.model_validate(found["diagnosis"]), data))
@@ -422,29 +394,23 @@ def write_report(job: Job) -> Result:
 
 def write_code(job: Job) -> Result:
     """Write the C code of the present model."""
-    from undertow.codegen.library import Library
-
     done = Library(job.vehicle).write(Path(job.args["out"]))
     return {"written": [str(done.folder)]}
 
 
 def write_logs(job: Job) -> Result:
     """Write the chosen stretches as logs, for command lines to name."""
-    from undertow.identification.api import save_log
-
     written = []
     for role in ("train", "judge"):
         for i, run in enumerate(job.runs(role), start=1):
             out = job.place.folder / f"{role}-{i}.csv"
             out.with_suffix(".toml").unlink(missing_ok=True)
-            save_log(run, out)
+            api.save_log(run, out)
             written.append(str(out))
     return {"written": written, "logs": written}
 
 
 def _target(job: Job) -> Path:
-    from undertow.files import check_writable
-
     out, session = Path(job.args["out"]), job.place.session
     given: list[str | Path] = [job.place.vehicle_file(0), *(log.path for log in session.logs)]
     check_writable(out, inputs=[*given, *session.effects, *filter(None, [session.mapping])])

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from nicegui import ui
+
 from .bench import Bench
 from .figures import number
 from .session import FORCE
@@ -69,8 +71,6 @@ def measures(*tables: Mapping[str, float]) -> list[str]:
 
 def heading(text: str, about: str = "") -> None:
     """A title with a line that says what is below."""
-    from nicegui import ui
-
     with ui.column().classes("gap-0"):
         ui.label(text).classes("text-lg font-medium")
         if about:
@@ -79,24 +79,18 @@ def heading(text: str, about: str = "") -> None:
 
 def stale() -> None:
     """Say that what is shown is about something else."""
-    from nicegui import ui
-
     words = "This was worked out before something was changed: press the button to bring it up to date."
     ui.label(words).classes("bg-amber-1 text-amber-900 px-2 rounded").mark("stale")
 
 
 def lines(text: str) -> None:
     """Text of a file or a command, as it is."""
-    from nicegui import ui
-
     style = "white-space: pre-wrap; overflow-wrap: anywhere; background: #f5f5f5; border-radius: 4px"
     ui.label(text).classes("font-mono text-xs px-2 py-1 w-full").style(style)
 
 
 def equation(plain: str, picture: str | None) -> None:
     """An equation by the address of its picture, with its text for those who cannot see it; else the text."""
-    from nicegui import ui
-
     if picture is None:
         lines(plain)
         return
@@ -108,8 +102,6 @@ def equation(plain: str, picture: str | None) -> None:
 
 def action(text: str, view: View, task: str, *, flat: bool = False, **args: Any) -> Any:
     """A button that starts a task; it rests while another one is going on."""
-    from nicegui import ui
-
     button = ui.button(text, on_click=lambda: view.bench.start(task, **args))
     button.props("dense no-caps padding='4px 12px'" + (" outline" if flat else "")).mark(f"do-{task}")
     button.set_enabled(view.bench.work is None)

@@ -36,13 +36,13 @@ def workbench(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
     browser: Annotated[bool, _BROWSER] = True,
 ) -> None:
-    from undertow.workbench.server import require_nicegui, require_port, serve
+    from undertow.workbench.bench import Bench, require_nicegui, require_port
     from undertow.workbench.session import LogChoice, Session
 
     require_nicegui()
     require_port(port)
 
-    from undertow.workbench.bench import Bench
+    from undertow.workbench.server import serve
 
     span = options.since, options.until
     # Whole paths, so that the session can go on from any folder.

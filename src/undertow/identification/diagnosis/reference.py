@@ -76,7 +76,6 @@ def predictable(
     train: WeakData,
     test: WeakData,
     variables: Sequence[str] | None = None,
-    settings: ReferenceSettings = SETTINGS,
 ) -> list[Predictability]:
     """How much of the residual force of every degree of freedom depends on what was logged.
 
@@ -93,8 +92,6 @@ def predictable(
     variables : sequence of str, optional
         Signals that may be used: velocities, pose, commands, further channels; by default all of them but
         the place and the time, of which a force of the water is no function.
-    settings : ReferenceSettings
-        The numbers that decide.
 
     Returns
     -------
@@ -102,7 +99,7 @@ def predictable(
         In the order of the vehicle's degrees of freedom.
     """
     with _one_thread():
-        forces, change = _forces(fit, train, test, variables, settings)
+        forces, change = _forces(fit, train, test, variables)
         return [force.result(change) for force in forces]
 
 
@@ -111,18 +108,17 @@ def _forces(
     train: WeakData,
     test: WeakData,
     variables: Sequence[str] | None,
-    settings: ReferenceSettings,
 ) -> tuple[list[_Force], Array]:
     """The residual force of every degree of freedom, and the change of the parameters that suits all."""
-    logs = _logs(fit, train, test, settings)
+    logs = _logs(fit, train, test)
     signals = _Signals.common(logs, variables)
-    forces = [_Force(logs, signals, i, settings) for i in range(len(logs[0].vehicle.dof_indices))]
+    forces = [_Force(logs, signals, i) for i in range(len(logs[0].vehicle.dof_indices))]
     return forces, _other_values(fit, [force.learned for force in forces])
 
 
-def is_disturbance(found: Sequence[Predictability], settings: ReferenceSettings = SETTINGS) -> bool:
+def is_disturbance(found: Sequence[Predictability]) -> bool:
     """Whether the signals predict nothing, and these logs are long enough to say so."""
-    return not any(p.something or p.interval[1] > settings.most_hidden for p in found)
+    return not any(p.something or p.interval[1] > SETTINGS.most_hidden for p in found)
 
 
 def captured(
@@ -131,7 +127,6 @@ def captured(
     train: WeakData,
     test: WeakData,
     variables: Sequence[str],
-    settings: ReferenceSettings = SETTINGS,
 ) -> float:
     """Share of what a flexible function of some variables explains that an effect explains.
 
@@ -148,7 +143,7 @@ def captured(
         Variables of the effect.
     """
     with _one_thread():
-        forces, change = _forces(fit, train, test, variables, settings)
+        forces, change = _forces(fit, train, test, variables)
         without = ForceRows(base, test)
         shares, weights = [], []
         for force in forces:
@@ -218,11 +213,11 @@ def _lagged(name: str, seconds: float) -> str:
 class _Log:
     """Force equations along logs with the signals that they may depend on."""
 
-    def __init__(self, fit: Fitted, data: WeakData, settings: ReferenceSettings) -> None:
-        self.rows, self._settings = ForceRows(fit, data), settings
+    def __init__(self, fit: Fitted, data: WeakData) -> None:
+        self.rows = ForceRows(fit, data)
         self.vehicle = fit.model.functions.vehicle
         self.clock = Clock.of(data)
-        self.lags = [lag * self.clock.step for lag in settings.lags]
+        self.lags = [lag * self.clock.step for lag in SETTINGS.lags]
         self._tables: dict[int, list[Array]] = {}
 
     @property
@@ -252,9 +247,9 @@ class _Log:
         return Along(values, along.commands)
 
 
-def _logs(fit: Fitted, train: WeakData, test: WeakData, settings: ReferenceSettings) -> list[_Log]:
+def _logs(fit: Fitted, train: WeakData, test: WeakData) -> list[_Log]:
     """What is learned from and what is judged by, with the same lags, whatever their samples."""
-    learned, judged = (_Log(fit, data, settings) for data in (train, test))
+    learned, judged = (_Log(fit, data) for data in (train, test))
     judged.lags = learned.lags
     return [learned, judged]
 
@@ -294,18 +289,16 @@ class _Share(NamedTuple):
 class _Force:
     """The residual force of one degree of freedom, and what predicts it."""
 
-    def __init__(
-        self, logs: Sequence[_Log], signals: _Signals, dof: int, settings: ReferenceSettings
-    ) -> None:
-        self._logs, self._signals, self._dof, self._settings = logs, signals, dof, settings
+    def __init__(self, logs: Sequence[_Log], signals: _Signals, dof: int) -> None:
+        self._logs, self._signals, self._dof = logs, signals, dof
         self._rows = [log.rows.row(dof) for log in logs]
         self._width = self._enough()
 
     def _enough(self) -> int:
         """Test functions to be averaged over, so that the force stands out of the noise."""
-        for width in self._settings.widths:
+        for width in SETTINGS.widths:
             force, variance = (np.concatenate(c) for c in zip(*self._rows[0].averaged(width), strict=True))
-            if not len(force) or np.mean(force**2) > self._settings.stands_out * np.mean(variance):
+            if not len(force) or np.mean(force**2) > SETTINGS.stands_out * np.mean(variance):
                 break
         return width
 
@@ -345,7 +338,7 @@ class _Force:
 
     @cached_property
     def _predict(self) -> Callable[[Array], Array]:
-        learner = Learner(self._settings, self._signals.choices, self._width)
+        learner = Learner(self._signals.choices, self._width)
         return learner.learned(self.learned)
 
     def share(self, change: Array) -> _Share:
@@ -360,7 +353,7 @@ class _Force:
         judged, (share, interval, left) = self.judged, self.share(change)
         square = max(judged.square, 1e-300)
         vehicle = self._logs[0].vehicle
-        something = interval[0] > 0.0 and share > self._settings.least_share
+        something = interval[0] > 0.0 and share > SETTINGS.least_share
         return Predictability(
             degree_of_freedom=vehicle.degrees_of_freedom[self._dof],
             unit=FORCE_UNITS[vehicle.dof_indices[self._dof]],
@@ -384,7 +377,7 @@ class _Force:
         total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)
         share = float(np.sum(fall)) / total
         error = float(np.sqrt(len(whole) / others * np.sum((fall - share * whole) ** 2))) / total
-        reach = float(student.ppf(0.5 + self._settings.level / 2, others)) * error
+        reach = float(student.ppf(0.5 + SETTINGS.level / 2, others)) * error
         low, middle, high = np.clip([share - reach, share, share + reach], 0.0, 1.0).tolist()
         left = min(float(np.mean(before**2)), float(np.mean(after**2)))
         return _Share(middle, (low, high), left)
@@ -428,15 +421,15 @@ class Learner:
     held-out stretches are predicted best (stacking; Breiman, Machine Learning 24, 1996, 49-64).
     """
 
-    def __init__(self, settings: ReferenceSettings, choices: Sequence[Index], width: int) -> None:
-        self._settings, self._choices, self._gap = settings, choices, width + 3
+    def __init__(self, choices: Sequence[Index], width: int) -> None:
+        self._choices, self._gap = choices, width + 3
         self._single = choices[0]
 
     def learned(self, table: _Table) -> Callable[[Array], Array]:
         """Function from signals (K, q) to the force (K,)."""
-        step = -(-len(table.force) // self._settings.most_rows)
+        step = -(-len(table.force) // SETTINGS.most_rows)
         y, X = table.force[::step], table.signals[::step]
-        if len(y) < 2 * self._settings.folds * self._settings.fewest_in_leaf or not X.shape[1]:
+        if len(y) < 2 * SETTINGS.folds * SETTINGS.fewest_in_leaf or not X.shape[1]:
             mean = float(np.mean(y)) if len(y) else 0.0
             return lambda signals: np.full(len(signals), mean)
         folds = [*self._folds(len(y), -(-self._gap // step))]
@@ -465,7 +458,7 @@ class Learner:
             pairs = zip(without, folds, strict=True)
             return sum(float(np.sum((y[out] - r.predict(X[out], penalty)) ** 2)) for r, (_, out) in pairs)
 
-        penalty = min(self._settings.penalties, key=left)
+        penalty = min(SETTINGS.penalties, key=left)
         whole = Ridge(X, y)
         return lambda table: whole.predict(table, penalty), np.array([r.predict(X, penalty) for r in without])
 
@@ -474,9 +467,9 @@ class Learner:
 
         `left` (folds, K) is what the regressions leave that did not see the fold.
         """
-        square = np.zeros(self._settings.trees + 1)
+        square = np.zeros(SETTINGS.trees + 1)
         for y, (kept, out) in zip(left, folds, strict=True):
-            boosted = self._boosted(X[kept][:, self._single], y[kept], self._settings.trees)
+            boosted = self._boosted(X[kept][:, self._single], y[kept], SETTINGS.trees)
             stages = np.array([*boosted.staged_predict(X[out][:, self._single])])
             square[0] += np.sum(y[out] ** 2)
             square[1:] += np.sum((y[out] - stages) ** 2, axis=1)
@@ -485,7 +478,7 @@ class Learner:
     def _boosted(self, X: Array, y: Array, trees: int) -> Any:
         from sklearn.ensemble import HistGradientBoostingRegressor
 
-        s = self._settings
+        s = SETTINGS
         return HistGradientBoostingRegressor(
             max_iter=trees,
             learning_rate=s.learning_rate,
@@ -497,7 +490,7 @@ class Learner:
 
     def _folds(self, count: int, gap: int) -> Iterator[_Fold]:
         """Rows to learn from and stretch to be predicted, which no average has a part in."""
-        edges = np.linspace(0, count, self._settings.folds + 1).astype(int)
+        edges = np.linspace(0, count, SETTINGS.folds + 1).astype(int)
         place = np.arange(count)
         for low, high in pairwise(edges.tolist()):
             yield (place < low - gap) | (place >= high + gap), place[low:high]

@@ -16,7 +16,7 @@ from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
-from undertow.identification.estimation.step import prior_of
+from undertow.identification.estimation.step import prior_of, squared
 from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, VELOCITY
 from undertow.typing import Array
 
@@ -377,7 +377,7 @@ class Characterisation:
         fits = [self._common(f) for f in near]
         best = int(np.argmax([fall for fall, _ in fits]))
         validation = self._left.samples.validation
-        own = validation.square - _square(
+        own = validation.square - squared(
             without_waves(validation.r, self._force.waves(frequency)[1], self._force.clocks[1].log)[0]
         )
         in_step = fits[best][1] > _IN_STEP * own
@@ -389,7 +389,7 @@ class Characterisation:
         samples = self._left.samples
         coefficients = -np.linalg.lstsq(waves[0], samples.fitted.r, rcond=None)[0]
         falls = [
-            s.square - _square(s.r + w @ coefficients)
+            s.square - squared(s.r + w @ coefficients)
             for s, w in zip((samples.fitted, samples.validation), waves, strict=False)
         ]
         return falls[0], falls[1]
@@ -420,10 +420,6 @@ _COMPARED = (("a constant", "mean force"), ("sin and cos of psi", "force that tu
 
 def _three(samples: Samples) -> tuple[Sample, Sample, Sample]:
     return samples.fitted, samples.validation, samples.shown
-
-
-def _square(r: Array) -> float:
-    return float(np.sum(r**2))
 
 
 def _dependence(found: Found, share: float, unit: str) -> Dependence:

@@ -14,7 +14,7 @@ from undertow.files import json_ready
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
-from undertow.identification.estimation.step import bounded_step, bounds_of, search_prior
+from undertow.identification.estimation.step import bounded_step, bounds_of, search_prior, squared
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
@@ -74,9 +74,9 @@ class Refit:
             if not (np.isfinite(at.r).all() and np.isfinite(at.J).all()):
                 return 0.0, p
             step = bounded_step(at, p[self._places], self._bounds, self._prior)
-            predicted = _squares(at.r + at.J @ step)
-            if left == 1 or _squares(at.r) - predicted < SETTINGS.enough:
-                return min(predicted, _squares(at.r)), p
+            predicted = squared(at.r + at.J @ step)
+            if left == 1 or squared(at.r) - predicted < SETTINGS.enough:
+                return min(predicted, squared(at.r)), p
             p, at = self._moved(data, p, step, at, own, noise)
         return 0.0, p
 
@@ -93,7 +93,7 @@ class Refit:
             tried = p.copy()
             tried[self._places] = np.clip(p[self._places] + share * step, *self._bounds)
             there = self._at(data, tried, own, noise)
-            if _squares(there.r) < _squares(at.r):
+            if squared(there.r) < squared(at.r):
                 return tried, there
         return p, at
 
@@ -115,10 +115,6 @@ def _apart(rival: Linearised, truth: Linearised) -> Linearised:
         start=np.hstack([rival.start, truth.start]),
         known=min(known, default=None),
     )
-
-
-def _squares(r: Array) -> float:
-    return float(np.sum(r**2))
 
 
 class Separations:
