@@ -34,13 +34,10 @@ from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
 CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        CHROMIUM is None or DRIVER is None,
-        reason="there is no Chromium here: apt-get install chromium chromium-driver",
-    ),
-]
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None or DRIVER is None,
+    reason="there is no Chromium here: apt-get install chromium chromium-driver",
+)
 
 FLAGS = (
     "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking "
@@ -239,6 +236,7 @@ def _choose_a_stretch(user: Browser) -> None:
     user.sees("chosen: ")
 
 
+@pytest.mark.slow
 def test_the_story_from_the_start(tmp_path: Path) -> None:
     """Everything is worked out by buttons, with the whole catalogue."""
     for name in ("vehicle.toml", *LOGS, HOLDOUT):
