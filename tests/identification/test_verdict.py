@@ -11,7 +11,8 @@ from undertow.identification.diagnosis.settings import DEFAULT
 
 # Private: by its input each of these rules would take a search of its own.
 # Private: sentences for remainders and winners that no log here has.
-from undertow.identification.diagnosis.verdict import Remainder, _doubt, _named
+from undertow.identification.diagnosis.verdict import Remainder, _doubt, _named, error_of_sensors
+from undertow.model.catalogue import catalogue
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
 
@@ -60,3 +61,27 @@ def test_an_effect_with_which_the_error_rises_helps_in_part_at_the_most(
 def test_no_share_below_zero_is_told() -> None:
     doubt = _doubt(-0.21, Remainder(residual_is_noise=False, confirmed=True, nearly=True), DEFAULT)
     assert doubt == "explains none of what exceeds the noise, too little to be named as what is missing"
+
+
+@pytest.mark.parametrize(
+    ("effect", "significant", "share", "said"),
+    [
+        ("water_speed_log", True, 0.57, True),
+        ("water_speed_log", True, 0.02, False),
+        ("water_speed_log", False, 0.57, False),
+        ("ocean_current", True, 0.57, False),
+    ],
+)
+def test_no_disturbance_acts_between_pose_and_velocity(
+    effect: str, *, significant: bool, share: float, said: bool
+) -> None:
+    """Forces that nobody knows may be behind an excess in the forces, not behind one between two sensors."""
+    candidate = SimpleNamespace(effect=catalogue()[effect])
+    finding = SimpleNamespace(
+        id=effect, significant=significant, explained=share, trial=SimpleNamespace(candidate=candidate)
+    )
+    judgement = error_of_sensors([finding])
+    assert (judgement is not None) == said
+    if judgement is not None:
+        assert judgement.verdict == "unexplained"
+        assert "water_speed_log takes away 57% of what exceeds the noise" in judgement.headline

@@ -62,6 +62,7 @@ from .diagnosis.verdict import (
     absorbing,
     changed_values,
     equivalents,
+    error_of_sensors,
     estimate,
     estimates,
     instead_of_effects,
@@ -157,8 +158,10 @@ class ResultBuilder:
         """The judgement, or that nothing is missing which these logs could show."""
         if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable):
             return self.judgement
-        found = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
-        return self.judgement if found else only_disturbance(self._predictable, self.judgement.share)
+        if any(r.depends_on or r.spectrum or r.between_runs for r in self._left):
+            return self.judgement
+        contradiction = error_of_sensors(self.found.rounds[0].findings, self.settings)
+        return contradiction or only_disturbance(self._predictable, self.judgement.share)
 
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""

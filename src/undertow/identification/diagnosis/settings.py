@@ -264,6 +264,12 @@ class Settings:
         "its direction in the vehicle then changes by a quarter of its size",
         off=0.0,
     )
+    sensor_share: float = _number(
+        0.1,
+        "share of what exceeds the noise from which an effect of the sensors is no disturbance",
+        "a tenth, as of what an effect has to be worth",
+        off=_NEVER,
+    )
     known_times: float = _number(
         2.0,
         "standard errors by which a time constant of an effect has to differ from zero",

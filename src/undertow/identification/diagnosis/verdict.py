@@ -22,6 +22,7 @@ from undertow.identification.estimation.step import (
     within_limits,
 )
 from undertow.identification.estimation.weak_form import WeakFit
+from undertow.model.effect import Measurement
 from undertow.model.parameter import Parameter, printed
 from undertow.model.plausibility import check_vehicle
 from undertow.model.vehicle import Vehicle
@@ -137,6 +138,24 @@ def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
         f"of the logged signals. A disturbance remains: {', '.join(rest)} (rms)."
     )
     return Judgement("adequate", text, [], [], share)
+
+
+def error_of_sensors(findings: Iterable[FoundEffect], settings: Settings = DEFAULT) -> Judgement | None:
+    """That the sensors contradict each other, where an effect of theirs is there beyond chance.
+
+    Pose and velocities follow from each other without a force: what lies between them is no disturbance, also
+    where it changes no predicted velocity.
+    """
+    own = (f for f in findings if f.significant and issubclass(f.trial.candidate.effect, Measurement))
+    most = max(own, key=lambda f: f.explained, default=None)
+    if most is None or most.explained < settings.sensor_share:
+        return None
+    text = (
+        f"Unexplained: the sensors contradict each other. {most.id} takes away {most.explained:.0%} of what "
+        "exceeds the noise, where no disturbance acts, but lowers the error of no predicted velocity by as "
+        "much as matters: see what the doctor says of the logs."
+    )
+    return Judgement("unexplained", text, [], [], most.explained)
 
 
 def _doubt(share: float, left: Remainder, settings: Settings) -> str:
