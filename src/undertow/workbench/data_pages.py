@@ -61,6 +61,20 @@ def _logs(view: View) -> None:
                 on_change=lambda e, i=i: view.bench.choose(i, e.value) if e.value else None,
             ).props(f"dense no-caps size=sm padding='2px 10px' {_TOGGLE}").mark(f"role-{i}")
             ui.label(_about(run, choice)).classes("text-sm text-grey-8")
+    _notes(view.bench.runs[view.log])
+
+
+def _notes(run: Run) -> None:
+    """What the reader of a log said: what it left out, cut, converted and took for granted."""
+    from nicegui import ui
+
+    said = (*run.reader_notes, *run.notes)
+    if said:
+        with ui.expansion(f"How {run.name} was read ({len(said)})", value=bool(run.reader_notes)).props(
+            "dense dense-toggle header-class='text-sm text-grey-8 q-px-none'"
+        ).classes("w-full").mark("reader-notes"):
+            for note in said:
+                ui.label(note).classes("text-xs text-grey-8").style("overflow-wrap: anywhere")
 
 
 def _about(run: Run, choice: LogChoice) -> str:
@@ -180,6 +194,7 @@ def _log_figure(view: View) -> figures.Figure:
         marks=_marks(view, run),
         before=before,
         doubtful=_doubtful(view, run),
+        selected=view.selected,
     )
     if view.zoom is not None:
         figure["layout"]["xaxis"]["range"] = list(view.zoom)

@@ -138,11 +138,12 @@ def channels(
     marks: Sequence[tuple[float, float]] = (),
     before: Run | None = None,
     doubtful: Mapping[str, str] | None = None,
+    selected: tuple[float, float] | None = None,
 ) -> Figure:
     """Channels of a run one below the other on one time axis, with what is done with its stretches.
 
     `marks` are times to be pointed out, `before` the run as it was read before; `doubtful` has colours for
-    the names of channels that something is wrong with.
+    the names of channels that something is wrong with; `selected` is the box that was drawn over the plot.
     """
     low, high = window or (float(run.t[0]), float(run.t[-1]))
     data: list[Figure] = []
@@ -161,6 +162,7 @@ def channels(
     layout: Figure = {
         "xaxis": _axis("time (s)", anchor=f"y{rows if rows > 1 else ''}"),
         "shapes": shapes,
+        "selections": [_box(*selected)] if selected else [],
         "dragmode": "select",
         "selectdirection": "h",
         "hovermode": "x",
@@ -181,6 +183,11 @@ def channels(
     figure = _figure(data, height, **layout)
     figure["config"] = _WITH_ZOOM
     return figure
+
+
+def _box(begin: float, end: float) -> Figure:
+    """A box as Plotly draws it where the mouse chooses a stretch, over all channels."""
+    return {"type": "rect", "xref": "x", "yref": "paper", "x0": begin, "x1": end, "y0": 0.0, "y1": 1.0}
 
 
 def _of_another_size(before: Run, run: Run, name: str) -> bool:
