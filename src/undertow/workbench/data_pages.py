@@ -68,13 +68,16 @@ def _notes(run: Run) -> None:
     """What the reader of a log said: what it left out, cut, converted and took for granted."""
     from nicegui import ui
 
-    said = (*run.reader_notes, *run.notes)
-    if said:
-        with ui.expansion(f"How {run.name} was read ({len(said)})", value=bool(run.reader_notes)).props(
-            "dense dense-toggle header-class='text-sm text-grey-8 q-px-none'"
-        ).classes("w-full").mark("reader-notes"):
-            for note in said:
+    def say(notes: Sequence[str]) -> None:
+        with ui.column().classes("gap-0 w-full"):
+            for note in notes:
                 ui.label(note).classes("text-xs text-grey-8").style("overflow-wrap: anywhere")
+
+    say(run.reader_notes)
+    if run.notes:
+        more = ui.expansion(f"How the channels of {run.name} were read").mark("notes")
+        with more.props("dense header-class='text-xs text-grey-8 q-px-none'").classes("w-full"):
+            say(run.notes)
 
 
 def _about(run: Run, choice: LogChoice) -> str:
@@ -125,8 +128,10 @@ def _channels(view: View) -> None:
         plot.update_figure(_log_figure(view))
 
     def marked(span: tuple[float, float] | None) -> None:
-        view.selected = span
-        say()
+        if span is not None and span != view.selected:  # Plotly reports none when the plot is drawn again
+            view.selected = span
+            say()
+            plot.update_figure(_log_figure(view))
 
     def shown(names: list[str]) -> None:
         view.channels = names or known[:1]

@@ -159,10 +159,10 @@ def channels(
     height = SETTINGS.row * rows + 80
     shapes = [_band(a, b, COLOURS[role], 0.10) for a, b, role in spans]
     shapes += [_band(a, b, _MARK, 0.45) for a, b in marks]
+    shapes += [_box(*selected)] if selected else []
     layout: Figure = {
         "xaxis": _axis("time (s)", anchor=f"y{rows if rows > 1 else ''}"),
         "shapes": shapes,
-        "selections": [_box(*selected)] if selected else [],
         "dragmode": "select",
         "selectdirection": "h",
         "hovermode": "x",
@@ -186,8 +186,12 @@ def channels(
 
 
 def _box(begin: float, end: float) -> Figure:
-    """A box as Plotly draws it where the mouse chooses a stretch, over all channels."""
-    return {"type": "rect", "xref": "x", "yref": "paper", "x0": begin, "x1": end, "y0": 0.0, "y1": 1.0}
+    """The stretch that was chosen with the mouse: what Plotly draws itself is gone when the page is drawn."""
+    return {
+        **_band(begin, end, _MEASURED, 0.25),
+        "fillcolor": "rgba(0,0,0,0.15)",
+        "line": {"color": _MEASURED, "width": 1, "dash": "dash"},
+    }
 
 
 def _of_another_size(before: Run, run: Run, name: str) -> bool:
