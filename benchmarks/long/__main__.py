@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +15,6 @@ from undertow.files import write_whole
 from .made import VEHICLE, write
 from .thinning import biases
 
-ROOT = Path(__file__).parents[2]
 PAGE = Path(__file__).with_name("page.md")
 
 
@@ -28,15 +28,11 @@ class Log:
     commands: tuple[str, ...]
 
 
+COMMANDS = ("compare", "doctor", "fit", "diagnose", "add ocean_current", "plan")
 LOGS = (
-    Log(
-        "hour.parquet",
-        "1 h, 360,000 rows",
-        3_600,
-        ("compare", "doctor", "fit", "diagnose", "add ocean_current", "plan"),
-    ),
+    Log("hour.parquet", "1 h, 360,000 rows", 3_600, COMMANDS),
     Log("hour.csv", "1 h, 360,000 rows, CSV", 3_600, ("fit",)),
-    Log("day.parquet", "28 h, 10,000,000 rows", 100_000, ("compare", "fit", "diagnose")),
+    Log("day.parquet", "28 h, 10,000,000 rows", 100_000, COMMANDS),
 )
 
 
@@ -95,9 +91,9 @@ def _measured(log: Log, command: str, path: Path) -> Cost:
     words = [first, *rest, VEHICLE, str(path), "--json", str(_result(path, first))]
     began = perf_counter()
     with open(os.devnull, "w") as silent:
-        program = str(ROOT / ".venv" / "bin" / "undertow")
         dup = [(os.POSIX_SPAWN_DUP2, silent.fileno(), stream) for stream in (1, 2)]
-        number = os.posix_spawn(program, [program, *words], os.environ, file_actions=dup)
+        program = [sys.executable, "-m", "undertow", *words]
+        number = os.posix_spawn(program[0], program, os.environ, file_actions=dup)
         _, status, used = os.wait4(number, 0)
     return Cost(
         log.title,

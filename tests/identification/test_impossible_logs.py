@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping as TypingMapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -20,10 +21,12 @@ from undertow.identification.api import Estimator
 from undertow.identification.compare.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.doctor.examine import examine, refuse_impossible
+from undertow.identification.doctor.forces import Forces
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
+from undertow.model.hardware import Curve
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
@@ -175,6 +178,24 @@ def test_a_refusal_tells_sizes_and_limit() -> None:
     message = _refusal(_vehicle("usv"), _log("usv", scaled("f1", by=1e3)))
     assert "the surge of the log needs 0.00" in message
     assert "at least 0.025 can be" in message
+
+
+def test_thrusters_with_a_curve_push_as_their_curve_says() -> None:
+    """The commands of a log as those of thrusters with a curve and a dead band, as of a T200."""
+    vehicle, run = _vehicle("usv"), _log("usv", dict, NO_POSE)
+    most = max(float(np.max(np.abs(run.channels[n]))) for n in vehicle.command_names)
+    curve = Curve.through([(-1.0, -most), (-0.07, 0.0), (0.07, 0.0), (1.0, most)])
+    curved = replace(vehicle, thrusters=tuple(replace(t, law=curve, limit=1.0) for t in vehicle.thrusters))
+    outputs = {n: np.vectorize(curve.inverse)(run.channels[n]) for n in vehicle.command_names}
+    driven = replace(run, channels={**run.channels, **outputs})
+    wanted, given = Forces(vehicle).commanded(run), Forces(curved).commanded(driven)
+    assert np.ptp(wanted) > most
+    np.testing.assert_allclose(given, wanted, atol=1e-6 * most)
+    assert not _refusal(curved, driven)
+    scaled_speeds = {n: MMPS * driven.channels[n] for n in ("u", "v")}
+    told = _refusal(curved, replace(driven, channels={**driven.channels, **scaled_speeds}))
+    assert "u, v are in mm/s" in told
+    assert "of the log needs" in told  # by the force, and not by the speed alone
 
 
 def test_a_vehicle_that_only_drifts_is_known_by_its_size() -> None:

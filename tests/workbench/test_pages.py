@@ -94,6 +94,12 @@ def _figure(user: User, marker: str) -> dict[str, Any]:
     return dict(plot.figure)  # type: ignore[arg-type]
 
 
+def _dashed(figure: dict[str, Any]) -> list[tuple[float, float]]:
+    """The stretch that is chosen, as it is drawn."""
+    shapes = figure["layout"]["shapes"]
+    return [(s["x0"], s["x1"]) for s in shapes if s.get("line", {}).get("dash") == "dash"]
+
+
 def test_the_log_page_shows_every_channel_and_takes_stretches(place: Workspace) -> None:
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}")
@@ -106,6 +112,10 @@ def test_the_log_page_shows_every_channel_and_takes_stretches(place: Workspace) 
                 "plotly_selected", {"range": {"x": [12.0, 20.0], "y3": [0, 1]}}
             )
         await user.should_see("chosen: 12 to 20 s")
+        user.find(marker="page-out").click()
+        user.find(marker="page-log").click()
+        await user.should_see("chosen: 12 to 20 s")
+        assert _dashed(_figure(user, "channels-plot")) == [(12.0, 20.0)]
         user.find(marker="choose-out").click()
         await user.should_see("0-12 s training, 12-20 s left out, 20-59.95 s training")
         assert Workspace.open(place.folder, place.session).session.logs[0].stretches[0].role == "out"
@@ -113,11 +123,32 @@ def test_the_log_page_shows_every_channel_and_takes_stretches(place: Workspace) 
             "plotly_relayout", {"xaxis.range[0]": 30.0, "xaxis.range[1]": 31.0}
         )
         await asyncio.sleep(0.05)
+        assert not _dashed(_figure(user, "channels-plot"))
         near = _figure(user, "channels-plot")["data"][0]["x"]
         assert 29.9 < near[0] <= 30.0
         assert 31.0 <= near[-1] < 31.1
 
     _played_on(place, story)
+
+
+def test_the_log_page_says_how_a_log_was_read(tmp_path: Path) -> None:
+    table = pl.read_csv(DEMO / "train_1.csv.gz", infer_schema_length=None).head(300)
+    names = {"x": "NAV_X", "y": "NAV_Y", "z": "NAV_DEPTH", "psi": "NAV_HEADING"} | {
+        n: n for n in ("f1", "f2", "f3", "f4")
+    }
+    rows = [f"{row['t']} {names[n]} pNav {row[n]}" for row in table.iter_rows(named=True) for n in names]
+    log = tmp_path / "dive.alog"
+    log.write_text("%% LOG FILE: dive.alog\n%% LOGSTART 1000.0\n" + "\n".join(rows) + "\n")
+    wanted = session_of(tmp_path).model_copy(update={"logs": [LogChoice(path=str(log))]})
+
+    async def story(user: User, bench: Bench) -> None:
+        await user.open(f"/?token={TOKEN}")
+        await user.should_see("read as MOOS")
+        (run,) = bench.runs
+        assert run.reader_notes[0] == "read as MOOS"
+        assert set(run.reader_notes) | set(run.notes) <= set(_texts(user).splitlines())
+
+    _played(story, tmp_path / "kept", wanted)
 
 
 @pytest.mark.slow

@@ -58,6 +58,23 @@ def _logs(view: View) -> None:
                 on_change=lambda e, i=i: view.bench.choose(i, e.value) if e.value else None,
             ).props(f"dense no-caps size=sm padding='2px 10px' {_TOGGLE}").mark(f"role-{i}")
             ui.label(_about(run, choice)).classes("text-sm text-grey-8")
+    _notes(view.bench.runs[view.log])
+
+
+def _notes(run: Run) -> None:
+    """What the reader of a log said: what it left out, cut, converted and took for granted."""
+    from nicegui import ui
+
+    def say(notes: Sequence[str]) -> None:
+        with ui.column().classes("gap-0 w-full"):
+            for note in notes:
+                ui.label(note).classes("text-xs text-grey-8").style("overflow-wrap: anywhere")
+
+    say(run.reader_notes)
+    if run.notes:
+        more = ui.expansion(f"How the channels of {run.name} were read").mark("notes")
+        with more.props("dense header-class='text-xs text-grey-8 q-px-none'").classes("w-full"):
+            say(run.notes)
 
 
 def _about(run: Run, choice: LogChoice) -> str:
@@ -106,8 +123,10 @@ def _channels(view: View) -> None:
         plot.update_figure(_log_figure(view))
 
     def marked(span: tuple[float, float] | None) -> None:
-        view.selected = span
-        say()
+        if span is not None and span != view.selected:  # Plotly reports none when the plot is drawn again
+            view.selected = span
+            say()
+            plot.update_figure(_log_figure(view))
 
     def shown(names: list[str]) -> None:
         view.channels = names or known[:1]
@@ -175,6 +194,7 @@ def _log_figure(view: View) -> figures.Figure:
         marks=_marks(view, run),
         before=before,
         doubtful=_doubtful(view, run),
+        selected=view.selected,
     )
     if view.zoom is not None:
         figure["layout"]["xaxis"]["range"] = list(view.zoom)

@@ -138,11 +138,12 @@ def channels(
     marks: Sequence[tuple[float, float]] = (),
     before: Run | None = None,
     doubtful: Mapping[str, str] | None = None,
+    selected: tuple[float, float] | None = None,
 ) -> Figure:
     """Channels of a run one below the other on one time axis, with what is done with its stretches.
 
     `marks` are times to be pointed out, `before` the run as it was read before; `doubtful` has colours for
-    the names of channels that something is wrong with.
+    the names of channels that something is wrong with; `selected` is the box that was drawn over the plot.
     """
     low, high = window or (float(run.t[0]), float(run.t[-1]))
     data: list[Figure] = []
@@ -158,6 +159,7 @@ def channels(
     height = SETTINGS.row * rows + 80
     shapes = [_band(a, b, COLOURS[role], 0.10) for a, b, role in spans]
     shapes += [_band(a, b, _MARK, 0.45) for a, b in marks]
+    shapes += [_box(*selected)] if selected else []
     layout: Figure = {
         "xaxis": _axis("time (s)", anchor=f"y{rows if rows > 1 else ''}"),
         "shapes": shapes,
@@ -181,6 +183,15 @@ def channels(
     figure = _figure(data, height, **layout)
     figure["config"] = _WITH_ZOOM
     return figure
+
+
+def _box(begin: float, end: float) -> Figure:
+    """The stretch that was chosen with the mouse: what Plotly draws itself is gone when the page is drawn."""
+    return {
+        **_band(begin, end, _MEASURED, 0.25),
+        "fillcolor": "rgba(0,0,0,0.15)",
+        "line": {"color": _MEASURED, "width": 1, "dash": "dash"},
+    }
 
 
 def _of_another_size(before: Run, run: Run, name: str) -> bool:

@@ -50,6 +50,7 @@ def test_a_folder_of_rosbag2_is_one_log(tmp_path: Path) -> None:
     assert (path / "metadata.yaml").exists()
     (run,) = read_logs([path], load_vehicle("bluerov2"))
     assert_the_dive(run, dive(), 1e-9)
+    assert read_field_log(path).format == "ROS bag"  # `undertow import` reads it by this
     assert format_of(tmp_path) is None
 
 

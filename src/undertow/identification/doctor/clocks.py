@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.weak_form import with_reestimated_noise
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
@@ -38,10 +39,11 @@ class ClockSettings:
     command_sure: float = 6.0
     command_steps: float = 3.0
     cluster: int = 8  # neighbouring test functions that count as one
-    starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5)  # delays of commands to begin with, s
+    # delays of commands to begin with, s
+    starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
     # Standard errors by which a motion before its commands contradicts a choice of which source is late.
     acausal: float = 3.0
-    gained: float = 0.1  # share of the misfit that a delay or drift of commands must explain
+    gained: float = 0.1  # share of the misfit that a drift of commands must explain
 
 
 SETTINGS = ClockSettings()
@@ -305,32 +307,50 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     that drifts, is a matter of the clocks.
     """
     step = at.runs[0].step
-    start = float(np.sum(at.fit.at.r**2))
-    constant = _constant(at)
-    both = None if constant is None else _search(at, step, constant[0], drifts=True)
+    near = _refitted_near(at)
+    constant = _constant(near)
+    both = None if constant is None else _search(near.dynamics, step, constant[0], drifts=True)
     if constant is None or both is None:
         return None
     # A drift is judged beside the best constant delay: alone it would take a share of that, too.
     (found, error), (drift, spread) = constant[:2], (both[0][1], both[1][1])
-    if both[2] < (1 - SETTINGS.gained) * min(constant[2], start) and abs(drift) > max(
+    if both[2] < (1 - SETTINGS.gained) * constant[2] and abs(drift) > max(
         SETTINGS.command_sure * spread, SETTINGS.command_steps * step
     ):
         follows = "the motion follows the commands by {:+.2f} s at the beginning of a run"
         how = f"{follows} and by {{:+.2f}} s at its end"
         return _two_clocks("commands and motion", how, float(both[0][0]), float(drift), float(spread))
-    if constant[2] < (1 - SETTINGS.gained) * start and abs(found[0]) > max(
-        SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step
-    ):
+    certain = max(SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step)
+    if abs(found[0]) > certain and _explains(at, float(found[0])):
         return _late(at, float(found[0]), float(error[0]), mapping)
-    acausal = _acausal(float(found[0]), float(error[0]), step)
-    if acausal or any(run.reported for run in at.runs):
-        return _prompt(float(found[0]), float(error[0]), acausal)
+    if _acausal(float(found[0]), float(error[0]), step) or any(run.reported for run in at.runs):
+        return _prompt(at, float(found[0]), float(error[0]))
     return None
 
 
-def _constant(at: Dynamics) -> tuple[Array, Array, float] | None:
+@dataclass(frozen=True)
+class _Near:
+    """A model refitted with commands of a delay near the best one, s."""
+
+    dynamics: Dynamics
+    delay: float
+
+
+def _refitted_near(at: Dynamics) -> _Near:
+    """Begin the search for a delay: Gauss-Newton does not find one of many samples.
+
+    The fit to commands that are many samples off may have taken all force from them, and would then see none
+    of their delays; and what it did not explain is no noise any more.
+    """
     step = at.runs[0].step
-    found = _search(at, step, np.array([_nearest(at, step), 0.0]), drifts=False)
+    tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
+    delay = float(max(tried, key=lambda late: at.predicted_reduction(_later(late, 0.0)) or 0.0))
+    fit = at.refitted(undo=_later(delay, 0.0)) if delay else None
+    return _Near(at, 0.0) if fit is None else _Near(replace(at, fit=with_reestimated_noise(fit)), delay)
+
+
+def _constant(near: _Near) -> tuple[Array, Array, float] | None:
+    found = _search(near.dynamics, near.dynamics.runs[0].step, np.array([near.delay, 0.0]), drifts=False)
     return found if found and np.isfinite(found[1][0]) else None  # without a command nothing tells
 
 
@@ -339,11 +359,31 @@ def _acausal(delay: float, error: float, step: float) -> bool:
     return delay < -max(SETTINGS.acausal * error, step)
 
 
-def _prompt(delay: float, error: float, acausal: bool) -> Finding:
-    why = ", which no vehicle does: compare the clocks of commands and sensors" if acausal else ""
+def _explains(at: Dynamics, delay: float) -> bool:
+    """Whether the refitted model explains decisively more with commands that are that much later.
+
+    Only that makes a negative delay one of the clocks. Where a controller answers the motion (feedback), the
+    commands follow what the model lacks, and so foretell it, backwards: with commands that are moved a while
+    ahead every such log is explained a little better, and nearly all that the model left is left still. Of
+    clocks that are shifted, it vanishes.
+    """
+    fit = at.refitted(undo=_later(delay, 0.0))
+    return fit is not None and at.gain(fit).decisive
+
+
+def _prompt(at: Dynamics, delay: float, error: float) -> Finding:
+    why, acausal = "", _acausal(delay, error, at.runs[0].step)
+    shifted = acausal and _explains(at, delay)
+    if shifted:
+        why = ", which no vehicle does: compare the clocks of commands and sensors"
+    elif acausal:
+        why = (
+            ", which explains little of what the model leaves, and proves no wrong clock: a controller "
+            "that answers what the model lacks looks the same"
+        )
     return Finding(
         id="command_latency",
-        severity="warning" if acausal else "note",
+        severity="warning" if shifted else "note",
         text=f"the motion follows the commands by {delay:+.3f} ± {error:.1g} s{why}",
         evidence={"delay": delay, "error": error},
     )
@@ -353,39 +393,24 @@ def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> l
     """Latencies by which no motion comes before its commands, where the commands can tell.
 
     Pose rates and velocities say how far sources are apart, and not which of them is wrong: where velocities
-    without their delay come before the commands, and those of the log do not, the rest is early.
+    without their delay clearly come before the commands, and those of the log do not, the rest is early.
     """
     step = runs[0].step
     late = [one for one in found if one.clear(step)]
     turned = [one for one in late if {*one.names} & {*VELOCITY}]
     at = dynamics_of(vehicle, without_latencies(runs, late)) if turned else None
-    constant = None if at is None else _constant(at)
-    if constant is None:
+    constant = None if at is None else _constant(_refitted_near(at))
+    if at is None or constant is None:
         return list(found)
     delay, error = float(constant[0][0]), float(constant[1][0])
     weight = np.array([one.error**-2 for one in late])
     common = float(weight @ [one.delay for one in late] / weight.sum())
-    if not _acausal(delay, error, step) or _acausal(delay + common, error, step):
+    if not _acausal(delay, error, step) or _acausal(delay + common, error, step) or not _explains(at, delay):
         return list(found)
     names = tuple(n for one in late for n in one.names)
     prompt = tuple(dict.fromkeys(n for one in late for n in one.against if n not in names))
     early = Latency(prompt, names, -common, float(weight.sum() ** -0.5))
     return [early, *(one for one in found if one not in late and not {*one.names} & {*prompt})]
-
-
-def _nearest(at: Dynamics, step: float) -> float:
-    """The delay to begin with: of commands that step, Gauss-Newton does not find one of many samples, s."""
-    tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
-    return float(min(tried, key=lambda late: _misfit(at, late)))
-
-
-def _misfit(at: Dynamics, late: float) -> float:
-    """What the refitted model leaves with commands that much later; infinite where one is missing."""
-    here = _residual(at, _later(late, 0.0))
-    if here is None:
-        return np.inf
-    value, *_ = np.linalg.lstsq(at.fit.at.J, -here, rcond=None)
-    return float(np.sum((here + at.fit.at.J @ value) ** 2))
 
 
 def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Array, Array, float] | None:
@@ -402,11 +427,8 @@ def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Arra
     return found, error, left
 
 
-def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Finding | None:
-    """A delay, where the refitted model is decisively better for it."""
-    fit = at.refitted(undo=_later(delay, 0.0))
-    if fit is None or not at.gain(fit).decisive:
-        return None
+def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Finding:
+    """A delay for which the refitted model is decisively better."""
     size = f"{abs(delay):.2f} ± {error:.1g} s"
     if delay > 0:
         clause = (

@@ -16,6 +16,7 @@ from undertow.codegen.functions import Functions
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
 from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
 from undertow.identification.logs.run import Run
+from undertow.model.hardware import Curve, Propeller
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -35,16 +36,25 @@ class TableSettings(Protocol):
 
 
 def allocation(vehicle: Vehicle) -> Array:
-    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal."""
+    """Wrench of one unit of every command in the vehicle's degrees of freedom, shape (n, k), nominal.
+
+    Of a thruster with a curve: of one newton on its curve.
+    """
     rows = list(vehicle.dof_indices)
-    # What a propeller by revolutions or a curve gives is not in proportion to the command.
-    gains = [t.thrust_per_command.value if t.law is None else 0.0 for t in vehicle.thrusters]
+    # What a propeller by revolutions gives depends on the flow, too.
+    gains = [0.0 if isinstance(t.law, Propeller) else t.thrust_per_command.value for t in vehicle.thrusters]
     columns = [np.array(t.wrench)[rows] * k for t, k in zip(vehicle.thrusters, gains, strict=True)]
     # What a surface gives depends on the flow, and an input such as the wind is no force.
     columns += [np.zeros(len(rows))] * len(vehicle.surfaces)
     columns += [np.eye(6)["XYZKMN".index(channel[-1])][rows] for channel in vehicle.force_channels]
     columns += [np.zeros(len(rows))] * len(vehicle.inputs)
     return np.array(columns).T.reshape(len(rows), -1)
+
+
+def on_curve(curve: Curve, command: Array) -> Array:
+    """Thrust of a curve at commands (N,), N."""
+    pieces = ((np.clip(command, begin, end) - begin, (0.0, *c)) for begin, end, c in curve.pieces)
+    return np.asarray(curve.start + sum(np.polynomial.polynomial.polyval(x, c) for x, c in pieces))
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,10 @@ class Forces:
         """Force of every command at every sample, (N, n, n_commands); NaN where a command is missing."""
         u = run.matrix(self.vehicle.command_names)
         missing = np.isnan(u)
-        actuation = self.chain.along(run.t, without_gaps(u), self.p).value
+        actuation = self.chain.along(run.t, without_gaps(u), self.p).value.copy()
+        for k, thruster in enumerate(self.vehicle.thrusters):
+            if isinstance(thruster.law, Curve):
+                actuation[:, k] = on_curve(thruster.law, actuation[:, k])
         table = np.column_stack([actuation, u[:, len(self.vehicle.actuator_names) :]])
         table = np.where(missing, np.nan, table)
         return np.einsum("Nc,nc->Nnc", table, allocation(self.vehicle))

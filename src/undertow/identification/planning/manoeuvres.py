@@ -139,10 +139,10 @@ def pushes(functions: Functions, limits: Array, depth: float = 0.0) -> Array:
     """
     table, at_rest = allocation(functions.vehicle), _at_rest(functions, depth)
     for i, thruster in enumerate(functions.vehicle.thrusters):
-        if thruster.law is not None and limits[i] > 0:
+        if thruster.law is not None:
             full = np.zeros(len(limits))
             full[i] = limits[i]
-            table[:, i] = (at_rest(full) - at_rest(-full)) / (2 * limits[i])
+            table[:, i] = (at_rest(full) - at_rest(-full)) / max(2 * limits[i], 1e-12)
     return table
 
 

@@ -112,8 +112,8 @@ _TRIES = Helper(f"from {__name__} import answer_whether_files_can_be_read as ans
 
 def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     """The same, of what has to be such a log."""
-    if not path.is_file():
-        raise UndertowError(f"log {path} does not exist or is not a file: give the path of a log")
+    if not path.exists():
+        raise UndertowError(f"log {path} does not exist: give the path of a log")
     found = open_field_log(path, messages)
     if found is None and path.suffix in (".csv", ".gz", ".parquet"):
         raise UndertowError(
