@@ -141,6 +141,13 @@ def test_catamarans_float_on_two_slim_hulls(length: float, beam: float, draught:
         typed_vehicle("ship", ship, "mono")
 
 
+def test_a_type_has_the_motions_that_are_asked_for(capsys: Capture, tmp_path: Path) -> None:
+    assert main([*words("asv"), "--dof", "yaw,surge", "--out", "my.toml"]) == 0
+    assert load_vehicle("my.toml").degrees_of_freedom == ("surge", "yaw")
+    message = "--type asv has no heave: choose from surge, sway, yaw"
+    assert message in refusal([*words("asv"), "--dof", "surge,heave"], capsys, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

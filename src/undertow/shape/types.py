@@ -87,10 +87,13 @@ class MainDimensions:
         return self.mass / self.density
 
 
-def typed_vehicle(kind: str, size: MainDimensions, name: str) -> str:
-    """The text of a complete vehicle file for a vehicle of a type, one of `TYPES`."""
+def typed_vehicle(kind: str, size: MainDimensions, name: str, motions: tuple[str, ...] | None = None) -> str:
+    """The text of a complete vehicle file for a vehicle of a type, one of `TYPES`, in some of its motions."""
     positive(**vars(size))
-    about, dofs, tables, hardware = TYPES[kind](size)
+    about, own, tables, hardware = TYPES[kind](size)
+    dofs = own if motions is None else motions
+    if foreign := [d for d in dofs if d not in own]:
+        raise UndertowError(f"--type {kind} has no {', '.join(foreign)}: choose from {', '.join(own)}")
     extents = f"{size.length:g} x {size.beam:g} x {size.height:g} m"
     return vehicle_text(
         made_from=f"the type {kind}, {extents} and {size.mass:g} kg",
