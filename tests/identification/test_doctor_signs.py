@@ -162,6 +162,18 @@ def test_a_lateness_that_makes_the_mismatch_worse_is_not_said() -> None:
     assert found.delay == pytest.approx(0.4, abs=0.05)
 
 
+def test_no_clock_is_late_where_velocities_are_of_another_motion() -> None:
+    case = _case("usv")
+    (columns, *_), vehicle = case.runs.values(), true_vehicle(case)
+    other = {n: column[::-1].copy() if n in ("u", "v", "r") else column for n, column in columns.items()}
+    runs = [run_of("other", other)]
+    kinematics = Kinematics(runs, vehicle)
+    assert np.all(kinematics.mismatch(runs).excess > 1.0)
+    delays = np.arange(0.5, 5.0, 0.5)
+    said = [_confirmed(kinematics, runs, [Latency(("psi",), ("r",), d, 0.01)]) for d in delays]
+    assert not any(said)
+
+
 @pytest.mark.parametrize(("early", "names"), [(True, {"x", "y"}), (False, {"psi", "u", "v", "r"})])
 def test_commands_say_which_of_two_clocks_is_wrong(early: bool, names: set[str]) -> None:
     """Positions a second early look like all the rest late; only one follows the commands."""
