@@ -65,7 +65,7 @@ Method = Literal["auto", "panels", "ellipsoid", "box"]
 
 app = typer.Typer(add_completion=False)
 
-Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv"]
+Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv", "azimuth"]
 
 _MESH = typer.Option(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
 _TYPE = typer.Option(
@@ -81,7 +81,7 @@ _TANK = typer.Option(
 )
 _LENGTH = typer.Option(metavar="M", help="With --type: overall, of ships in the waterline.")
 _BEAM = typer.Option(metavar="M", help="With --type: overall width, of two hulls across both.")
-_HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship and asv the draught.")
+_HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship, asv and azimuth the draught.")
 _CG = typer.Option(metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down.")
 _ORIGIN = typer.Option(help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
 _DOF = typer.Option(
