@@ -26,6 +26,7 @@ SIZES = {  # length, beam, height and mass of vehicles whose parameters are publ
     "glider": (1.5, 0.22, 0.22, 52.0),
     "ship": (7.0, 1.27, 0.455, 3272.0),  # KVLCC2, model
     "asv": (2.0, 1.08, 0.134, 55.0),  # Otter
+    "azimuth": (5.0, 2.8, 0.3, 1667.0),  # milliAmpere
 }
 
 
@@ -54,7 +55,9 @@ def test_a_file_of_a_type_is_complete_and_says_where_its_numbers_are_from(kind: 
     assert {"rigid_body", "added_mass", "quadratic_damping"} <= {e.id for e in vehicle.effects}
     assert not any("nothing damps" in line or "absent" in line for line in hints(vehicle))
     assert vehicle.force_channels == ()
-    assert len(vehicle.thrusters) == {"rov6": 6, "rov8": 8, "torpedo": 3, "glider": 1}.get(kind, 2)
+    assert len(vehicle.thrusters) == {"rov6": 6, "rov8": 8, "torpedo": 3, "glider": 1, "azimuth": 4}.get(
+        kind, 2
+    )
 
 
 def off(vehicle: Vehicle, published: dict[str, float]) -> dict[str, float]:
@@ -141,11 +144,37 @@ def test_catamarans_float_on_two_slim_hulls(length: float, beam: float, draught:
         typed_vehicle("ship", ship, "mono")
 
 
+def test_a_short_boat_with_a_rudder_follows_it() -> None:
+    """An open boat of 4 m: the ships of the regression are longer for their beam, so it is a small craft."""
+    text = typed_vehicle("ship", MainDimensions(4.0, 1.6, 0.25, 350.0), "boat")
+    Path("boat.toml").write_text(text)
+    boat = load_vehicle("boat.toml")
+    assert boat.value_of("Y_vdot").value == pytest.approx(-1.5 * 350.0)
+    left, right = (run(boat, {"propeller": 150.0, "rudder": angle}, 30.0)["r"] for angle in (-0.2, 0.2))
+    assert right > 0.05
+    assert left == pytest.approx(-right)
+
+
+def test_azimuth_thrusters_push_sideways_and_turn() -> None:
+    ferry = made("azimuth")
+    aside = run(ferry, {"bow_y": 100.0, "stern_y": 100.0}, 20.0)
+    assert aside["v"] > 0.05
+    assert abs(aside["r"]) < 1e-9
+    assert run(ferry, {"bow_y": 100.0, "stern_y": -100.0}, 20.0)["r"] > 0.02
+    assert run(ferry, {"bow_x": 100.0, "stern_x": 100.0}, 20.0)["u"] > 0.3
+
+
+def test_a_type_has_the_motions_that_are_asked_for(capsys: Capture, tmp_path: Path) -> None:
+    assert main([*words("asv"), "--dof", "yaw,surge", "--out", "my.toml"]) == 0
+    assert load_vehicle("my.toml").degrees_of_freedom == ("surge", "yaw")
+    message = "--type asv has no heave: choose from surge, sway, yaw"
+    assert message in refusal([*words("asv"), "--dof", "surge,heave"], capsys, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"--height": "0.2"}, "is a block coefficient of 1.84 (possible: 0.1 to 0.98)"),
-        ({"--beam": "3"}, "length / beam = 2.33 is not of a ship (limit: 4)"),
         ({"--mass": "0"}, "mass = 0 must be a positive number"),
         ({"--length": None}, "--type ship lacks dimensions"),
         ({"--type": None}, "give the shape once"),

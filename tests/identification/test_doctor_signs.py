@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from functools import cache
 
@@ -12,15 +13,21 @@ from benchmarks.hidden_effects import Case, make_case
 from tests.identification import broken
 from tests.identification.broken import Break
 from tests.identification.logs_of import run_of, runs_of, true_vehicle
+from undertow.codegen.functions import Functions
+from undertow.codegen.simulate import Simulator
 from undertow.identification.doctor.clocks import Latency, _confirmed, latencies
 from undertow.identification.doctor.dynamics import reversed_commands, swapped_commands
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import Explanation
 from undertow.identification.doctor.signs import SETTINGS, Signs, by_signs
+from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
-from undertow.model.loading import load_vehicle
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.tables import VehicleTable
 from undertow.model.vehicle import Vehicle
+from undertow.shape.types import MainDimensions, typed_vehicle
 
 
 @cache
@@ -115,6 +122,25 @@ def test_two_propellers_that_only_turn_the_vehicle_leave_open_which_mistake_it_i
         assert not sure.rivals
 
 
+def test_without_a_position_a_mirrored_heading_may_be_exchanged_commands() -> None:
+    """A log of speed and heading has no side of its own: what turns the wrong way may be either."""
+    names = ("u", "psi", "port", "starboard")
+    text = typed_vehicle("asv", MainDimensions(2.0, 1.08, 0.1341, 55.0), "cat", ("surge", "yaw"))
+    vehicle = vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
+    t, noise = np.arange(0.0, 120.0, 0.1), np.random.default_rng(3)
+    turn = 10.0 * np.sign(np.sin(0.45 * t + 0.2))
+    commands = np.column_stack([20.0 + turn, 20.0 - turn])
+    functions = Functions(vehicle)
+    x = Simulator(functions).run(np.zeros(4), t, commands, np.array(functions.values()))
+    measured = [x[:, 2], -x[:, 1]] + 1e-3 * noise.normal(size=(2, len(t)))
+    run = Run("boat", t, dict(zip(names, [*measured, *commands.T], strict=True)))
+    result = examine(vehicle, [velocities_from_pose(run, ("surge", "yaw"))]).result
+    (mistake,) = result.mistakes
+    said = " ".join([mistake.text, *mistake.alternatives])
+    assert "commands port and starboard are in each other's place" in said
+    assert "psi has the opposite sign" in said
+
+
 def test_the_remedy_for_a_reversed_rudder_is_in_its_own_table() -> None:
     vehicle = load_vehicle("kvlcc2")
     (surface, *_) = vehicle.surfaces
@@ -134,6 +160,18 @@ def test_a_lateness_that_makes_the_mismatch_worse_is_not_said() -> None:
     (found,) = [one for one in latencies(kinematics, runs) if one.clear(runs[0].step)]
     assert found.names == ("u", "v")
     assert found.delay == pytest.approx(0.4, abs=0.05)
+
+
+def test_no_clock_is_late_where_velocities_are_of_another_motion() -> None:
+    case = _case("usv")
+    (columns, *_), vehicle = case.runs.values(), true_vehicle(case)
+    other = {n: column[::-1].copy() if n in ("u", "v", "r") else column for n, column in columns.items()}
+    runs = [run_of("other", other)]
+    kinematics = Kinematics(runs, vehicle)
+    assert np.all(kinematics.mismatch(runs).excess > 1.0)
+    delays = np.arange(0.5, 5.0, 0.5)
+    said = [_confirmed(kinematics, runs, [Latency(("psi",), ("r",), d, 0.01)]) for d in delays]
+    assert not any(said)
 
 
 @pytest.mark.parametrize(("early", "names"), [(True, {"x", "y"}), (False, {"psi", "u", "v", "r"})])

@@ -145,10 +145,20 @@ def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_
     for name in ("X_udot", "N_r"):
         error = fit.standard_errors[name]
         assert abs(fit.values[name] - case.truth["parameters"][name]) < 4 * error, name
-    assert data.velocities_derived
-    ids = {c.id for c in candidates(model, catalogue(), derived=True)}
+    assert data.derived_names == ("u", "v", "r")
+    ids = {c.id for c in candidates(model, catalogue(), derived=data.derived_names)}
     assert ids.isdisjoint({"sensor_scale", "sensor_bias", "sensor_delay"})
     assert "velocity_lever_arm" in ids
+
+
+def test_a_rate_that_no_gyro_measured_has_no_scale_and_no_bias() -> None:
+    model = vehicle_of(make_case("usv", (), 22))
+    listed = {c.id: {p.name for p in c.parameters} for c in candidates(model, catalogue(), derived=("r",))}
+    assert listed["sensor_scale"] == {"scale_velocity"}
+    assert listed["sensor_bias"] == {"b_u", "b_v"}
+    assert listed["sensor_delay"] == {"velocity_delay"}
+    free = {c.id: {p.name for p in c.parameters} for c in candidates(model, catalogue())}
+    assert free["sensor_scale"] == {"scale_velocity", "scale_rate"}
 
 
 def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:

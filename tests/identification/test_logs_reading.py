@@ -23,8 +23,10 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.checks import refuse_constant
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping
-from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.reading import read_log, read_logs
 from undertow.identification.logs.table import WHOLE
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value
 
 PLAIN = "t,u,r,f1\n0,0.1,0.0,1\n0.1,0.2,0.1,2\n0.25,,0.2,3\n"
 
@@ -532,3 +534,27 @@ def test_times_since_1970_are_the_same_in_parts(tmp_path, name):
 def test_seconds_since_1970_in_text_keep_their_nanoseconds(log):
     run = log("t,u\n1714564800.123456789,1\n1714564800.123456999,2\n1.7145648005e9,3\n")
     np.testing.assert_allclose(run.t, [0, 210e-9, 0.376543211], rtol=1e-9)
+
+
+def test_shares_of_full_thrust_that_are_taken_for_newtons_are_told(tmp_path):
+    otter = load_vehicle("otter")
+    otter = replace(
+        otter, thrusters=tuple(replace(t, thrust_per_command=Value(1.0)) for t in otter.thrusters)
+    )
+    path, full = tmp_path / "run.csv", LogMapping()
+    names = [*otter.velocity_names, *otter.command_names]
+    rows = np.column_stack([np.linspace(-1.0, 1.0, 50)] * len(names))
+    table = pl.DataFrame(dict(zip(["t", *names], [np.arange(50.0), *rows.T], strict=True)))
+    in_newtons = {n: {"channel": n, "unit": "N"} for n in otter.command_names}
+    for by, mapping, told in (
+        (1.0, full, 1),
+        (0.7, full, 0),
+        (3.0, full, 0),
+        (1.0, {"columns": in_newtons}, 0),
+    ):
+        table.with_columns(pl.col(n) * by for n in otter.command_names).write_csv(path)
+        (run,) = read_logs([path], otter, LogMapping.model_validate(mapping))
+        assert len([note for note in run.reader_notes if "takes them for newtons" in note]) == told, (
+            by,
+            told,
+        )

@@ -180,9 +180,23 @@ def test_a_pose_that_never_moves_has_no_velocity():
         np.testing.assert_allclose(still.channels[name], 0, atol=1e-12)
 
 
+def test_a_speed_log_and_a_compass_are_enough_for_surge_and_yaw():
+    t = np.arange(0, 60, 0.1)
+    psi = 0.8 * np.sin(0.2 * t) + 1e-3 * np.random.default_rng(5).standard_normal(len(t))
+    given = {"u": 1.0 + 0.2 * np.sin(0.1 * t), "psi": psi}
+    run = velocities_from_pose(Run("boat", t, given), ["surge", "yaw"])
+    assert run.derived == {"r"}
+    np.testing.assert_array_equal(run.channels["u"], given["u"])
+    np.testing.assert_allclose(run.channels["r"][20:-20], 0.16 * np.cos(0.2 * t)[20:-20], atol=0.01)
+    with pytest.raises(
+        UndertowError, match="neither v nor the pose x, y for sway: map these columns, leave it"
+    ):
+        velocities_from_pose(Run("boat", t, given))
+
+
 def test_what_cannot_be_done_is_told():
     t = np.arange(0, 10, 0.1)
-    with pytest.raises(UndertowError, match="neither the velocities nor the pose y for surge, sway"):
+    with pytest.raises(UndertowError, match="neither u, v nor the pose y for surge, sway"):
         velocities_from_pose(Run("a", t, {"x": t, "psi": t}))
     few = np.where(t < 0.5, t, np.nan)
     with pytest.raises(UndertowError, match="channel 'x' has 5 samples, at least 10"):

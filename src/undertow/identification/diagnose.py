@@ -212,7 +212,7 @@ class ResultBuilder:
             return instead_of_effects(self.found.effect_set, model, bench, self.validator.residual_is_noise)
         if self.judgement.verdict != "adequate":
             return []
-        derived = bench.train.velocities_derived
+        derived = bench.train.derived_names
         runs = origins(bench.train.runs)
         return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived, runs=runs))
 

@@ -44,7 +44,8 @@ class TypeRules:
     # The least of two hulls over their overall beam, assumed: half of the 0.093 of a very slim and wide
     # catamaran, hulls of L/b = 15 and block coefficient 0.4, half a length apart.
     block_of_two: float = 0.045
-    slender: float = 4.0  # length over beam of ships from which Clarke's regression was made, at least
+    # Length over beam of ships from which Clarke's regression was made, at least; others are small craft.
+    slender: float = 4.0
     gyration: float = 0.25  # radius of gyration in yaw over length (Fossen 2021: 0.25 for small vessels)
     regression: float = 0.3  # sigma of Clarke's regression for ships
     # small craft, by the model of the Otter in MSS: added mass across over mass, in yaw over inertia, and
@@ -64,6 +65,7 @@ class TypeRules:
     rudder_deduction: float = 0.4  # t_R: KVLCC2 0.387
     rudder: float = 0.5  # sigma: slipstream and wake are not known
     propellers: tuple[float, float] = (-0.5, 0.37)  # of a craft with two, over length and beam: Otter
+    azimuth: float = 0.36  # place of azimuth thrusters over length: 1.8 m of the 5 m of milliAmpere
 
 
 _RULES = TypeRules()
@@ -87,10 +89,13 @@ class MainDimensions:
         return self.mass / self.density
 
 
-def typed_vehicle(kind: str, size: MainDimensions, name: str) -> str:
-    """The text of a complete vehicle file for a vehicle of a type, one of `TYPES`."""
+def typed_vehicle(kind: str, size: MainDimensions, name: str, motions: tuple[str, ...] | None = None) -> str:
+    """The text of a complete vehicle file for a vehicle of a type, one of `TYPES`, in some of its motions."""
     positive(**vars(size))
-    about, dofs, tables, hardware = TYPES[kind](size)
+    about, own, tables, hardware = TYPES[kind](size)
+    dofs = own if motions is None else motions
+    if foreign := [d for d in dofs if d not in own]:
+        raise UndertowError(f"--type {kind} has no {', '.join(foreign)}: choose from {', '.join(own)}")
     extents = f"{size.length:g} x {size.beam:g} x {size.height:g} m"
     return vehicle_text(
         made_from=f"the type {kind}, {extents} and {size.mass:g} kg",
@@ -343,12 +348,8 @@ def _surface(name: str, place: float, direction: tuple[float, float, float]) -> 
 
 # --- ships ----------------------------------------------------------------------------------------
 def _ship(size: MainDimensions) -> Made:
-    if size.length < _RULES.slender * size.beam:
-        raise UndertowError(
-            f"length / beam = {size.length / size.beam:.3g} is not of a ship (limit: {_RULES.slender:g}): "
-            "correct one of them, or take --type asv"
-        )
-    tables = _afloat(size, _ship_hull(size))
+    slender = size.length >= _RULES.slender * size.beam
+    tables = _afloat(size, _ship_hull(size) if slender else _small_hull(size))
     area = size.length * size.height / 100 * (1 + 25 * (size.beam / size.length) ** 2)
     slope = 6.13 * _RULES.rudder_aspect / (_RULES.rudder_aspect + 2.25)
     force = size.density / 2 * area * slope
@@ -388,6 +389,21 @@ def _asv(size: MainDimensions) -> Made:
         for name, side in (("port", -1.0), ("starboard", 1.0))
     ]
     about = "A surface craft that steers by two propellers; commands are thrusts in N."
+    return about, _SHIP, _afloat(size, _small_hull(size), _RULES.block_of_two), hardware
+
+
+def _azimuth(size: MainDimensions) -> Made:
+    source = "assumed: on the centre line as far apart as those of milliAmpere, 0.72 L (Pedersen 2019)"
+    hardware = [
+        Hardware(f"{end}_{axis}", (place * size.length, 0.0, 0.0), direction, source)
+        for end, place in (("bow", _RULES.azimuth), ("stern", -_RULES.azimuth))
+        for axis, direction in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0)))
+    ]
+    about = (
+        "A surface craft with an azimuth thruster at bow and stern; commands are the thrusts ahead and to "
+        "starboard in N. Of a log with thrust and angle: bow_x = 'bow_thrust * cos(bow_angle)' and bow_y = "
+        "'bow_thrust * sin(bow_angle)' under [channels] of the mapping file."
+    )
     return about, _SHIP, _afloat(size, _small_hull(size), _RULES.block_of_two), hardware
 
 
@@ -537,4 +553,5 @@ TYPES: dict[str, Callable[[MainDimensions], Made]] = {
     "glider": _glider,
     "ship": _ship,
     "asv": _asv,
+    "azimuth": _azimuth,
 }

@@ -65,7 +65,7 @@ Method = Literal["auto", "panels", "ellipsoid", "box"]
 
 app = typer.Typer(add_completion=False)
 
-Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv"]
+Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv", "azimuth"]
 
 _MESH = typer.Option(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
 _TYPE = typer.Option(
@@ -81,10 +81,14 @@ _TANK = typer.Option(
 )
 _LENGTH = typer.Option(metavar="M", help="With --type: overall, of ships in the waterline.")
 _BEAM = typer.Option(metavar="M", help="With --type: overall width, of two hulls across both.")
-_HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship and asv the draught.")
+_HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship, asv and azimuth the draught.")
 _CG = typer.Option(metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down.")
 _ORIGIN = typer.Option(help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
-_DOF = typer.Option(metavar="NAME,NAME", help="Motions of the model.")
+_DOF = typer.Option(
+    metavar="NAME,NAME",
+    help="Motions of the model, of a --type some of those that it has.",
+    show_default="all six, of a --type its own",
+)
 _VOLUME = typer.Option(
     metavar="M3",
     help="What a hull that floods displaces; the rest of it is water carried along.",
@@ -141,7 +145,7 @@ def new(
     cg: Annotated[str, _CG] = "0,0,0",
     origin: Annotated[Literal["buoyancy", "mesh"], _ORIGIN] = "buoyancy",
     density: Annotated[float, typer.Option(metavar="KG/M3", help="Of the water.")] = 1000.0,
-    dof: Annotated[str, _DOF] = "surge,sway,heave,roll,pitch,yaw",
+    dof: Annotated[str | None, _DOF] = None,
     volume: Annotated[float | None, _VOLUME] = None,
     cd: Annotated[str | None, _CD] = None,
     added_mass: Annotated[Method, _ADDED] = "auto",
@@ -177,8 +181,10 @@ def new(
     errors of the fit and of the grid. With --mesh besides, of the same hull, the other motions come from it.
     """
     from undertow.files import sha256_of, write_whole
+    from undertow.model.symbols import DOFS
     from undertow.shape.first import HullSpec, first_vehicle, motions
 
+    chosen = None if dof is None else motions([d.strip() for d in dof.split(",")])
     sides = (length, beam, height)
     if log is not None or (tank is not None and mesh is None):
         if any(given is not None for given in (mass, mesh, kind, *sides, tank and log)):
@@ -191,7 +197,7 @@ def new(
     if mass is None:
         raise UndertowError("the mass is missing: give --mass in kg")
     if mesh is None or kind is not None or any(s is not None for s in sides):
-        _of_type(mesh, kind, sides, mass, density, name, out, force)
+        _of_type(mesh, kind, sides, mass, density, chosen, name, out, force)
         return
     target = new_file(out or Path(f"{name or mesh.stem}.toml"), force, [mesh])
     hull = read(mesh, unit, frame)
@@ -202,7 +208,7 @@ def new(
         mass=mass,
         density=density,
         cg=three(cg, "--cg"),
-        degrees_of_freedom=motions([d.strip() for d in dof.split(",")]),
+        degrees_of_freedom=chosen or DOFS,
         origin=hull.mesh.centroid if origin == "buoyancy" else hull.mesh.centroid * 0.0,
         cd=None if cd is None else three(cd, "--cd"),
         volume=volume,
@@ -307,6 +313,7 @@ def _of_type(
     sides: tuple[float | None, float | None, float | None],
     mass: float,
     density: float,
+    chosen: tuple[str, ...] | None,
     name: str | None,
     out: Path | None,
     force: bool,
@@ -322,7 +329,7 @@ def _of_type(
         raise UndertowError(f"--type {kind} lacks dimensions: give --length, --beam and --height in m")
     target = new_file(out or Path(f"{name or kind}.toml"), force, [])
     size = MainDimensions(length, beam, height, mass, density)
-    write_whole(target, typed_vehicle(kind, size, name or kind))
+    write_whole(target, typed_vehicle(kind, size, name or kind, chosen))
     say(f"wrote {target}; look at what is assumed: undertow vehicles show {target}")
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+import sympy as sm
 
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.between_runs import stated_by_run
@@ -31,7 +32,8 @@ class Candidate:
     effect: the effect.
     base: the model without it.
     runs: names of the runs that it is fitted to, for what has a value in each.
-    redundant: parameters for which free ones of the model stand in exactly (see `trial.without_redundant`).
+    redundant: parameters for which free ones of the model stand in exactly (see `trial.without_redundant`),
+        or of a sensor that there was not.
     """
 
     effect: type[Effect]
@@ -147,23 +149,39 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
 
 
 def candidates(
-    vehicle: Vehicle, known: Catalogue, *, derived: bool = False, runs: tuple[str, ...] = ()
+    vehicle: Vehicle, known: Catalogue, *, derived: Collection[str] = (), runs: tuple[str, ...] = ()
 ) -> list[Candidate]:
     """All effects of the catalogue that would add something to a vehicle (see `possible`)."""
     return [c for c in possible(vehicle, known, derived=derived, runs=runs) if not c.adds_nothing]
 
 
 def possible(
-    vehicle: Vehicle, known: Catalogue, *, derived: bool = False, runs: tuple[str, ...] = ()
+    vehicle: Vehicle, known: Catalogue, *, derived: Collection[str] = (), runs: tuple[str, ...] = ()
 ) -> list[Candidate]:
-    """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it."""
+    """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it.
+
+    derived: velocities that were taken from the pose. What only their sensors could have is not tried: a rate
+    that no gyro measured has no scale and no bias.
+    """
     fitting = [c for c in known.values() if not (c.built_in or c.of_shape or vehicle.lacks(c))]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
-    return [Candidate(c, vehicle, runs) for c in fitting if not (derived and _of_velocity_sensor(c))]
+    made = (Candidate(c, vehicle, runs) for c in fitting)
+    told = (replace(c, redundant=_of_no_sensor(c, derived)) for c in made)
+    return [c for c in told if c.parameters or not c.redundant]
 
 
-def _of_velocity_sensor(effect: type[Effect]) -> bool:
-    return issubclass(effect, Measurement) and effect.of_velocity_sensor
+def _of_no_sensor(candidate: Candidate, derived: Collection[str]) -> tuple[str, ...]:
+    """Parameters of a velocity sensor that change no velocity but those that none measured."""
+    effect = candidate.effect
+    if not (derived and issubclass(effect, Measurement) and effect.of_velocity_sensor):
+        return ()
+    vehicle = candidate.vehicle
+    rows = sm.Matrix.hstack(
+        vehicle.composition.reported[1], vehicle.composition.report_age[-len(vehicle.velocity_names) :, :]
+    )
+    measured = [i for i, name in enumerate(vehicle.velocity_names) if name not in derived]
+    felt = {str(x) for i in measured for entry in rows[i, :] for x in entry.free_symbols}
+    return tuple(p.name for p in candidate.parameters if p.name not in felt)
 
 
 def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:

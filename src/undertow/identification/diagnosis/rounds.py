@@ -84,7 +84,7 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     runs = origins(bench.train.runs)
     listed = [
         without_redundant(c, bench)
-        for c in possible(vehicle, known, derived=bench.train.velocities_derived, runs=runs)
+        for c in possible(vehicle, known, derived=bench.train.derived_names, runs=runs)
     ]
     screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))

@@ -363,7 +363,7 @@ def without_redundant(candidate: Candidate, bench: Bench) -> Candidate:
     left = own - J @ np.linalg.lstsq(J, own, rcond=None)[0]
     gone = np.linalg.norm(left, axis=0) <= _REDUNDANT * np.linalg.norm(own, axis=0)
     names = [candidate.parameters[i].name for i, there in zip(parts, gone, strict=True) if there]
-    return replace(candidate, redundant=tuple(names))
+    return replace(candidate, redundant=(*candidate.redundant, *names))
 
 
 def rejected(candidate: Candidate, bench: Bench) -> Trial:

@@ -16,6 +16,7 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
 from .findings import Edits, Finding, as_toml, delay_edit
 from .kinematics import Kinematics, Samples, Stretch
@@ -83,7 +84,8 @@ def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
 def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]) -> list[Latency]:
     """Latencies without which pose rates and velocities agree clearly better, all of the rest beside them.
 
-    Gauss-Newton on a delay that is not there may end where it explains an error of another kind.
+    Gauss-Newton on a delay that is not there may end where it explains an error of another kind. Where rates
+    and velocities hardly have anything in common without it either, no clock is to blame.
     """
     clear = [one for one in found if one.clear(runs[0].step)]
     known = kinematics.rates(runs)
@@ -97,6 +99,9 @@ def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]
     left = np.array([misfit(c) for c in choices])
     each = SETTINGS.sure**2 * max(1.0, float(left.min()) / weight.size)
     best = choices[int(np.argmin(left + each * np.array([len(c) for c in choices])))]
+    after = kinematics.mismatch(without_latencies(runs, best))
+    if np.all((after.excess > EVIDENCE.unreadable) | ~after.moves):
+        best = ()
     return [one for one in found if one in best or one not in clear]
 
 

@@ -20,7 +20,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .dynamics import part_of
+from .dynamics import part_of, rederived
 from .forces import StatedForces, without
 from .mistakes import Explanation, Mistake, Undo
 from .sensors import clustered_least_squares
@@ -128,7 +128,8 @@ class Signs:
 
     def without(self, undo: Undo) -> Weight:
         """The weight of the logs with a mistake undone."""
-        undone = [self._rows(undo(run), only=of) for run, of in zip(self.runs, self._evidence, strict=True)]
+        runs = zip(self.runs, self._evidence, strict=True)
+        undone = [self._rows(rederived(run, undo), only=of) for run, of in runs]
         return self._weight([{dof: row.fitted() for dof, row in of.items()} for of in undone])
 
     def _weight(self, fitted: list[dict[str, _Fitted]]) -> Weight:

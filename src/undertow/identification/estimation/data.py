@@ -420,9 +420,9 @@ class WeakData:
         return tuple(i for i in taken if self.sigma[i - size] > 0)
 
     @property
-    def velocities_derived(self) -> bool:
-        """Whether all velocities were taken from the pose: no sensor measured them."""
-        return len(self.derived) == len(self.names) // 2
+    def derived_names(self) -> tuple[str, ...]:
+        """Velocities that were taken from the pose: no sensor measured them."""
+        return tuple(self.names[i] for i in self.derived)
 
     @cached_property
     def equation(self) -> Index:

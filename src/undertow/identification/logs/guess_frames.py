@@ -75,7 +75,7 @@ def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
         return Axes(questions=(_WHICH, _HEADING))
     best, other, *_ = sorted(left, key=lambda name: left[name])
     shares = f"{best} {left[best]:.0%}, {other} {left[other]:.0%}"
-    finding = f"of the change of position, velocity and heading leave: {shares}"
+    finding = f"velocity and heading leave so much of the change of position unexplained: {shares}"
     if left[best] > SETTINGS.agrees or left[best] > SETTINGS.clearly * left[other]:
         return Axes(questions=(f"{finding}. That decides nothing: which axes are they?", _HEADING))
     doubts = [_HEADING] if best in (_HERE, _EARTH) else []

@@ -398,7 +398,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     lacking = [VELOCITY[_DOF.index(name)] for name in asked if not run.has(VELOCITY[_DOF.index(name)])]
     if not lacking:
         return run
-    tracks = {name: _tracked(run, name) for name in _pose_needed(run, asked)}
+    tracks = {name: _tracked(run, name) for name in _pose_needed(run, asked, lacking)}
     rates, spread = _body_rates(run, tracks)
     pose = {name: np.where(one.outlier, np.nan, run.reports(name)) for name, one in tracks.items()}
     run = with_reports(run, pose)
@@ -413,26 +413,26 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     ).with_notes(_summary(tracks, sigma), *(_note(run, name, one) for name, one in tracks.items()))
 
 
-def _pose_needed(run: Run, asked: list[str]) -> list[str]:
-    needed = {POSE[_DOF.index(name)] for name in asked}
+def _pose_needed(run: Run, asked: list[str], lacking: list[str]) -> list[str]:
+    """Pose that the velocities which a run lacks are taken from, and what else of the pose it has."""
+    of_asked = {POSE[_DOF.index(name)] for name in asked}
+    needed = {POSE[VELOCITY.index(name)] for name in lacking} | of_asked & set(POSE[3:])
     # A vehicle that only surges along x, say a towed hull, may do without a heading; with one, x and y are
     # turned by it.
     if needed & {"x", "y"} and ("psi" in needed or all(run.has(name) for name in ("x", "y", "psi"))):
         needed |= {"x", "y", "psi"}
     missing = [name for name in POSE if name in needed and not run.has(name)]
     if missing:
-        blind = {
-            *missing,
-            *(("x", "y") if {"x", "y"} & {*missing} else ()),
-        }  # one is of no use without the other
-        lacking = [name for name in asked if POSE[_DOF.index(name)] in blind]
+        # x or y is of no use without the other, and neither without the heading that turns it
+        across = {"x", "y"} if {"x", "y", "psi"} & {*missing} else set()
+        blind = [n for n in lacking if POSE[VELOCITY.index(n)] in across.union(missing)] or lacking
         raise UndertowError(
-            f"run {run.name!r} has neither the velocities nor the pose {', '.join(missing)} for "
-            f"{', '.join(lacking)}: map these columns, leave {'it' if len(lacking) == 1 else 'them'} out of "
-            "degrees_of_freedom in the vehicle file, or say which motions a rig holds (held = "
-            '["sway"] in a mapping file)'
+            f"run {run.name!r} has neither {', '.join(blind)} nor the pose {', '.join(missing)} for "
+            f"{', '.join(_DOF[VELOCITY.index(n)] for n in blind)}: map these columns, leave "
+            f"{'it' if len(blind) == 1 else 'them'} out of degrees_of_freedom in the vehicle file, or say "
+            'which motions a rig holds (held = ["sway"] in a mapping file)'
         )
-    return [name for name in POSE if name in needed]
+    return [name for name in POSE if name in needed or (name in of_asked and run.has(name))]
 
 
 def _tracked(run: Run, name: str) -> Track:

@@ -188,14 +188,22 @@ def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
 
 
 def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
-    """The run, with a word on outputs of motors, from -1 to 1, that a vehicle takes for newtons."""
-    plain = [t.name for t in vehicle.thrusters if t.unit == "N"]
-    outputs = [run.channels[name] for name in plain if run.has(name)]
-    if not outputs or not run.reader_notes or not np.nanmax(np.abs(outputs), initial=0.0) <= 1.0:
+    """The run, with a word on commands from -1 to 1 that a vehicle takes for newtons.
+
+    Those of a table are said to be so where they end at 1 and its mapping file states no unit of theirs.
+    """
+    plain = [t.name for t in vehicle.thrusters if t.unit == "N" and run.has(t.name)]
+    largest = max((float(np.nanmax(np.abs(run.channels[name]), initial=0.0)) for name in plain), default=0.0)
+    columns = run.mapping.columns.values() if run.mapping is not None else ()
+    stated = any(column.channel in plain and column.unit for column in columns)
+    is_share = largest <= 1.0 if run.reader_notes else largest == 1.0 and not stated
+    if not plain or not is_share:
         return run
+    if_newtons = "" if run.reader_notes else '; if they are newtons, write unit = "N" into the mapping file'
     remark = (
         f"commands {', '.join(plain)} lie within -1 and 1, and the vehicle takes them for newtons: give its "
-        'thrusters a curve ("t200-16v") or thrust_per_command, as undertow vehicle new --log does'
+        "thrusters thrust_per_command = { value = (newtons at 1), estimate = true } or a curve "
+        f'("t200-16v"){if_newtons}'
     )
     return replace(run, reader_notes=(*run.reader_notes, remark))
 
