@@ -324,12 +324,16 @@ class Program:
         return Interval(A.lo * ratio, A.hi * ratio)
 
     # --- the program ----------------------------------------------------------------------------
+    @property
+    def _apart(self) -> bool:
+        """Whether P has a block for each axis, so that V is the same with the signs of an axis turned round."""
+        return self.search.problem.decoupled or self.loop.n > SETTINGS.most_full
+
     @cached_property
     def basis(self) -> Array:
         """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
         n, size = self.loop.n, self.loop.size
-        one = self.search.problem.decoupled or n > SETTINGS.most_full
-        pairs = [(i, j) for i in range(size) for j in range(i, size) if not one or i % n == j % n]
+        pairs = [(i, j) for i in range(size) for j in range(i, size) if not self._apart or i % n == j % n]
         found = np.zeros((len(pairs), size, size))
         for k, (i, j) in enumerate(pairs):
             found[k, i, j] = found[k, j, i] = 1.0
@@ -504,8 +508,15 @@ class Program:
             found += map(Row, commands, self.left)
         kept: dict[bytes, Row] = {}
         for row in found:
-            kept.setdefault(np.round(np.abs(row.states) / row.bound, 9).tobytes(), row)
+            kept.setdefault(np.round(self._upright(row.states) / row.bound, 9).tobytes(), row)
         return [r for r in kept.values() if np.any(r.states != 0)]
+
+    def _upright(self, row: Array) -> Array:
+        """The row with its first number positive, and that of each axis where this leaves V as it is."""
+        columns = row.reshape(-1, self.loop.n) if self._apart else row[:, None]
+        first = np.argmax(columns != 0, axis=0)
+        signs = np.where(columns[first, np.arange(len(first))] < 0, -1.0, 1.0)
+        return np.asarray((columns * signs).ravel() + 0.0)  # no zero with a sign
 
     @cached_property
     def _speed_rows(self) -> Array:
