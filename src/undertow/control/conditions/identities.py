@@ -18,6 +18,7 @@ from undertow.typing import Array
 from .embedding import Corners
 
 Axes = tuple[int, ...]
+_NOTHING = 1e-100  # what outward rounding makes of zero is below it
 Way = tuple[int, int, int]
 """A velocity, and the places in z of the two states that it multiplies."""
 
@@ -33,7 +34,7 @@ def _coupled(corners: Corners) -> list[Axes]:
     found = set()
     for k, end in enumerate(corners.ends):
         size = end.moving.size.max(axis=0) + end.turning.size.max(axis=0)
-        found |= {tuple(sorted((k, int(i), int(j)))) for i, j in np.argwhere(size > 0)}
+        found |= {tuple(sorted((k, int(i), int(j)))) for i, j in np.argwhere(size > _NOTHING)}
     return sorted(axes for axes in found if len(set(axes)) > 1)
 
 

@@ -72,7 +72,7 @@ class Proof:
         return min(held, key=lambda pair: pair[1], default=(np.zeros(n), np.inf))
 
     def _weights(self, own: Array) -> Iterator[Array]:
-        """Diagonals that may be above a matrix: sums of its rows, and what the program came to, made to be."""
+        """Diagonals above a matrix: sums of its rows, and what the program came to, raised to be."""
         sums, stated = np.abs(own).sum(axis=1), np.zeros(len(own))
         for group, level in zip(self.loop.groups, self.proposal.levels, strict=True):
             sums[group], stated[group] = sums[group].max(), level

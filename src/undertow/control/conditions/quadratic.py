@@ -123,7 +123,7 @@ class Search:
             step, level = slopes.step(np.log(best[0].speeds), radius)
             if level > np.log(best[2].start) - SETTINGS.least_fall:
                 return None
-            bounds = self._moved(*best, step)
+            bounds = self._moved(*best, step, radius)
         return None
 
     def spend(self, forms: int) -> None:
@@ -137,10 +137,13 @@ class Search:
         tilts = {a: max(SETTINGS.smaller * t, self._tilt(a, least[a])) for a, t in bounds.tilts.items()}
         return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
 
-    def _moved(self, bounds: Bounds, program: Program, proposal: Proposal, step: Array) -> Bounds:
-        """Speeds changed by these logarithms, and tilts that the start asks for."""
+    def _moved(
+        self, bounds: Bounds, program: Program, proposal: Proposal, step: Array, radius: float
+    ) -> Bounds:
+        """Speeds changed by these logarithms, and tilts that the start asks for, at most by the radius."""
         reach = program.reach(proposal) * np.sqrt(proposal.start) * SETTINGS.more
-        tilts = {a: self._tilt(a, v) for a, v in self._tilted(reach).items()}
+        most = {a: v * float(np.exp(radius)) for a, v in bounds.tilts.items()}
+        tilts = {a: self._tilt(a, min(v, most[a])) for a, v in self._tilted(reach).items()}
         return Bounds(bounds.speeds * np.exp(step), tilts)
 
     def _require_thrust(self) -> None:
