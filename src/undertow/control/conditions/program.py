@@ -55,6 +55,7 @@ class QuadraticSettings:
     first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
     smaller: float = 0.6  # factor on speeds for which there is no V
+    least_speed: float = 1e-3  # of the first speeds, below which none is looked for: no error would move
     # Factors on speeds that a V asks for which does not hold the start: a little more, and at most so much.
     more: float = 1.15
     most_more: float = 8.0

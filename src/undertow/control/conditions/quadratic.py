@@ -99,6 +99,7 @@ class Search:
     def _in_sector(self, bounds: Bounds) -> tuple[Bounds, Quadratic] | None:
         """V is searched for on smaller speeds until there is one, then on those that its start asks for."""
         best: tuple[Bounds, Program, Proposal] | None = None
+        least = SETTINGS.least_speed * bounds.speeds
         slopes, radius = _Slopes(), SETTINGS.first_step
         for _ in range(SETTINGS.tries):
             program = Program(self, bounds)
@@ -111,6 +112,8 @@ class Search:
                     return bounds, proof
             if best is None and (proposal is None or proposal.start < 1):
                 bounds = self._smaller(bounds)
+                if (bounds.speeds < least).all():
+                    return None
                 continue
             better = proposal is not None and (best is None or proposal.start < best[2].start)
             radius *= 1.0 if best is None else 1.5 if better else 0.5
