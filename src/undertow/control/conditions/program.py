@@ -42,7 +42,7 @@ class QuadraticSettings:
     most: int = 400_000  # matrices that one proof may look at: seconds
     whole: int = 4  # how many times the matrices of what the start needs the proof of the whole may look at
     batch: int = 256  # boxes of attitudes and signs at a time: memory
-    attitudes: tuple[int, ...] = (1, 7, 5, 3)  # in the program along each angle, by the number of angles
+    attitudes: tuple[int, ...] = (1, 7, 3, 3)  # in the program along each angle, by the number of angles
     looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     starts: int = 3  # eigenvectors from which that corner is looked for, and
     steps: int = 4  # turns between the corner and its eigenvector
@@ -313,8 +313,8 @@ class Program:
         slopes = self._slopes(P, free, C, keys, solution.duals)
         for row, dual in zip(rows, solution.duals[len(keys) + 1 :], strict=False):
             if row.velocity is not None:
-                own = row.states @ T
-                slopes[row.velocity] += 2 * float(dual[-1, :-1] @ own[touched(B, own)]) / row.bound
+                states = row.states @ T
+                slopes[row.velocity] += 2 * float(dual[-1, :-1] @ states[touched(B, states)]) / row.bound
         sizes = np.array([np.abs(dual).max() for dual in solution.duals[: len(keys)]])
         active = {key for key, size in zip(keys, sizes, strict=True) if size > SETTINGS.idle * sizes.max()}
         return Proposal(P, free, solution.x[k : k + g], float(cost @ solution.x), slopes, active)
