@@ -39,7 +39,7 @@ class QuadraticSettings:
     sectors: int = 6
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
-    most: int = 400_000  # matrices that one proof may look at: seconds
+    most: int = 100_000  # matrices that one proof may look at: seconds
     whole: int = 4  # how many times the matrices of what the start needs the proof of the whole may look at
     batch: int = 256  # boxes of attitudes and signs at a time: memory
     attitudes: tuple[int, ...] = (1, 7, 3, 3)  # in the program along each angle, by the number of angles
