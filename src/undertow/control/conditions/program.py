@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,13 +17,10 @@ from .attitude import Interval
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
 from .definite import along, doubled, touched
-from .embedding import Boxes, Corners, point
+from .embedding import Boxes, Corners, Embedding, point
 from .identities import identities
 from .problem import Problem
 from .semidefinite import Form, solved
-
-if TYPE_CHECKING:
-    from .quadratic import Search
 
 
 @dataclass(frozen=True)
@@ -110,10 +107,27 @@ def thrust_left(problem: Problem, commands: Commands, tilts: Mapping[str, float]
     return np.asarray(left)
 
 
+class Asked(Protocol):
+    """What programs of one search share."""
+
+    problem: Problem
+    loop: Embedding
+    commands: Commands
+    start: Array  # largest errors to begin with
+    chosen: set[Key]  # corners that the programs so far were about
+    centre: float  # heading in the middle of those of the set-point, rad
+
+    def filled(self, values: Array) -> Array:
+        """At least a share of the largest of a kind."""
+
+    def spend(self, forms: int) -> None:
+        """Count what the solver is given."""
+
+
 class Program:
     """The semidefinite program of one box of speeds and tilts."""
 
-    def __init__(self, search: Search, bounds: Bounds) -> None:
+    def __init__(self, search: Asked, bounds: Bounds) -> None:
         self.search, self.bounds, self.loop = search, bounds, search.loop
         self.corners: Corners = self.loop.corners(bounds.speeds)
         self.samples = self._samples()
