@@ -13,11 +13,12 @@ import pytest
 from tests.quick import first_quick
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.problem import Uncertainty
-from undertow.control.conditions.result import SETTINGS, Report
-from undertow.control.conditions.whole import certify
+from undertow.control.conditions.result import SETTINGS, Region, Report
+from undertow.control.conditions.whole import certify, whole_loop
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.linear.systems import close_loop
 from undertow.control.linear.trim import find_trim
+from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
@@ -72,10 +73,10 @@ STATED = Path(__file__).parents[2].parent / "shared" / "data" / "gain-counterexa
 
 @cache
 def sinker(limit: float | None = None) -> Vehicle:
-    return _loaded(HEAVE.replace("LIMIT", f"limit = {limit}" if limit else ""))
+    return loaded(HEAVE.replace("LIMIT", f"limit = {limit}" if limit else ""))
 
 
-def _loaded(text: str) -> Vehicle:
+def loaded(text: str) -> Vehicle:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "v.toml"
         path.write_text(text)
@@ -180,7 +181,7 @@ def test_poles_turn_with_a_biased_compass() -> None:
         text = text.replace(old, new)
     gone = ("dot", "quadratic", "added_mass_coriolis")
     lines = [line for line in text.splitlines() if not any(word in line for word in gone)]
-    vehicle = _loaded("\n".join(line for line in lines if "absu" not in line and "added_mass]" not in line))
+    vehicle = loaded("\n".join(line for line in lines if "absu" not in line and "added_mass]" not in line))
     vehicle = with_effect(vehicle, "attitude_bias", b_psi=bias)
     table = {"K_P": {"x": k_p, "y": k_p, "z": 2, "psi": 0.2}, "K_V": {"x": k_v, "y": k_v, "z": 5, "psi": 0.5}}
     gains = law(vehicle, "pd", gains=table)
@@ -224,13 +225,30 @@ def test_a_law_without_integral_that_rests_far_from_its_set_point_is_told() -> N
     assert judged(law(weak, "pid")).ok
 
 
-def test_a_start_that_does_not_come_back_refutes_what_is_stable_at_rest() -> None:
-    """Stable at rest, but the thrust that a metre asks for is far beyond where the supply saturates."""
+def saturated() -> GainSet:
+    """Stable at rest; the supply gives 0.2 N more than the weight takes, and K_P asks 60 N for a metre."""
     weak = with_effect(sinker(), "thruster_saturation", saturation_limit=14.5)
     gains = {"K_P": {"x": 1, "y": 1, "z": 60, "psi": 0.2}, "K_V": {"x": 5, "y": 5, "z": 1, "psi": 0.5}}
     gains |= {"K_I": {"x": 0.02, "y": 0.02, "z": 40, "psi": 0.005}}
-    report = judged(law(weak, "pid", gains=gains))
+    return law(weak, "pid", gains=gains)
+
+
+@pytest.mark.parametrize(("reach", "verdict"), [(0.1, "stable"), (1.0, "unstable")])
+def test_a_region_is_refuted_by_a_start_in_it_that_does_not_come_back(reach: float, verdict: str) -> None:
+    """Whatever the search for a region comes to: half a metre does not come back, five centimetres do."""
+    claimed = Region("level", "", 1.0, dict.fromkeys(("x", "y", "z", "psi"), reach))
+    whole = whole_loop(saturated(), claimed)
+    assert whole.verdict == verdict
+    assert ("does not come back" in whole.text) == (verdict == "unstable")
+
+
+def test_a_start_that_does_not_come_back_refutes_what_is_stable_at_rest() -> None:
+    """The region holds the stated start, as conditions know of no saturation; the loop does not come back."""
+    start = {"x": 0.1, "y": 0.1, "z": 0.5, "psi": 0.1}
+    report = certify(saturated(), forms=["derived"], start=start)
+    assert report.region.start_held
     assert report.whole is not None
+    assert report.whole.verdict == "unstable"
     assert not report.ok
 
 
@@ -272,6 +290,19 @@ def test_lift_that_leaves_no_speed_worth_the_name_is_refused() -> None:
     assert report.conditions_hold
     assert report.region.kind == "none"
     assert not report.ok
+
+
+@pytest.mark.parametrize("name", ["pd", "pid"])
+def test_yaw_and_surge_without_sway_are_refused_in_a_line(name: str) -> None:
+    """x_dot = cos(psi) u: at a quarter turn nothing moves x, and J has no inverse."""
+    text = HEAVE.replace("LIMIT", "").replace('["surge", "sway", "heave", "yaw"]', '["surge", "yaw"]')
+    gone = ("Y_", "Z_", "B_net", "net_buoyancy", "added_mass_coriolis")
+    kept = "\n".join(line for line in text.splitlines() if not any(word in line for word in gone))
+    first, *others = kept.split("[[thrusters]]")
+    vehicle = loaded("[[thrusters]]".join([first, *(o for o in others if '"f2"' in o or '"f3"' in o)]))
+    table = {g: {c: v for c, v in values.items() if c in ("x", "psi")} for g, values in GAINS[name].items()}
+    with pytest.raises(UndertowError, match="surge without sway: at a heading of 90 deg"):
+        judged(law(vehicle, name, gains=table))
 
 
 # --- axes that nothing pushes -----------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sympy as sm
 
-from tests.control.test_certificates import law, sinker
+from tests.control.test_certificates import HEAVE, law, loaded, sinker
 from tests.control.test_uncertain import STRONG, thick_water
 from tests.quick import first_quick
 from undertow.cli.main import main
@@ -17,7 +17,8 @@ from undertow.control.conditions.attitude import Interval, enclose
 from undertow.control.conditions.definite import Work, sums_positive
 from undertow.control.conditions.embedding import certainly_positive
 from undertow.control.conditions.problem import Problem
-from undertow.control.conditions.quadratic import search
+from undertow.control.conditions.program import SETTINGS, Bounds, Program
+from undertow.control.conditions.quadratic import Search, search
 from undertow.control.conditions.region import region
 from undertow.control.conditions.result import Region
 from undertow.control.conditions.whole import certify
@@ -229,3 +230,40 @@ def test_pid_in_six_degrees_of_freedom_is_proved() -> None:
     np.testing.assert_array_less(0, np.linalg.eigvalsh(found.P))
     with pytest.raises(UndertowError, match="not stable"):
         search(Problem(gains(200.0), np.pi / 3), start)
+
+
+# --- products of velocities -----------------------------------------------------------------------------
+def _program(gains: GainSet, start: dict[str, float]) -> Program:
+    looked = Search(Problem(gains, np.pi / 3), start)
+    speeds = np.full(looked.loop.n, 0.3)
+    return Program(looked, Bounds(speeds, dict.fromkeys(looked.loop.angles, 0.3)))
+
+
+def test_what_may_be_added_to_the_fall_of_v_vanishes_at_every_motion() -> None:
+    """sum over k of nu_k z' N_k z = 0 for z = (..., nu), of each N; none of them is a sum of the others."""
+    forms = _program(law(sinker(), "pid"), START).identities
+    z = np.random.default_rng(1).normal(size=(50, forms.shape[-1]))
+    np.testing.assert_allclose(np.einsum("sk,mkij,si,sj->ms", z[:, -4:], forms, z, z), 0, atol=1e-12)
+    assert np.linalg.matrix_rank(forms.reshape(len(forms), -1)) == len(forms) > 0
+
+
+def test_products_read_in_other_ways_hold_a_larger_start() -> None:
+    """With A as it stands no V of these speeds holds a box of 0.3 m and rad; with other readings one does."""
+    start = dict.fromkeys(("x", "y", "z", "psi"), 0.3)
+    free, plain = _program(law(sinker(), "pid"), start), _program(law(sinker(), "pid"), start)
+    plain.__dict__["identities"] = free.identities[:0]
+    found, without = free.solve(), plain.solve()
+    assert found is not None
+    assert without is not None
+    assert found.start < 0.5
+    assert without.start > 1
+
+
+def test_thrusters_that_push_and_turn_either_way_both_have_room_left() -> None:
+    """With coupled axes V changes when surge alone turns round: each of a pair has its own bound."""
+    limited = HEAVE.replace("LIMIT", "").replace("0.16]", "0.16]\nlimit = 0.2")
+    coupled = loaded(limited + "[effects.added_mass_coupling]\nY_rdot = -0.3\n")
+    program = _program(law(coupled, "pid"), dict.fromkeys(("x", "y", "z", "psi"), 0.1))
+    found = program.solve()
+    assert found is not None
+    assert list(program.moves(found)) == pytest.approx([0.2 * (1 - SETTINGS.slack)] * 2, rel=2e-3)

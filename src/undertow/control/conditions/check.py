@@ -74,14 +74,15 @@ def check(
     Raises
     ------
     UndertowError
-        If the mass matrix is not positive definite, damping is not finite at rest, or iota, tilt or a start
-        is none.
+        If the mass matrix is not positive definite, damping is not finite at rest, iota, tilt or a start
+        is none, or the vehicle yaws with only one of surge and sway.
     """
     if iota is not None and not 0 < iota < np.inf:
         raise UndertowError(
             f"--iota {iota:g} is not positive and finite: leave it out to have it searched for"
         )
     _require_start(gains, start)
+    _require_motion(gains)
     uncertainty = uncertainty or Uncertainty(gains.plant.vehicle)
     everything = Problem(gains, tilt)
     problem = everything.of_forms(forms)
@@ -118,6 +119,20 @@ def _require_start(gains: GainSet, start: Mapping[str, float] | None) -> None:
             raise UndertowError(f"start: {name} = {size:g} is no size of an error: state one from zero up")
     if start is not None and not any(start.values()):
         raise UndertowError("start: every error is zero: state the largest ones, as x=0.5")
+
+
+def _require_motion(gains: GainSet) -> None:
+    """Refuse a J that is singular: with x_dot = cos(psi) u nothing moves x at a quarter turn."""
+    across = {"x": ("surge", "sway"), "y": ("sway", "surge")}
+    alone = {"x", "y"} & set(gains.signals.coordinates)
+    if "psi" not in gains.signals.coordinates or len(alone) != 1:
+        return
+    own, missing = across[alone.pop()]
+    raise UndertowError(
+        f"'{gains.plant.vehicle.name}' yaws and has {own} without {missing}: at a heading of 90 deg from its "
+        f"axis it cannot move along it, so that no condition holds at every heading; add {missing} to "
+        "degrees_of_freedom, and to `unactuated` of the gains if nothing pushes it"
+    )
 
 
 def derived_conditions_hold(gains: GainSet) -> bool:

@@ -22,6 +22,8 @@ class ProofSettings:
     room: float = 1e-7  # what bounds are widened by, relative: beyond all rounding of 64-bit numbers
     # Beyond the rounding of some products of matrices of twenty rows, relative to their norms.
     rounding: float = 1e-13
+    sum: float = 1e-15  # beyond the rounding of a sum of two numbers that is scaled, relative
+    level: float = 1e-9  # what a diagonal that is to be above a matrix is widened by, relative
     together: int = 4096  # matrices that are looked at together: memory
 
 
@@ -172,6 +174,9 @@ def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, wo
     by a program.)
     """
     held = np.ones(box.max() + 1, dtype=bool)
+    work.left -= len(place)
+    if work.left < 0:
+        return ~held
     centre = np.sum([0.5 * (e.middle[:, 0] + e.middle[:, -1]) for e in ends], axis=0)
     middle = rest.middle + centre[place]
     held[box[~(np.linalg.eigvalsh(middle)[:, 0] > 0)]] = False

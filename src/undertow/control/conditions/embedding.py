@@ -145,12 +145,15 @@ class Corners:
         One interval around all that velocities do, with the mass matrices of all cases.
     switching : sequence of int
         Velocities whose sign is that of the case; their second end is rest.
+    values : sequence of ndarray
+        By velocity: its value at its ends, shape (cases, ends).
     """
 
     rest: Matrices
     ends: Sequence[Matrices]
     bend: Matrices
     switching: Sequence[int]
+    values: Sequence[Array]
 
     @property
     def cases(self) -> int:
@@ -308,7 +311,8 @@ class Embedding:
         most = self._turning(np.array(speeds, dtype=float)[None])
         turning = Interval(-np.abs(most), np.abs(most))
         bend = Matrices(Interval(*hull), moving, turning, Interval(nu.lo[..., None], nu.hi[..., None]))
-        return Corners(rest, ends, bend, m.switching)
+        values = [e.yaw.middle[:, i, 0].reshape(len(cases), -1) for i, e in enumerate(ends)]
+        return Corners(rest, ends, bend, m.switching, values)
 
     def _ends(self, i: int, speed: float, cases: Array, inverse: Interval) -> Matrices:
         """What the ends of one velocity add in every case."""
@@ -369,6 +373,18 @@ class Embedding:
         }
         cells = [[_jet(c).bend for c in row] for row in self._cells(at.bend, jets)]
         return np.asarray(block(cells).size[:, 0])
+
+    def body(self, angles: Mapping[str, Interval], by: str = "", order: int = 0) -> Interval:
+        """T of (integral, error, nu) = T' z, or a derivative by an angle, shape (boxes, 1, size, size)."""
+        if self._turned_by_body:
+            angles = {a: Interval(v.lo[:1], v.hi[:1]) for a, v in angles.items()}
+        other = self.size - self.n
+        unit, none = np.eye(other) * (order == 0), np.zeros((other, self.n))
+        return block([[unit, none], [none.T, self._at("L", angles, by, order)]])  # type: ignore[no-any-return]
+
+    def body_jet(self, angles: Mapping[str, Interval], by: str) -> Jet:
+        """T with its derivatives by one angle."""
+        return Jet(*(self.body(angles, by if order else "", order) for order in range(3)))
 
     def _cells(self, at: Matrices, matrices: Mapping[str, Any], *, at_rest: bool = True) -> list[list[Any]]:
         """A in blocks of (integral, error, velocity), intervals or with derivatives; or what motion adds."""

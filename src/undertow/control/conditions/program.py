@@ -1,0 +1,490 @@
+"""The semidefinite program for a quadratic V on one box of speeds and tilts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from undertow.errors import UndertowError
+from undertow.typing import Array
+
+from .attitude import Interval
+from .commands import Commands
+from .definite import SETTINGS as PROOFS
+from .definite import along, doubled, touched
+from .embedding import Boxes, Corners, Embedding, point
+from .identities import identities
+from .problem import Problem
+from .semidefinite import Form, solved
+
+
+@dataclass(frozen=True)
+class QuadraticSettings:
+    """How a quadratic V is searched for."""
+
+    # V has to fall at this part of the slowest rate of the loop at rest: room for rounding and for attitudes
+    # between those of the program.
+    decay: float = 0.3
+    # Room in every bound of the program, relative: what the solver leaves and what boxes of angles add.
+    slack: float = 0.05
+    # Where A depends on the heading: a P for each of so many ranges of set-points in half a turn.
+    sectors: int = 6
+    # Boxes of angles are halved so often until the proof succeeds or is given up.
+    halvings: int = 6
+    most: int = 100_000  # matrices that one proof may look at: seconds
+    whole: int = 4  # how many times the matrices of what the start needs the proof of the whole may look at
+    batch: int = 256  # boxes of attitudes and signs at a time: memory
+    attitudes: tuple[int, ...] = (1, 7, 3, 3)  # in the program along each angle, by the number of angles
+    looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
+    starts: int = 3  # eigenvectors from which that corner is looked for, and
+    steps: int = 4  # turns between the corner and its eigenvector
+    most_forms: int = 2000  # matrix inequalities that the solver is given in one search: seconds
+    rounds: int = 12  # of the program, each with the worst corners of the last one added
+    added: int = 8  # how many
+    idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
+    rise: float = 0.02  # of the start's level from a round to the next, below which the level is known
+    tries: int = 40  # boxes of speeds that are tried
+    first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
+    first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
+    smaller: float = 0.6  # factor on speeds for which there is no V
+    least_speed: float = 1e-3  # of the first speeds, below which none is looked for: no error would move
+    # Factors on speeds that a V asks for which does not hold the start: a little more, and at most so much.
+    more: float = 1.15
+    most_more: float = 8.0
+    least_fall: float = 0.003  # of the logarithm of the start's level that a step has to promise
+    least_step: float = 0.03  # change of speeds, relative, below which no better ones are looked for
+    # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
+    least_share: float = 0.1
+    tilt: float = 2.0  # roll and pitch that are allowed for, times those of the start
+    # Degrees of freedom up to which P is a full matrix. Beyond, it has a block for each axis, as gains have:
+    # the program takes seconds then instead of minutes.
+    most_full: int = 4
+
+
+SETTINGS = QuadraticSettings()
+
+
+Key = tuple[int, int, tuple[int, ...]]
+"""A corner: its attitude, its case of the signs, and the end of each velocity."""
+
+
+class Proposal(NamedTuple):
+    """What the program came to in scaled states."""
+
+    P: Array
+    free: Array  # N of scaled states and body velocities: sum over k of nu_k z' N_k z = 0, (n, size, size)
+    levels: Array  # of V by group of errors: it is below the sum of these times squares of the errors
+    start: float  # V of the worst corner of the start box; the level is one
+    slopes: Array  # derivative of `start` by the logarithm of each speed of the box
+    active: set[Key]  # corners that keep it from being lower
+
+
+class Row(NamedTuple):
+    """A sum of states that has to stay below its bound."""
+
+    states: Array
+    bound: float
+    velocity: int | None = None  # which one, if it is one
+
+
+class Bounds(NamedTuple):
+    """A box that the level set V < 1 has to stay in."""
+
+    speeds: Array  # body velocities, shape (n,)
+    tilts: dict[str, float]  # roll and pitch, and the error of the heading where A depends on it, rad
+
+
+def thrust_left(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
+    """What the limits leave beside the weight, within the tilts."""
+    left = commands.limits - commands.at_rest(problem.attitudes.boxes(dict(tilts)))
+    if len(left) and left.min() <= 0:
+        raise UndertowError("holding the weight at the roll and pitch of the start takes all of a thruster")
+    return np.asarray(left)
+
+
+class Asked(Protocol):
+    """What programs of one search share."""
+
+    problem: Problem
+    loop: Embedding
+    commands: Commands
+    start: Array  # largest errors to begin with
+    chosen: set[Key]  # corners that the programs so far were about
+    centre: float  # heading in the middle of those of the set-point, rad
+
+    def filled(self, values: Array) -> Array:
+        """At least a share of the largest of a kind."""
+
+    def spend(self, forms: int) -> None:
+        """Count what the solver is given."""
+
+
+class Program:
+    """The semidefinite program of one box of speeds and tilts."""
+
+    def __init__(self, search: Asked, bounds: Bounds) -> None:
+        self.search, self.bounds, self.loop = search, bounds, search.loop
+        self.corners: Corners = self.loop.corners(bounds.speeds)
+        self.samples = self._samples()
+        self.scale = self._scaling()
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Roll and pitch, and headings near those of the set-point."""
+        found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
+        if "psi" in found:
+            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + PROOFS.room)
+            found["psi"] = (self.search.centre - half, self.search.centre + half)
+        return found
+
+    def _samples(self) -> Boxes:
+        """Attitudes in the program: the middle and the ends of each angle, more where angles are few."""
+        count = SETTINGS.attitudes[len(self.loop.angles)]
+        ends = [np.linspace(*self.ranges[a], count) for a in self.loop.angles]
+        rows = np.array(list(product(*ends)))
+        return {a: point(rows[:, i]) for i, a in enumerate(self.loop.angles)}
+
+    def _scaling(self) -> Array:
+        """Sizes of the states: errors of the start, speeds of the box, integrals by what they hold."""
+        s, n = self.search, self.loop.n
+        error = s.filled(s.start)
+        speed = self.bounds.speeds.copy()
+        for group in self.loop.groups:
+            speed[group] = speed[group].max()
+        parts = [error, speed]
+        if self.loop.integral:
+            K_P, K_I = (s.problem.values[g] for g in ("K_P", "K_I"))
+            parts.insert(0, error * np.maximum(K_P, 1e-12) / np.maximum(K_I, 1e-9 * np.maximum(K_P, 1e-12)))
+        # Powers of two scale without rounding.
+        return np.asarray(2.0 ** np.round(np.log2(np.concatenate(parts)))).reshape(-1)[: self.loop.size + n]
+
+    def scaled(self, A: Interval) -> Interval:
+        """A of z_dot = A z for scaled states."""
+        ratio = self.scale[None, :] / self.scale[:, None]
+        return Interval(A.lo * ratio, A.hi * ratio)
+
+    # --- the program ----------------------------------------------------------------------------
+    @property
+    def _apart(self) -> bool:
+        """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
+        return self.search.problem.decoupled or self.loop.n > SETTINGS.most_full
+
+    @cached_property
+    def basis(self) -> Array:
+        """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
+        n, size = self.loop.n, self.loop.size
+        pairs = [(i, j) for i in range(size) for j in range(i, size) if not self._apart or i % n == j % n]
+        found = np.zeros((len(pairs), size, size))
+        for k, (i, j) in enumerate(pairs):
+            found[k, i, j] = found[k, j, i] = 1.0
+        return found
+
+    @cached_property
+    def _pieces(self) -> tuple[Array, list[Array]]:
+        """A at rest (samples, cases, size, size) and what each velocity adds (samples, cases, ends, ...)."""
+        rest = self.scaled(self.loop.rest(self.corners, self.samples)).middle
+        ends = [self.scaled(e).middle for e in self.loop.added(self.corners, self.samples)]
+        return rest, [np.broadcast_to(e, (len(rest), *e.shape[1:])) for e in ends]
+
+    def _corner(self, key: Key) -> Array:
+        rest, ends = self._pieces
+        sample, case, places = key
+        return np.asarray(
+            rest[sample, case] + sum(e[sample, case, p] for e, p in zip(ends, places, strict=True))
+        )
+
+    @cached_property
+    def values(self) -> list[Array]:
+        """By velocity its value at its ends in units of its scale, shape (cases, ends)."""
+        return [v / s for v, s in zip(self.corners.values, self.scale[-self.loop.n :], strict=True)]
+
+    @cached_property
+    def identities(self) -> Array:
+        """Forms of scaled states and body velocities that vanish, shape (m, n, size, size)."""
+        return identities(self.corners, self.loop.n, self.loop.size)
+
+    @cached_property
+    def _bodies(self) -> Array:
+        """T of body velocities from scaled states at every sample, shape (samples, size, size)."""
+        T = self.loop.body(self.samples).middle[:, 0] * self.scale[:, None] / self.scale
+        return np.broadcast_to(T, (len(self._pieces[0]), *T.shape[1:]))
+
+    def _added(self, P: Array, free: Array, samples: Any, cases: Any) -> list[Array]:
+        """What the ends of each velocity add to V_dot in these rows, each (rows, ends, size, size)."""
+        T = self._bodies[samples][:, None]
+        turned = T @ free @ np.swapaxes(T, -1, -2)
+        parts = enumerate(zip(self._pieces[1], self.values, strict=True))
+        return [
+            doubled(P, e[samples, cases]) + v[cases][..., None, None] * turned[:, i, None]
+            for i, (e, v) in parts
+        ]
+
+    @cached_property
+    def rate(self) -> float:
+        """The decay that is asked for, 1/s."""
+        slowest = -float(np.max(np.linalg.eigvals(self._pieces[0]).real))
+        return SETTINGS.decay * slowest
+
+    def solve(self, best: float = np.inf) -> Proposal | None:
+        """P by cutting planes: corners come in as they are violated, and go where they do not matter.
+
+        Corners only raise the start's level, so that a program that comes above `best` has said enough, and
+        one above one, too, once the corners that matter are among them.
+        """
+        known = bool(self.search.chosen)  # by the programs of other speeds
+        chosen, last = self.search.chosen or self._first_corners(), 0.0
+        for turn in range(SETTINGS.rounds):
+            proposal = self._solved(sorted(chosen))
+            if proposal is None or proposal.start >= best:
+                return proposal
+            worst = set(self._violated(proposal, turn))
+            rises = proposal.start > last * (1 + SETTINGS.rise)
+            active = proposal.active if rises else chosen
+            self.search.chosen = active | worst
+            if worst <= chosen or (proposal.start > 1 and (known or not rises)):
+                return proposal
+            chosen, last = self.search.chosen, proposal.start
+        return None
+
+    def _first_corners(self) -> set[Key]:
+        """Corners here and there."""
+        rest, ends = self._pieces
+        rng = np.random.default_rng(0)
+        return {
+            (int(i), int(rng.integers(rest.shape[1])), tuple(int(rng.integers(e.shape[2])) for e in ends))
+            for i in np.linspace(0, len(rest) - 1, SETTINGS.added)
+        }
+
+    def _violated(self, proposal: Proposal, turn: int) -> list[Key]:
+        """The corners at which V falls too slowly, worst first, some of them.
+
+        V_dot along x is a sum over the velocities, so the worst corner for a direction x is known, and
+        the worst direction of a corner is an eigenvector: they are taken in turns.
+        """
+        P, rest = proposal.P, self._pieces[0]
+        places = np.stack(np.unravel_index(np.arange(rest.shape[0] * rest.shape[1]), rest.shape[:2]), 1)
+        if len(places) > SETTINGS.looked_at:
+            places = np.random.default_rng(turn).permutation(places)[: SETTINGS.looked_at]
+        own = doubled(P, rest[places[:, 0], places[:, 1]] + self.rate * np.eye(self.loop.size))
+        added = self._added(P, proposal.free, *places.T)
+        _, vectors = np.linalg.eigh(own)
+        limit = 0.5 * self.rate * float(np.linalg.eigvalsh(P)[0])  # half of the decay is the proof's
+        found: dict[Key, float] = {}
+        for k in range(1, SETTINGS.starts + 1):
+            worst, values = _worst(own, added, vectors[..., -k])
+            for (i, case), ways, value in zip(places, worst, values, strict=True):
+                if value > limit:
+                    found[(int(i), int(case), tuple(map(int, ways)))] = float(value)
+        return sorted(found, key=lambda key: -found[key])[: SETTINGS.added]
+
+    @cached_property
+    def _balance(self) -> tuple[Array, Array]:
+        """Columns T with T' P_0 T = I, and C with C' (P_0 A + A' P_0) C = -I, of the loop at rest.
+
+        Rates of one loop are far apart; in these states the program is well conditioned, and P is near I.
+        """
+        from scipy.linalg import solve_continuous_lyapunov, sqrtm
+
+        together = np.abs(self.basis).sum(axis=0) > 0
+        A = self._pieces[0].mean(axis=(0, 1)) * together
+        unit = np.eye(len(A))
+        W = np.real(sqrtm(A.T @ A))
+        try:
+            P = solve_continuous_lyapunov(A.T, -W)
+            T, C = (np.linalg.inv(np.linalg.cholesky(0.5 * (m + m.T))).T * together for m in (P, W))
+            return T, C
+        except np.linalg.LinAlgError:
+            return unit, unit
+
+    def _solved(self, keys: Sequence[Key]) -> Proposal | None:
+        (T, C), size, n = self._balance, self.loop.size, self.loop.n
+        back = np.linalg.inv(T)
+        B = back.T @ self.basis @ back  # of P; the program's own unknown is Q = T' P T
+        groups, start = self.loop.groups, self.search.start / self.scale[size - 2 * n : size - n]
+        k, g, m = self._unknowns
+        cost = np.zeros(k + g + m)
+        cost[k : k + g] = [float(np.sum(start[own][:1] ** 2)) for own in groups]
+        rows = self._rows()
+        forms = self._falls(keys, B, C)
+        forms += [Form(-1e-6 * np.eye(size), self._filled(self.basis))]
+        forms += [self._within(r.states @ T, r.bound) for r in rows]
+        errors = slice(size - 2 * n, size - n)
+        slots = np.zeros((g, n, n))
+        for s, own in zip(slots, groups, strict=True):
+            s[own, own] = 1.0
+        forms.append(Form(np.zeros((n, n)), self._filled(-B[:, errors, errors], slots)))
+        self.search.spend(len(forms))
+        solution = solved(cost, forms)
+        if solution is None:
+            return None
+        P = np.tensordot(solution.x[:k], B, 1)
+        free = np.tensordot(solution.x[k + g :], self.identities, 1)
+        slopes = self._slopes(P, free, C, keys, solution.duals)
+        for row, dual in zip(rows, solution.duals[len(keys) + 1 :], strict=False):
+            if row.velocity is not None:
+                states = row.states @ T
+                slopes[row.velocity] += 2 * float(dual[-1, :-1] @ states[touched(B, states)]) / row.bound
+        sizes = np.array([np.abs(dual).max() for dual in solution.duals[: len(keys)]])
+        active = {key for key, size in zip(keys, sizes, strict=True) if size > SETTINGS.idle * sizes.max()}
+        return Proposal(P, free, solution.x[k : k + g], float(cost @ solution.x), slopes, active)
+
+    def _falls(self, keys: Sequence[Key], B: Array, C: Array) -> list[Form]:
+        """V falls at these corners."""
+        found, shift = [], self.rate * np.eye(self.loop.size)
+        for key in keys:
+            sample, case, places = key
+            nu = np.array([v[case, p] for v, p in zip(self.values, places, strict=True)])
+            T = C.T @ self._bodies[sample]
+            free = T @ np.tensordot(nu, self.identities, (0, 1)) @ T.T
+            falls = -(C.T @ doubled(B, self._corner(key) + shift) @ C)
+            found.append(Form(np.zeros_like(shift), self._filled(falls, free=-free)))
+        return found
+
+    def _slopes(self, P: Array, free: Array, C: Array, keys: Sequence[Key], duals: Sequence[Array]) -> Array:
+        """What the fall of V adds to the slopes of the start's level: what a speed adds grows with it."""
+        found = np.zeros(self.loop.n)
+        samples, cases = np.array([key[:2] for key in keys]).T
+        for i, added in enumerate(self._added(P, free, samples, cases)):
+            moved = _growth(added, i in self.corners.switching)
+            for row, (key, dual) in enumerate(zip(keys, duals, strict=False)):
+                found[i] += np.sum(dual * (C.T @ moved[row, key[2][i]] @ C))
+        return found
+
+    @property
+    def _unknowns(self) -> tuple[int, int, int]:
+        """How many: of P, levels of the start's groups, and forms that vanish."""
+        return len(self.basis), len(self.loop.groups), len(self.identities)
+
+    def _filled(self, of_P: Array, levels: Array | None = None, free: Array | None = None) -> Array:
+        """What each unknown adds to a form; nothing unless it is given."""
+        _, g, m = self._unknowns
+        none = [np.zeros((count, *of_P.shape[1:])) for count in (g, m)]
+        return np.concatenate(
+            [of_P, none[0] if levels is None else levels, none[1] if free is None else free]
+        )
+
+    def _within(self, row: Array, bound: float) -> Form:
+        """[P, row; row', bound^2] >= 0 on the states that belong to the row: |row z| < bound on V < 1."""
+        B = self.basis
+        own = touched(B, row)
+        m = len(own)
+        forms = np.zeros((len(B), m + 1, m + 1))
+        forms[:, :m, :m] = B[:, own[:, None], own]
+        constant = np.zeros((m + 1, m + 1))
+        # Divided by the bound, so that numbers are near one.
+        constant[:m, m] = constant[m, :m] = row[own] / bound
+        constant[m, m] = (1 - SETTINGS.slack) ** 2
+        return Form(constant, self._filled(forms))
+
+    def _rows(self) -> list[Row]:
+        """What has to stay within its bound: speeds, tilts, half a turn, commands."""
+        found = [Row(row, bound) for row, bound in self.fixed_rows()]
+        for speeds in self.speed_rows:
+            found += map(Row, speeds, self.bounds.speeds, range(self.loop.n))
+        for commands in self.command_rows:
+            found += map(Row, commands, self.left)
+        kept: dict[bytes, Row] = {}
+        for row in found:
+            kept.setdefault(np.round(self._upright(row.states) / row.bound, 9).tobytes(), row)
+        return [r for r in kept.values() if np.any(r.states != 0)]
+
+    def _upright(self, row: Array) -> Array:
+        """The row with its first number positive, and that of each axis where this leaves V as it is."""
+        columns = row.reshape(-1, self.loop.n) if self._apart else row[:, None]
+        first = np.argmax(columns != 0, axis=0)
+        signs = np.where(columns[first, np.arange(len(first))] < 0, -1.0, 1.0)
+        return np.asarray((columns * signs).ravel() + 0.0)  # no zero with a sign
+
+    @cached_property
+    def speed_rows(self) -> Array:
+        """Rows of the body velocities at every sample, shape (samples, n, size)."""
+        return np.asarray(self.loop.speeds_of(self.samples).middle * self.scale)
+
+    @cached_property
+    def command_rows(self) -> Array:
+        if not len(self.commands.limits):
+            return np.zeros((0, 0, self.loop.size))
+        return np.asarray(self.loop.commands_of(self.commands, self.samples).middle * self.scale)
+
+    @property
+    def commands(self) -> Commands:
+        """The commands with limits."""
+        return self.search.commands
+
+    @cached_property
+    def left(self) -> Array:
+        """What the limits leave beside the weight, within the tilts."""
+        return thrust_left(self.search.problem, self.commands, self.bounds.tilts)
+
+    def fixed_rows(self) -> list[tuple[Array, float]]:
+        n, size = self.loop.n, self.loop.size
+        ends = {"psi": np.pi} | self.bounds.tilts
+        found = []
+        for i, c in enumerate(self.search.problem.coordinates):
+            if c in ends:
+                row = np.zeros(size)
+                row[size - 2 * n + i] = self.scale[size - 2 * n + i]
+                found.append((row, ends[c]))
+        return found
+
+    # --- what V allows ----------------------------------------------------------------------------
+    def _largest(self, P: Array, rows: Array) -> Array:
+        return np.asarray(np.sqrt(np.einsum("...i,...i->...", rows @ np.linalg.inv(P), rows)))
+
+    def reach(self, proposal: Proposal) -> Array:
+        """Largest error of each coordinate on V < 1."""
+        n, size = self.loop.n, self.loop.size
+        each = self._largest(proposal.P, np.diag(self.scale)[size - 2 * n : size - n])
+        for group in self.loop.groups:
+            each[group] = each[group].max()
+        return each
+
+    def speeds(self, proposal: Proposal) -> Array:
+        """Largest body velocities on V < 1, over the samples."""
+        return np.asarray(self._largest(proposal.P, self.speed_rows).max(axis=0))
+
+    def moves(self, proposal: Proposal) -> Array:
+        """Largest of what each limited command adds to that at rest on V < 1, over the samples."""
+        return np.asarray(self._largest(proposal.P, self.command_rows).max(axis=0))
+
+    def narrowed(self, proposal: Proposal) -> tuple[Program, Proposal]:
+        """The same V, of whose level set only as much is claimed as the start needs, on the box of that."""
+        level = proposal.start * (1 + SETTINGS.slack)
+        size = np.sqrt(level) * (1 + SETTINGS.slack)
+        reach = dict(zip(self.search.problem.coordinates, size * self.reach(proposal), strict=True))
+        tilts = {a: min(t, float(reach[a])) for a, t in self.bounds.tilts.items()}
+        speeds = np.minimum(size * self.speeds(proposal), self.bounds.speeds)
+        other = Program(self.search, Bounds(speeds, tilts))
+        ratio = other.scale / self.scale
+        both = np.outer(ratio, ratio)
+        free = proposal.free * ratio[-self.loop.n :, None, None] * both / level
+        errors = ratio[self.loop.size - 2 * self.loop.n : -self.loop.n]
+        levels = proposal.levels * errors[[g[0] for g in self.loop.groups]] ** 2 / level
+        P, start = proposal.P * both / level, proposal.start / level
+        return other, proposal._replace(P=P, free=free, levels=levels, start=start)
+
+
+def _worst(own: Array, added: Sequence[Array], x: Array) -> tuple[Array, Array]:
+    """The worst end of each velocity by row, from a direction on, and the largest eigenvalue with them."""
+    rows, unit = np.arange(len(own)), np.eye(own.shape[-1])
+    for _ in range(SETTINGS.steps):
+        worst = [np.argmax(along(unit, e, x), axis=-1) for e in added]
+        whole = own + sum(e[rows, w] for e, w in zip(added, worst, strict=True))
+        values, turned = np.linalg.eigh(whole)
+        x = turned[..., -1]
+    return np.array(worst).T, values[:, -1]
+
+
+def _growth(added: Array, switched: bool) -> Array:
+    """What each end adds beyond rest, which grows with the speed, shape (rows, ends, size, size)."""
+    last = added.shape[1] - 1
+    if switched:
+        return np.asarray(added - added[:, -1:])
+    if last == 1:  # one end is the other turned round
+        return np.asarray(added - added.mean(axis=1, keepdims=True))
+    return np.asarray(added - added[:, np.clip(np.arange(last + 1), 1, last - 1)])
