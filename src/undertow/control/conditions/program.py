@@ -116,6 +116,7 @@ class Asked(Protocol):
     start: Array  # largest errors to begin with
     chosen: set[Key]  # corners that the programs so far were about
     centre: float  # heading in the middle of those of the set-point, rad
+    every_reading: bool  # whether products of velocities may be read in every way
 
     def filled(self, values: Array) -> Array:
         """At least a share of the largest of a kind."""
@@ -206,7 +207,10 @@ class Program:
     @cached_property
     def identities(self) -> Array:
         """Forms of scaled states and body velocities that vanish, shape (m, n, size, size)."""
-        return identities(self.corners, self.loop.n, self.loop.size)
+        n, size = self.loop.n, self.loop.size
+        return (
+            identities(self.corners, n, size) if self.search.every_reading else np.zeros((0, n, size, size))
+        )
 
     @cached_property
     def _bodies(self) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 
@@ -48,19 +49,27 @@ class _Slopes:
 def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
     """A proved V whose level set holds every error up to `start` at rest, integrals at zero; None if none.
 
+    Products of velocities are read in one way first: where that does, it is several times as quick.
+
     Raises
     ------
     UndertowError
         If the solver is not installed, or the model has no form that the method covers.
     """
+    with suppress(UndertowError):
+        if (found := Search(problem, start, every_reading=False).found()) is not None:
+            return found
     return Search(problem, start).found()
 
 
 class Search:
-    """The search for one start box."""
+    """The search for one start box.
 
-    def __init__(self, problem: Problem, start: Mapping[str, float]) -> None:
-        self.problem, self.loop = problem, Embedding(problem)
+    every_reading: whether products of velocities may be read in every way (`identities`).
+    """
+
+    def __init__(self, problem: Problem, start: Mapping[str, float], *, every_reading: bool = True) -> None:
+        self.problem, self.loop, self.every_reading = problem, Embedding(problem), every_reading
         self.commands = Commands(problem)
         self.forms = 0  # what the solver was given so far
         self.chosen: set[Key] = set()  # corners that the programs so far were about
