@@ -284,6 +284,7 @@ class _Selector:
         return again if again.established else found
 
     def _forward(self) -> Selection:
+        self._reasons, self._worth = {}, {}
         graded: list[Graded] = []
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
