@@ -65,7 +65,7 @@ class TypeRules:
     rudder_deduction: float = 0.4  # t_R: KVLCC2 0.387
     rudder: float = 0.5  # sigma: slipstream and wake are not known
     propellers: tuple[float, float] = (-0.5, 0.37)  # of a craft with two, over length and beam: Otter
-    azimuth: float = 0.36  # place of azimuth thrusters over length: 1.8 m of the 5 m of milliAmpere
+    azimuth: float = 0.36  # place of azimuth thrusters over length, assumed: nothing published was checked
 
 
 _RULES = TypeRules()
@@ -393,7 +393,7 @@ def _asv(size: MainDimensions) -> Made:
 
 
 def _azimuth(size: MainDimensions) -> Made:
-    source = "assumed: on the centre line as far apart as those of milliAmpere, 0.72 L (Pedersen 2019)"
+    source = f"assumed: on the centre line, {_RULES.azimuth:g} L before and behind amidships"
     hardware = [
         Hardware(f"{end}_{axis}", (place * size.length, 0.0, 0.0), direction, source)
         for end, place in (("bow", _RULES.azimuth), ("stern", -_RULES.azimuth))
