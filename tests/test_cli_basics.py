@@ -286,8 +286,8 @@ def test_what_a_terminal_cannot_show_is_written_in_ascii(tmp_path: Path) -> None
     prelude = f"import undertow.cli; undertow.cli.__path__.append('{tmp_path}')"
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii", "PYTHONCOERCECLOCALE": "0"}
     done = _program("zz", prelude=prelude, **plain)
-    told = "lambdamin(K_V) <= 2 m^2, Sigma tau -> 3 deg +/- 12 | \\u6f22 \\udcff\n"
-    assert (done.returncode, done.stderr, done.stdout) == (0, "", told)
+    reported = "lambdamin(K_V) <= 2 m^2, Sigma tau -> 3 deg +/- 12 | \\u6f22 \\udcff\n"
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", reported)
     assert _program("zz", prelude=prelude, PYTHONUTF8="1").stdout == text.replace("\udcff", "\\udcff") + "\n"
 
 
@@ -306,7 +306,7 @@ _TALKING = "import logging; log = logging.getLogger('undertow.zz'); log.info('st
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (["zz"], "warning: odd\n"),
         (["-v", "zz"], "step\nwarning: odd\n"),
@@ -314,13 +314,13 @@ _TALKING = "import logging; log = logging.getLogger('undertow.zz'); log.info('st
     ],
 )
 def test_verbose_says_what_is_going_on(
-    added: Added, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+    added: Added, capsys: pytest.CaptureFixture[str], words: list[str], reported: str
 ) -> None:
     added("zz", _function("zz", _TALKING))
     before = logging.getLogger("undertow").level
     assert main(words) == 0
     logging.getLogger("undertow").setLevel(before)
-    assert capsys.readouterr().err == told
+    assert capsys.readouterr().err == reported
 
 
 class _Screen(io.StringIO):

@@ -209,9 +209,9 @@ def test_the_pages_are_listed_and_lead_to_each_other() -> None:
 def test_every_verdict_is_on_the_page(name: str) -> None:
     numbers = json.loads((PAGES / "numbers" / f"{name}.json").read_text(encoding="utf-8"))
     text = (PAGES / f"{name}.md").read_text(encoding="utf-8")
-    for told in numbers["diagnoses"]:
-        assert f"| {told['title']} | {told['verdict']} |" in text
-        assert number(told["steps"][0]["error"]) in text
+    for reported in numbers["diagnoses"]:
+        assert f"| {reported['title']} | {reported['verdict']} |" in text
+        assert number(reported["steps"][0]["error"]) in text
 
 
 # --- the data, where they are -----------------------------------------------------------------

@@ -216,12 +216,12 @@ _BOMBS = {
 
 @pytest.mark.parametrize("name", _BOMBS)
 def test_toml_that_would_stall_a_parser_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
-    content, told = _BOMBS[name]
+    content, reported = _BOMBS[name]
     path = tmp_path / "log.toml"
     path.write_bytes(content)
     with pytest.raises(UndertowError) as caught:
         read_toml(path, "mapping file")
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert str(caught.value).startswith(str(path))
     assert len(str(caught.value)) < 400
 

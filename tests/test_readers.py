@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from benchmarks.fuzz.cases import COMMANDS, SHARES, Case, case, damage_to, sound_files
-from benchmarks.fuzz.judging import outcome, told
+from benchmarks.fuzz.judging import outcome, reported
 from benchmarks.fuzz.mutations import Mutation, mutated, parquet, zipped
 from benchmarks.fuzz.originals import diagnosis, originals
 from benchmarks.fuzz.readers import READERS, refusal
@@ -440,5 +440,5 @@ def test_a_panic_is_told_with_its_place() -> None:
 
     with pytest.raises(Panic) as caught:
         raise Panic("in\nRust")
-    assert told(caught.value).startswith("Panic at test_readers.py:")
-    assert told(caught.value).endswith(": in Rust")
+    assert reported(caught.value).startswith("Panic at test_readers.py:")
+    assert reported(caught.value).endswith(": in Rust")

@@ -17,16 +17,16 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 
 def test_the_story_has_every_step_and_its_words() -> None:
-    told = (DOCS / "story.md").read_text(encoding="utf-8")
+    reported = (DOCS / "story.md").read_text(encoding="utf-8")
     for words in re.split(r"\{[a-z ]+\}", TEXT.read_text(encoding="utf-8")):
-        assert words.strip() in told
-    commands = re.findall(r"^\$ undertow (\S+)", told, re.MULTILINE)
+        assert words.strip() in reported
+    commands = re.findall(r"^\$ undertow (\S+)", reported, re.MULTILINE)
     expected = (
         "added-mass tank tank vehicle design gains simulate diagnose add gains design gains simulate export"
     )
     assert commands == expected.split()
-    assert "UNSTABLE" in told
-    assert "all come back" in told
+    assert "UNSTABLE" in reported
+    assert "all come back" in reported
 
 
 def test_the_page_of_hulls_at_the_surface_says_what_was_measured() -> None:

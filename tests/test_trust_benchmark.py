@@ -265,8 +265,8 @@ def record(case: str, verdict: str, *named: str, truth: tuple[str, ...] = (), **
 
 LIFT, LOST = "usv:lift:x1:n1:open:plain:1", "usv:lift:x0.4:n1:open:plain:2"
 BY_HAND = [
-    record(LIFT, "missing_effect", "lift", truth=("lift",), grade="strong", ratio=9.0, after=1.1, told=1.0),
-    record(LOST, "adequate", truth=("lift",), grade="weak", ratio=1.2, after=1.2, told=1.0,
+    record(LIFT, "missing_effect", "lift", truth=("lift",), grade="strong", ratio=9.0, after=1.1, oracle=1.0),
+    record(LOST, "adequate", truth=("lift",), grade="weak", ratio=1.2, after=1.2, oracle=1.0,
            ranking=["waves", "lift"]),
     record("usv:nothing:x1:n1:open:plain:3", "adequate"),
     record("usv:nothing:x1:n2:open:plain:4", "missing_effect", "waves"),
@@ -274,7 +274,7 @@ BY_HAND = [
            grade="strong", ratio=5.0),
     record("usv:lift+thruster_lag:x1:n1:open:plain:6", "indistinguishable", "lift",
            truth=("lift", "thruster_lag"), sets=[["thruster_lag", "actuation_delay"]], grade="medium",
-           ratio=2.0, after=1.0, told=1.0),
+           ratio=2.0, after=1.0, oracle=1.0),
     {"id": "usv:waves:x1:n1:open:plain:7", "kind": "single", "failure": "ValueError: no", "commit": "a"},
 ]  # fmt: skip
 
@@ -424,8 +424,8 @@ def test_a_case_alone_takes_all_cores(
 def test_seconds_are_those_on_most_cores() -> None:
     six = {"motions": ["surge", "sway", "heave", "roll", "pitch", "yaw"]}
     beside, alone = ({**six, "seconds": s, "cores": c} for s, c in ((50.0, 1), (20.0, 2)))
-    told = [g.row for g in goals(scored([record(LIFT, "adequate", **one) for one in (beside, alone)]))]
-    (row,) = [r for r in told if "six degrees" in r[0]]
+    rows = [g.row for g in goals(scored([record(LIFT, "adequate", **one) for one in (beside, alone)]))]
+    (row,) = [r for r in rows if "six degrees" in r[0]]
     assert row[0].endswith("cores: 2")
     assert row[1].startswith("20")
 

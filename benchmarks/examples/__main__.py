@@ -18,7 +18,7 @@ from undertow.files import write_whole
 from undertow.identification.report.tables import versions
 
 from . import cfd, cfd_page, cse1, cse1_page, kvlcc2, kvlcc2_page, sf30k, sf30k_page
-from .calls import Caller, Told
+from .calls import Caller, Reported
 
 #: Page to what it is made by.
 EXAMPLES: dict[str, tuple[ModuleType, ModuleType]] = {
@@ -72,7 +72,7 @@ def _made(name: str, options: argparse.Namespace) -> bool:
     return True
 
 
-def _worked(name: str, options: argparse.Namespace) -> Told:
+def _worked(name: str, options: argparse.Namespace) -> Reported:
     set_ = EXAMPLES[name][0]
     images = options.out / "images"
     for folder in (images, options.out / "numbers"):
@@ -82,7 +82,7 @@ def _worked(name: str, options: argparse.Namespace) -> Told:
         scratch = options.scratch or Path(passing)
         scratch.mkdir(parents=True, exist_ok=True)
         call = Caller((options.data / set_.FOLDER).resolve(), scratch, _log)
-        found: Told = set_.work(call, images)
+        found: Reported = set_.work(call, images)
     return {"made": {**versions(), "undertow": __version__, "cores": os.cpu_count()}, **found,
             "seconds": round(time.perf_counter() - began)}  # fmt: skip
 
@@ -91,7 +91,7 @@ def _log(words: str) -> None:
     print(words, file=sys.stderr, flush=True)
 
 
-def page(name: str, numbers: Told) -> str:
+def page(name: str, numbers: Reported) -> str:
     """A whole page: the words of `pages`, with the blocks that the numbers give.
 
     Raises
@@ -109,7 +109,7 @@ def page(name: str, numbers: Told) -> str:
     return words + _making(name, numbers)
 
 
-def _making(name: str, numbers: Told) -> str:
+def _making(name: str, numbers: Reported) -> str:
     used = ", ".join(f"{k} {v}" for k, v in numbers["made"].items() if k != "cores")
     return (
         "\n## How this page was made\n\n"

@@ -17,7 +17,7 @@ from undertow.errors import UndertowError
 ROOT = Path(__file__).parents[2]
 #: Stands for the folder of the logs, in commands and on the pages.
 DATA = "$DATA"
-Told = dict[str, Any]
+Reported = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -81,19 +81,19 @@ class Caller:
     scratch: Path
     tell: Callable[[str], None] = lambda words: None
 
-    def compare(self, what: Judged) -> Told:
+    def compare(self, what: Judged) -> Reported:
         """Compare a vehicle with the logs of `what`, and return the result."""
         (out,) = self._once(what.words("compare"), {"--json": "json"})
         return {"command": self._shown(what.words("compare")), **json.loads(out.read_text(encoding="utf-8"))}
 
-    def diagnose(self, what: Judged) -> tuple[Told, Path]:
+    def diagnose(self, what: Judged) -> tuple[Reported, Path]:
         """Diagnose, and return what is said and the vehicle file that results."""
         words = what.words("diagnose")
         out, better = self._once(words, {"--json": "json", "--apply": "toml"})
-        told = json.loads(out.read_text(encoding="utf-8"))
-        return {"command": self._shown(words), "title": what.title, **told}, better
+        reported = json.loads(out.read_text(encoding="utf-8"))
+        return {"command": self._shown(words), "title": what.title, **reported}, better
 
-    def add(self, effect: str, what: Judged) -> tuple[Told, Path]:
+    def add(self, effect: str, what: Judged) -> tuple[Reported, Path]:
         """Add an effect by hand whatever it does, and return how the error changed, and the vehicle file."""
         words = what.words("add", effect)
         (better,) = self._once([*words, "--no-codegen", "--force"], {"--out": "toml"})

@@ -13,7 +13,7 @@ from undertow.identification.report.pictures import measured_vs_simulated
 from undertow.identification.report.tables import traces
 
 from . import telling
-from .calls import Caller, Judged, Told
+from .calls import Caller, Judged, Reported
 from .variants import runs_of, vehicle_of
 
 FOLDER = "cfd-surge"
@@ -40,7 +40,7 @@ def both(one: str, other: str) -> tuple[Judged, Judged]:
 WAYS = (*both(STEP, MULTISTEP), *both(STEP, FINE))
 
 
-def work(call: Caller, images: Path) -> Told:
+def work(call: Caller, images: Path) -> Reported:
     """Everything that takes time."""
     logs = {name[6:-4]: Judged("", VEHICLE, MAPPING, (name,)) for name in (STEP, MULTISTEP, FINE)}
     compared = {name: telling.comparison_kept(call.compare(what)) for name, what in logs.items()}
@@ -48,12 +48,12 @@ def work(call: Caller, images: Path) -> Told:
     hand, memory = [], []
     for way in WAYS[:2]:
         for effect in BY_HAND:
-            told, file = call.add(effect, way)
+            reported, file = call.add(effect, way)
             model = vehicle_of(file)
             memory += [model] if effect == BY_HAND[0] else []
             found = {n: v.value for n, v in model.values.items() if v.estimate}
             ahead = compare(model, runs_of(way, call.data, model, held=True)).result.prediction_error
-            hand.append({"way": way.title, "effect": effect, "ahead": ahead, "values": found, **told})
+            hand.append({"way": way.title, "effect": effect, "ahead": ahead, "values": found, **reported})
     stated = vehicle_of(VEHICLE)
     runs = runs_of(WAYS[0], call.data, stated, held=True)
     before, after = (compare(model, runs) for model in (stated, memory[0]))

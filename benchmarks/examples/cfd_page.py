@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from benchmarks.results.text import number, percent, table
 
 from . import telling
-from .calls import Told
+from .calls import Reported
 from .cfd import ADDED_MASS
 
 
-def blocks(n: Told) -> dict[str, str]:
+def blocks(n: Reported) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `cfd.work`."""
     words = [*telling.typed(n), *(c["command"] for c in n["by_hand"])]
     return {
@@ -26,14 +26,14 @@ def blocks(n: Told) -> dict[str, str]:
     }
 
 
-def _by_hand(rows: Sequence[Told]) -> str:
+def _by_hand(rows: Sequence[Reported]) -> str:
     head = ("identified → judged", "effect", "kept-aside error", "5 s ahead", "values, SI")
     low, high = ADDED_MASS
     beside = f"X_udot is to be held against -{low:g} to -{high:g} kg.\n"
     return table(head, [_effect(r) for r in rows], left=2) + "\n" + beside
 
 
-def _effect(r: Told) -> list[str]:
+def _effect(r: Reported) -> list[str]:
     errors = f"{number(r['error_before'])} → {number(r['error_after'])}"
     values = ", ".join(f"{k} = {number(v)}" for k, v in r["values"].items())
     return [r["way"], r["effect"], errors, percent(r["ahead"]), values]

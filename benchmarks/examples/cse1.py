@@ -15,7 +15,7 @@ from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 
 from . import telling
-from .calls import ROOT, Caller, Judged, Told
+from .calls import ROOT, Caller, Judged, Reported
 from .variants import Tables, variant, vehicle_of
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ COMPARED: dict[str, tuple[str, Window]] = {
 }
 
 
-def work(call: Caller, images: Path) -> Told:
+def work(call: Caller, images: Path) -> Reported:
     """Everything that takes time."""
     logs = {
         name: Judged("", VEHICLE, MAPPING, (log,), (), window) for name, (log, window) in COMPARED.items()
@@ -89,7 +89,7 @@ def work(call: Caller, images: Path) -> Told:
     cse1_pictures.draw(call, [vehicle for _, vehicle in found], images)
     return {
         "compared": compared,
-        "diagnoses": [telling.diagnosis_kept(told) for told, _ in found],
+        "diagnoses": [telling.diagnosis_kept(reported) for reported, _ in found],
         "by_hand": telling.rounded(hand),
         "waves": telling.rounded({name: bands(s) for name, s in spectra.items()}),
     }
@@ -98,7 +98,7 @@ def work(call: Caller, images: Path) -> Told:
 PARTS = {"calm": CALM_PART, "waves": WAVE_PART}
 
 
-def by_hand(call: Caller, way: Judged, name: str) -> Told:
+def by_hand(call: Caller, way: Judged, name: str) -> Reported:
     """A model with effects of one's choice, fitted by the weak form and judged on the other log."""
     file = variant(VEHICLE, MODELS[name], call.scratch / "by-hand.toml")
     fitted = call.fit(replace(way, vehicle=str(file)))
@@ -130,7 +130,7 @@ def _whole(values: Array) -> Array:
     return np.where(np.abs(whole - smooth) > 10 * spread, smooth, whole)
 
 
-def bands(spectra: dict[str, tuple[Array, Array]]) -> Told:
+def bands(spectra: dict[str, tuple[Array, Array]]) -> Reported:
     """Rms motion in the band of waves and roll, and the frequency of its peak."""
     found = {}
     for name, (frequency, density) in spectra.items():

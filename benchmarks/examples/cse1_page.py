@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from benchmarks.results.text import number, percent, table
 
 from . import telling
-from .calls import Told
+from .calls import Reported
 from .cse1 import BAND
 
 
-def blocks(n: Told) -> dict[str, str]:
+def blocks(n: Reported) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `cse1.work`."""
     found = n["diagnoses"]
     return {
@@ -29,18 +29,18 @@ def blocks(n: Told) -> dict[str, str]:
     }
 
 
-def _by_hand(rows: Sequence[Told]) -> str:
+def _by_hand(rows: Sequence[Reported]) -> str:
     cells = [[r["way"], r["model"], percent(r["ahead"]), _values(r["values"])] for r in rows]
     return table(("identified on → judged on", "model", "5 s ahead", "found"), cells, left=2)
 
 
-def _values(values: Told) -> str:
+def _values(values: Reported) -> str:
     return ", ".join(
         f"{n} = {number(v)}" + ("" if s is None else f" ± {s:.1g}") for n, (v, s) in values.items()
     )
 
 
-def _waves(n: Told) -> str:
+def _waves(n: Reported) -> str:
     calm, rough = n["waves"]["calm"], n["waves"]["waves"]
     rows = [_channel(name, calm[name], rough[name]) for name in rough]
     head = ("pose", "calm, rms", "in waves, rms", "ratio", "peak in waves [Hz]")
@@ -52,7 +52,7 @@ def _waves(n: Told) -> str:
     )
 
 
-def _channel(name: str, calm: Told, rough: Told) -> list[str]:
+def _channel(name: str, calm: Reported, rough: Reported) -> list[str]:
     ratio = number(rough["rms"] / calm["rms"], 2)
     return [
         f"{name} [{rough['unit']}]",
@@ -63,6 +63,6 @@ def _channel(name: str, calm: Told, rough: Told) -> list[str]:
     ]
 
 
-def _force(calm: Told, rough: Told) -> str:
+def _force(calm: Reported, rough: Reported) -> str:
     before, after = (number(d["residual_rms"], 2) for d in (calm, rough))
     return f"{calm['degree_of_freedom']} {before} → {after} {calm['unit']}"

@@ -15,7 +15,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 from . import telling
-from .calls import Caller, Judged, Told
+from .calls import Caller, Judged, Reported
 from .variants import Tables, runs_of, variant, vehicle_of
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ OWN_WAYS = tuple(replace(way, effects=(OWN,)) for way in WAYS)
 SPEED_WAYS = (judged(AGAIN, UNDER_WAY, UNDER_WAY_WINDOW), judged(UNDER_WAY, AGAIN, UNDER_WAY_WINDOW))
 
 
-def work(call: Caller, images: Path) -> Told:
+def work(call: Caller, images: Path) -> Reported:
     """Everything that takes time."""
     logs = {
         name: Judged("", VEHICLE, MAPPING, (name,), (), UNDER_WAY_WINDOW)
@@ -67,7 +67,7 @@ def work(call: Caller, images: Path) -> Told:
 
 
 # --- models by hand ---------------------------------------------------------------------------
-def by_hand(call: Caller) -> tuple[list[Told], dict[str, Vehicle]]:
+def by_hand(call: Caller) -> tuple[list[Reported], dict[str, Vehicle]]:
     """Every model fitted to one test by output error and judged on the other, both ways."""
     rows, vehicles = [], {}
     for way in PAIRS:
@@ -80,7 +80,7 @@ def by_hand(call: Caller) -> tuple[list[Told], dict[str, Vehicle]]:
     return telling.rounded(rows), vehicles
 
 
-def at_speed(call: Caller) -> list[Told]:
+def at_speed(call: Caller) -> list[Reported]:
     """Linear damping at zero speed and under way, over the same time after the release."""
     rows = []
     for log in (STILL, AGAIN, UNDER_WAY):
@@ -97,14 +97,14 @@ def _fitted(call: Caller, way: Judged, tables: Tables) -> Vehicle:
     return vehicle_of(call.fit(replace(way, vehicle=str(file), effects=(OWN,)), HORIZON), (OWN,))
 
 
-def _values(vehicle: Vehicle) -> Told:
+def _values(vehicle: Vehicle) -> Reported:
     found = {
         n: vehicle.value_of(n) for n in ("K_pdot", "K_p", "K_pabsp", "K_ppp", "BM") if n in vehicle.values
     }
     return {n: {"value": v.value, "sigma": v.sigma} for n, v in found.items()}
 
 
-def _errors(vehicle: Vehicle, way: Judged, data: Path) -> Told:
+def _errors(vehicle: Vehicle, way: Judged, data: Path) -> Reported:
     result = compare(vehicle, runs_of(way, data, vehicle, held=True)).result
     roll = {c.channel: c for c in result.channels}
     return {"ahead": result.prediction_error, "fit": roll["phi"].free_run_fit}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from benchmarks.results.text import MISSING, number, percent, table
 
 from . import telling
-from .calls import Told
+from .calls import Reported
 from .kvlcc2 import BEST
 
 #: model_test_parameters.csv, full scale: GM, KG, draught, radius of gyration (m), volume (m^3); the scale.
@@ -19,7 +19,7 @@ FULL_HULL = (0.50, 0.55)
 _SHOWN = {"K_p": "K_p [N m s]", "K_pabsp": "K_p|p| [N m s²]", "K_ppp": "K_ppp [N m s³]", "BM": "BM [m]"}
 
 
-def blocks(n: Told) -> dict[str, str]:
+def blocks(n: Reported) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `kvlcc2.work`."""
     first, own, speed = (n["diagnoses"][k : k + 3] for k in (0, 3, 6))
     return {
@@ -39,19 +39,19 @@ def blocks(n: Told) -> dict[str, str]:
     }
 
 
-def _commands(n: Told) -> list[str]:
+def _commands(n: Reported) -> list[str]:
     rest = n["diagnoses"][3]["command"].removeprefix("undertow diagnose ")
     by_hand = f"undertow add wall_sided {rest} --out better.toml"
     check = "undertow effects check examples/kvlcc2/wall_sided.py"
     return [*telling.typed(n), check, by_hand]
 
 
-def _by_hand(rows: Sequence[Told]) -> str:
+def _by_hand(rows: Sequence[Reported]) -> str:
     head = ("identified → judged", "model", "free run explains", "5 s ahead", *_SHOWN.values())
     return table(head, [_model(r) for r in rows], left=2)
 
 
-def _model(r: Told) -> list[str]:
+def _model(r: Reported) -> list[str]:
     return [
         r["way"],
         r["model"],
@@ -61,7 +61,7 @@ def _model(r: Told) -> list[str]:
     ]
 
 
-def _value(row: Told, name: str) -> str:
+def _value(row: Reported, name: str) -> str:
     if name not in row:
         return MISSING
     found = row[name]
@@ -69,7 +69,7 @@ def _value(row: Told, name: str) -> str:
     return f"{number(found['value'])}{spread}"
 
 
-def _truth(rows: Sequence[Told]) -> str:
+def _truth(rows: Sequence[Reported]) -> str:
     """Inertia and BM against what the table of the tests implies."""
     best = [r for r in rows if r["model"] == BEST]
     dry = VOLUME / SCALE**3 * 1000 * (KXX / SCALE) ** 2
@@ -86,7 +86,7 @@ def _truth(rows: Sequence[Told]) -> str:
     )
 
 
-def _at_speed(rows: Sequence[Told]) -> str:
+def _at_speed(rows: Sequence[Reported]) -> str:
     shown = ("K_p", "K_pabsp", "BM")
     cells = [[r["test"], r["model"], *(_value(r, p) for p in shown)] for r in rows]
     return table(("test", "model", *(_SHOWN[p] for p in shown)), cells, left=2)

@@ -13,7 +13,7 @@ from undertow.identification.compare.comparison import Comparison, compare
 from undertow.identification.logs.run import Run
 
 from . import telling
-from .calls import Caller, Judged, Told
+from .calls import Caller, Judged, Reported
 from .variants import Tables, runs_of, variant, vehicle_of
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ STEADY = 20.0
 _FEWEST = 6  # means that make a line
 
 
-def work(call: Caller, images: Path) -> Told:
+def work(call: Caller, images: Path) -> Reported:
     """Everything that takes time."""
     compared = {
         name: telling.comparison_kept(call.compare(way))
@@ -64,8 +64,8 @@ def work(call: Caller, images: Path) -> Told:
     sf30k_pictures.draw(before, after, run, images)
     return {
         "compared": compared,
-        "diagnoses": [telling.diagnosis_kept(told) for told, _ in found],
-        "by_hand": telling.rounded([told for told, _ in hand]),
+        "diagnoses": [telling.diagnosis_kept(reported) for reported, _ in found],
+        "by_hand": telling.rounded([reported for reported, _ in hand]),
         "checks": telling.rounded({"arm": lever_arm(run), "slopes": slopes(before)}),
     }
 
@@ -76,7 +76,7 @@ def second_look(scratch: Path) -> Judged:
     return replace(WAYS[1], title="four degrees of freedom, second look", vehicle=str(file))
 
 
-def by_hand(call: Caller, name: str) -> tuple[Told, Path]:
+def by_hand(call: Caller, name: str) -> tuple[Reported, Path]:
     """A model fitted by the weak form: what its parameters are, before and after, and how it predicts."""
     stated = variant(FOUR, BY_HAND[name], call.scratch / "by-hand.toml")
     before, file = vehicle_of(stated), call.fit(replace(WAYS[1], vehicle=str(stated)))
@@ -88,7 +88,7 @@ def by_hand(call: Caller, name: str) -> tuple[Told, Path]:
 
 
 # --- evidence that needs no model -------------------------------------------------------------
-def lever_arm(run: Run) -> Told:
+def lever_arm(run: Run) -> Reported:
     """Place of the Doppler log by kinematics alone, from how its excess goes with the yaw rate, m."""
     yaw, ahead, aside = excess(run)
     across = _slope(yaw, ahead)
@@ -122,7 +122,7 @@ def line(x: Array, y: Array) -> tuple[float, float]:
     return float(slope), float(offset)
 
 
-def _slope(x: Array, y: Array) -> Told:
+def _slope(x: Array, y: Array) -> Reported:
     """Slope of y over x with its standard error; pieces far off the line are left out."""
     good = np.isfinite(x) & np.isfinite(y)
     for _ in range(3):
@@ -140,13 +140,13 @@ def steady(comparison: Comparison, i: int) -> tuple[Array, Array]:
     return _means(forces.t, drive, STEADY), _means(forces.t, drive + forces.missing[:, i], STEADY)
 
 
-def slopes(comparison: Comparison) -> dict[str, Told]:
+def slopes(comparison: Comparison) -> dict[str, Reported]:
     """Share of the commanded force that the motion shows, 1 if all of it arrives; also by its sign."""
     dofs = comparison.result.degrees_of_freedom
     return {dof: _by_side(*steady(comparison, i)) for i, dof in enumerate(dofs)}
 
 
-def _by_side(drive: Array, needed: Array) -> Told:
+def _by_side(drive: Array, needed: Array) -> Reported:
     sides = {"all": np.isfinite(drive), "positive": drive > 0, "negative": drive < 0}
     enough = {side: inside for side, inside in sides.items() if inside.sum() >= _FEWEST}
     return {side: _slope(drive[inside], needed[inside]) for side, inside in enough.items()}

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from benchmarks.results.text import MISSING, number, percent, table
 
 from . import telling
-from .calls import Told
+from .calls import Reported
 from .sf30k import DOPPLER_LOG, SECOND, STEADY
 from .variants import added
 
 _ARM = "velocity_lever_arm"
 
 
-def blocks(n: Told) -> dict[str, str]:
+def blocks(n: Reported) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `sf30k.work`."""
     found, compared = n["diagnoses"], n["compared"]
     return {
@@ -35,7 +35,7 @@ def blocks(n: Told) -> dict[str, str]:
     }
 
 
-def _doppler(n: Told) -> str:
+def _doppler(n: Reported) -> str:
     """Where the Doppler log is, by the diagnoses, by kinematics, and as published."""
     places = [(f"diagnosis, {d['title']}", arm_in(d)) for d in n["diagnoses"][:2]]
     places.append(("Doppler log against position fixes", n["checks"]["arm"]))
@@ -44,18 +44,18 @@ def _doppler(n: Told) -> str:
     return table(("place of the Doppler log", "forward [m]", "to starboard [m]", "down [m]"), rows)
 
 
-def arm_in(d: Told) -> Told:
+def arm_in(d: Reported) -> Reported:
     """The lever arm among the final parameters of a diagnosis, else as the candidate alone has it."""
     final = {p["name"]: p for p in d["parameters"] if p["effect"] == _ARM}
     alone = [r for r in d["ranking"] if r["effect"] == _ARM]
     return final or {p["name"]: p for r in alone for p in r["parameters"]}
 
 
-def _cell(p: Told | None) -> str:
+def _cell(p: Reported | None) -> str:
     return MISSING if p is None else f"{p['value']:.2f} ± {p['standard_error']:.2f}"
 
 
-def _by_hand(models: Sequence[Told]) -> str:
+def _by_hand(models: Sequence[Reported]) -> str:
     """Fitted parameters beside what is published, in SNAME signs."""
     names = dict.fromkeys(n for m in models for n in m["values"])
     rows = [[n, _stated(n, models), *(_found(m["values"].get(n)) for m in models)] for n in names]
@@ -63,7 +63,7 @@ def _by_hand(models: Sequence[Told]) -> str:
     return table(("SI, SNAME signs", "stated", *(m["model"] for m in models)), rows)
 
 
-def _stated(name: str, models: Sequence[Told]) -> str:
+def _stated(name: str, models: Sequence[Reported]) -> str:
     return next(number(m["values"][name][0], 4) for m in models if name in m["values"])
 
 
@@ -74,7 +74,7 @@ def _found(entry: Sequence[float] | None) -> str:
     return f"{number(value)} ± {sigma:.1g}" if sigma is not None else number(value)
 
 
-def _thrust(slopes: Told) -> str:
+def _thrust(slopes: Reported) -> str:
     sides = ("all", "positive", "negative")
     rows = [[dof, *(_cell(s.get(side)) for side in sides)] for dof, s in slopes.items()]
     head = ("needed over commanded", "all", "ahead, to starboard, down", "astern, to port, up")

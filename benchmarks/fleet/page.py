@@ -65,7 +65,7 @@ def _costs(costs: Costs) -> str:
     memory = [f"| {n:,} | {a:.0f} | {b:.0f} |" for n, (a, b) in costs.memory.items()]
     small, large = (costs.memory[n][1] for n in sorted(costs.memory))
     scaling, overhead = costs.rates[2] / costs.rates[1], 1 - costs.rates[1] / costs.rates[0]
-    told = (
+    reported = (
         f"From one worker to two: {scaling:.2f} times as fast. One worker against the path without Dask: "
         f"{overhead:+.0%} of its time is overhead. Results on workers and in one process are "
         f"{costs.apart:.1g} apart (1e-10 is the limit). The peak of a worker grows by {large - small:.0f} MB "
@@ -85,7 +85,7 @@ def _costs(costs: Costs) -> str:
             "| ---: | ---: | ---: |",
             *memory,
             "",
-            f"{told}\n",
+            f"{reported}\n",
         ]
     )
 

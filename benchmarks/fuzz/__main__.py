@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _again(options.case, options.keep)
     numbers = range(options.begin, options.begin + options.count)
     return _summary(
-        options.seed, _told(results(options.seed, numbers, options.jobs, options.limit), options.count)
+        options.seed, _reported(results(options.seed, numbers, options.jobs, options.limit), options.count)
     )
 
 
@@ -61,7 +61,7 @@ def _again(name: str, keep: Path) -> int:
     return int(found.said == "failed")
 
 
-def _told(found: Iterable[Done], count: int) -> list[Done]:
+def _reported(found: Iterable[Done], count: int) -> list[Done]:
     """All results, with a line on how far it is."""
     tell, done, failed = teller("fuzz"), [], 0
     for one_done in found:

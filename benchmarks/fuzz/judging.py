@@ -42,9 +42,9 @@ class Heard:
     @property
     def aside(self) -> str:
         """What no user is to see; empty where there is none."""
-        told = [f"a warning of a library: {self.warned[0]}"] if self.warned else []
-        told += [f"a library prints: {self.beneath.strip()[:160]!r}"] if self.beneath else []
-        return "; ".join(told)
+        reported = [f"a warning of a library: {self.warned[0]}"] if self.warned else []
+        reported += [f"a library prints: {self.beneath.strip()[:160]!r}"] if self.beneath else []
+        return "; ".join(reported)
 
 
 @contextmanager
@@ -86,10 +86,10 @@ def outcome(case: Case, folder: Path) -> Outcome:
     except BaseException as error:  # a panic of a library is no Exception
         if isinstance(error, KeyboardInterrupt):
             raise
-        return Outcome("failed", told(error))
+        return Outcome("failed", reported(error))
 
 
-def told(error: BaseException) -> str:
+def reported(error: BaseException) -> str:
     """Kind, words and place of what was raised, in one line."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if "site-packages" not in f.filename]
     place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno} {frames[-1].name}" if frames else ""

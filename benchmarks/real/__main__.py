@@ -134,9 +134,9 @@ def _report(record: Record, left: int) -> None:
 def _words(record: Record) -> str:
     if "failure" in record:
         return f"FAILED: {record['failure']}"
-    told = "; ".join(f"{name} {errors(e)}" for name, e in record.get("errors", {}).items())
+    reported = "; ".join(f"{name} {errors(e)}" for name, e in record.get("errors", {}).items())
     said = record.get("answer", {"verdict": "", "named": []})
-    return f"{said['verdict']} {' + '.join(said['named'])} ({record['seconds']:.0f} s; {told})".lstrip()
+    return f"{said['verdict']} {' + '.join(said['named'])} ({record['seconds']:.0f} s; {reported})".lstrip()
 
 
 def _list(options: argparse.Namespace) -> int:

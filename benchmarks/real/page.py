@@ -198,8 +198,10 @@ def _prediction(found: Sequence[Predicted]) -> str:
         f"{percent(p.error / p.over(p.black))}, ours {percent(p.error)}.\n"
         for p in wins
     ]
-    told = "\nWhere a black box wins, which is what is still missing:\n\n" + "".join(lines) if wins else ""
-    return table(("logs", *names, "ours / best grey", "ours / best black"), rows) + told
+    reported = (
+        "\nWhere a black box wins, which is what is still missing:\n\n" + "".join(lines) if wins else ""
+    )
+    return table(("logs", *names, "ours / best grey", "ours / best black"), rows) + reported
 
 
 def _not_applicable(records: Sequence[Record]) -> str:
@@ -232,10 +234,10 @@ def why(case: Graded) -> str:
 def _not_run(records: Sequence[Record]) -> str:
     lost = [r for r in records if "failure" in r]
     lines = "".join(f"- `{r['id']}`: {r['failure']}\n" for r in lost)
-    told = f"\nCases that did not run:\n\n{lines}" if lost else ""
+    reported = f"\nCases that did not run:\n\n{lines}" if lost else ""
     refused = [r for r in records if r.get("not_added")]
     lines = "".join(f"- `{r['id']}`: {'; '.join(r['not_added'])}\n" for r in refused)
-    return told + (
+    return reported + (
         f"\nTrue effects that could not be added, so that nothing is measured by them:\n\n{lines}"
         if lines
         else ""

@@ -41,8 +41,8 @@ def _tally(found: Mapping[str, Record], before: Mapping[str, Record]) -> str:
 def _section(text: Mapping[str, str], found: Mapping[str, Record], before: Mapping[str, Record]) -> str:
     """One vehicle: what is known of it, each of its sets of logs, and what would tell more."""
     own = sorted(logs for logs in found.keys() | before.keys() if logs.startswith(text["logs"]))
-    told = [_answer(found[logs]) if logs in found else _earlier(before[logs]) for logs in own]
-    answers = "\n".join(told) or "Not run.\n"
+    reported = [_answer(found[logs]) if logs in found else _earlier(before[logs]) for logs in own]
+    answers = "\n".join(reported) or "Not run.\n"
     return (
         f"## {text['title']}\n\n{text['known'].strip()}\n\n{answers}\n"
         f"**What would tell.** {text['tells'].strip()}\n"
@@ -89,8 +89,8 @@ def _unnamed(record: Record) -> list[str]:
     named, reasons = causes(answer(record)), record.get("not_named", {})
     helps: Sequence[str] = record.get("helps", ())
     order = [*helps, *(e for e in reasons if e not in helps)]
-    told = [f"Not named: `{e}`: {_closed(reasons[e])}" for e in order if e in reasons and e not in named]
-    return told or ([] if named else [f"Not named: {_NOTHING}."])
+    reported = [f"Not named: `{e}`: {_closed(reasons[e])}" for e in order if e in reasons and e not in named]
+    return reported or ([] if named else [f"Not named: {_NOTHING}."])
 
 
 def _advice(record: Record) -> list[str]:

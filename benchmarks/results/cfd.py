@@ -61,8 +61,8 @@ def run_both(data: Path, report: Report) -> list[Way]:
     runs = read([data / f"surge_{name}_coarse.csv" for name in PROFILES], vehicle, mapping)
     found = []
     for i, (train, test) in enumerate([runs, runs[::-1]]):
-        told = lambda done, words, i=i: report((i + done) / 2, words)  # noqa: E731
-        outcome = diagnose(vehicle, [train], [test], report=told)
+        reported = lambda done, words, i=i: report((i + done) / 2, words)  # noqa: E731
+        outcome = diagnose(vehicle, [train], [test], report=reported)
         before = failures(outcome.before, test)
         after = failures(outcome.after, test) if outcome.diagnosis.effects else None
         more = added(vehicle, [train], [test], CHAINS)

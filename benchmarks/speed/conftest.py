@@ -52,8 +52,8 @@ class Speed:
         """
         if apart is not None and limit is not None:
             assert apart <= limit, f"{what}, {who}: {apart:.3g} apart, at most {limit:.3g}"
-        told = {"what": what, "who": who, "calls": calls, "apart": apart, "limit": limit, "size": size}
-        self._benchmark.extra_info.update({k: v for k, v in told.items() if v is not None}, **more)
+        reported = {"what": what, "who": who, "calls": calls, "apart": apart, "limit": limit, "size": size}
+        self._benchmark.extra_info.update({k: v for k, v in reported.items() if v is not None}, **more)
         self._benchmark.group = what
         if rounds is None:
             self._benchmark(action)

@@ -37,13 +37,19 @@ def read(path: Path) -> tuple[list[Timing], dict[str, Any]]:
 
 
 def _timing(stored: dict[str, Any]) -> Timing:
-    told = stored["extra_info"]
-    more = {k: v for k, v in told.items() if k not in _OWN}
-    if "seconds" not in told and stored["options"]["timer"] == "process_time":
+    reported = stored["extra_info"]
+    more = {k: v for k, v in reported.items() if k not in _OWN}
+    if "seconds" not in reported and stored["options"]["timer"] == "process_time":
         more["clock"] = "of the processor"
-    seconds = told.get("seconds", stored["stats"]["min"] / told.get("calls", 1))
+    seconds = reported.get("seconds", stored["stats"]["min"] / reported.get("calls", 1))
     return Timing(
-        told["what"], told["who"], seconds, told.get("apart"), told.get("limit"), told.get("size"), more
+        reported["what"],
+        reported["who"],
+        seconds,
+        reported.get("apart"),
+        reported.get("limit"),
+        reported.get("size"),
+        more,
     )
 
 

@@ -15,13 +15,13 @@ from .steps import FIRST, SECOND, TRIALS, Story
 def main(arguments: list[str] | None = None) -> int:
     """Make the page and its picture."""
     with folders("benchmarks.story", __doc__, arguments) as (folder, out):
-        said = told(Story(folder, aloud))
+        said = reported(Story(folder, aloud))
         save_png(picture(folder), out / "images" / "story.png")
         write_whole(out / "story.md", page(said))
     return 0
 
 
-def told(story: Story) -> dict[str, Said]:
+def reported(story: Story) -> dict[str, Said]:
     """Go through the story: what the commands said."""
     said = {"panels": story.panels(), "new tank": story.new_tank(), "tank": story.tank()}
     said["vehicle"] = story.vehicle()

@@ -104,13 +104,13 @@ def _against_oracle(truth: OracleRefit, outcome: DiagnosisResult) -> Record:
         "ratio": truth.ratio,
         "before": truth.before,
         "after": truth.error_of(outcome.fit),
-        "told": truth.error,
+        "oracle": truth.error,
         "lacking": truth.lacking,
-        "told_values": truth.fit.values,
+        "oracle_values": truth.fit.values,
     }
 
 
 def _against_nothing_hidden(case: Planned, data: Data) -> Record:
     twin = _data(simulated(without(case)), None)
     before, floor = excess(*opened(*data)), excess(*opened(*twin))
-    return {"ratio": before / floor, "before": before, "told": floor}
+    return {"ratio": before / floor, "before": before, "oracle": floor}

@@ -64,9 +64,9 @@ def goal_table(records: Iterable[Record]) -> str:
 def _counts(records: Sequence[Record], cases: Sequence[Scored]) -> str:
     kinds = Counter(c.kind for c in cases)
     commits = ", ".join(sorted({str(r.get("commit", "unknown")) for r in records}))
-    told = ", ".join(f"{kinds[kind]} {words}" for kind, words in _KINDS.items())
+    counted = ", ".join(f"{kinds[kind]} {words}" for kind, words in _KINDS.items())
     lost = len(records) - len(cases)
-    return f"{len(records)} cases: {told}; {lost} did not run. Commits: {commits}.\n"
+    return f"{len(records)} cases: {counted}; {lost} did not run. Commits: {commits}.\n"
 
 
 _KINDS = {

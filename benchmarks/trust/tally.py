@@ -51,8 +51,8 @@ class Share:
 
 def share(cases: Iterable[T], right: Callable[[T], bool]) -> Share:
     """How many of the cases are right."""
-    told = [right(case) for case in cases]
-    return Share(sum(told), len(told))
+    answers = [right(case) for case in cases]
+    return Share(sum(answers), len(answers))
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Scored:
     def cost(self) -> float:
         """Error after adding what is named, over that of the oracle refit; NaN where there is no such."""
         r = self.record
-        return float(r["after"] / r["told"]) if "after" in r else float("nan")
+        return float(r["after"] / r["oracle"]) if "after" in r else float("nan")
 
 
 def scored(records: Iterable[Record], who: str = OURS) -> list[Scored]:

@@ -50,9 +50,9 @@ def test_the_current_goes_into_a_new_file(case: Path, simulated: Case, capsys: C
     assert main(["export", "c", "new.toml", "--check", "--out", "code"]) == 0
 
 
-def _assert_told_how(told: list[dict[str, Any]]) -> None:
+def _assert_told_how(reported: list[dict[str, Any]]) -> None:
     """The file says how its values came about."""
-    (history,) = told
+    (history,) = reported
     assert history["added"] == ["ocean_current"]
     assert history["helps"] is True
     assert [(log["name"], log["role"]) for log in history["logs"]] == [

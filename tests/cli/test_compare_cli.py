@@ -104,11 +104,11 @@ def test_fit_writes_what_it_found(case: Path, capsys: pytest.CaptureFixture[str]
     before, after = load_vehicle("usv.toml"), load_vehicle("new.toml")
     assert after.value_of("X_udot").value != before.value_of("X_udot").value
     assert after.value_of("X_udot").estimate
-    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
-    assert told["command"] == f"undertow fit --method {method}"
-    assert [log["role"] for log in told["logs"]] == ["train", "holdout"]
-    assert told["error_after"] != told["error_before"]
-    assert len(told["covariance"]["matrix"]) == len(told["covariance"]["parameters"]) == 9
+    reported = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert reported["command"] == f"undertow fit --method {method}"
+    assert [log["role"] for log in reported["logs"]] == ["train", "holdout"]
+    assert reported["error_after"] != reported["error_before"]
+    assert len(reported["covariance"]["matrix"]) == len(reported["covariance"]["parameters"]) == 9
 
 
 def test_fit_keeps_stretches_aside_and_writes_nothing_unasked(
@@ -203,9 +203,9 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
     assert "tied to X_udot" in out
     after = load_vehicle("new.toml")
     assert after.value_of("Y_vdot").value == pytest.approx(1.5 * after.value_of("X_udot").value, rel=1e-6)
-    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
-    assert told["command"] == 'undertow fit --method default --equal "Y_vdot = 1.5 X_udot" --dissipative'
-    assert "Y_vdot" not in told["covariance"]["parameters"]
+    reported = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert reported["command"] == 'undertow fit --method default --equal "Y_vdot = 1.5 X_udot" --dissipative'
+    assert "Y_vdot" not in reported["covariance"]["parameters"]
     assert main(["fit", *LOG, "--equal", "Y_vdot = 1.5 Q_x"]) == 2
     assert "'Q_x' is not a parameter in the equations of 'usv'" in capsys.readouterr().err
 
@@ -215,13 +215,13 @@ def test_the_command_of_the_history_fits_the_same_again(case: Path) -> None:
     words = [*LOG, "--holdout", "holdout.csv"]
     chosen = ["--method", "output-error", "--horizon", "2.5"]
     assert main(["fit", *words, *chosen, "--out", "new.toml", "--force"]) == 0
-    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
-    assert told["command"] == "undertow fit --method output-error --horizon 2.5"
-    again = told["command"].split()[2:]
+    reported = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert reported["command"] == "undertow fit --method output-error --horizon 2.5"
+    again = reported["command"].split()[2:]
     assert main(["fit", *words, *again, "--out", "again.toml", "--force"]) == 0
     repeated = tomllib.loads(Path("again.toml").read_text())["history"][0]
     for number in ("error_before", "error_after"):
-        assert repeated[number] == pytest.approx(told[number], rel=1e-9)
+        assert repeated[number] == pytest.approx(reported[number], rel=1e-9)
 
 
 def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
@@ -229,8 +229,8 @@ def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
 ) -> None:
     words = ["fit", *LOG, "--holdout", "holdout.csv", "--loss", "huber"]
     assert main([*words, "--method", "output-error", "--out", "new.toml", "--force"]) == 0
-    told = tomllib.loads(Path("new.toml").read_text())["history"][0]
-    assert told["command"] == "undertow fit --method output-error --loss huber"
+    reported = tomllib.loads(Path("new.toml").read_text())["history"][0]
+    assert reported["command"] == "undertow fit --method output-error --loss huber"
     assert main([*words, "--method", "prediction-error"]) == 2
     assert "'huber' is none of --method prediction-error" in capsys.readouterr().err
 

@@ -120,8 +120,8 @@ def test_an_axis_left_alone_is_told_by_design_as_by_gains(
     assert "conditions derived from the model: all hold" in out
     assert ("sway: left alone, its speed dies out" in out) == alone
     assert main(["gains", vehicle, "new.toml"]) == 0
-    told = "all conditions hold, but sway is left alone and comes to rest"
-    assert (told in capsys.readouterr().out) == alone
+    reported = "all conditions hold, but sway is left alone and comes to rest"
+    assert (reported in capsys.readouterr().out) == alone
 
 
 # --- numbers that no vehicle has ------------------------------------------------------------------

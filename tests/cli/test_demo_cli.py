@@ -34,7 +34,7 @@ FIRST, SECOND, THIRD = "1. An AUV", "2. A box hull", "3. A hull in"
 
 
 @dataclass(frozen=True)
-class Told:
+class Reported:
     """A demo that ran: its folder, its words with single spaces, and the folder that it was started in."""
 
     folder: Path
@@ -49,7 +49,7 @@ class Told:
 
 
 @pytest.fixture(scope="module", params=["0", "1"], ids=["compiler", "no compiler"])
-def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Told:
+def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Reported:
     """In a folder that has nothing to do with the repository."""
     here = tmp_path_factory.mktemp("elsewhere")
     folder = here / "deep" / "story"
@@ -57,7 +57,7 @@ def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         patch.setenv("UNDERTOW_NO_COMPILER", request.param)
         patch.chdir(here)
         words = _run(folder)
-    return Told(folder, words, here)
+    return Reported(folder, words, here)
 
 
 def _run(folder: Path) -> str:
@@ -70,56 +70,56 @@ def _run(folder: Path) -> str:
     return " ".join(stream.getvalue().split())
 
 
-def test_all_files_are_written_and_nothing_else(told: Told) -> None:
-    files = {str(p.relative_to(told.folder)) for p in told.folder.rglob("*") if p.is_file()}
+def test_all_files_are_written_and_nothing_else(reported: Reported) -> None:
+    files = {str(p.relative_to(reported.folder)) for p in reported.folder.rglob("*") if p.is_file()}
     extra = {n for n in files - WRITTEN if not re.fullmatch(r"hull/\S+-to-\S+\.toml", n)}
     assert files >= WRITTEN
     assert not extra
-    assert [p.name for p in told.here.iterdir()] == ["deep"], "only the folder that was asked for"
+    assert [p.name for p in reported.here.iterdir()] == ["deep"], "only the folder that was asked for"
     for name in WRITTEN:
-        assert f"{told.folder / name}".replace(" ", "") in told.words.replace(" ", "")
+        assert f"{reported.folder / name}".replace(" ", "") in reported.words.replace(" ", "")
 
 
-def test_pictures_are_pictures(told: Told) -> None:
-    for path in told.folder.rglob("*.png"):
+def test_pictures_are_pictures(reported: Reported) -> None:
+    for path in reported.folder.rglob("*.png"):
         assert path.read_bytes().startswith(b"\x89PNG")
         assert path.stat().st_size > 10_000
 
 
-def test_the_page_needs_nothing_but_its_folder(told: Told) -> None:
-    page = (told.folder / "index.html").read_text(encoding="utf-8")
+def test_the_page_needs_nothing_but_its_folder(reported: Reported) -> None:
+    page = (reported.folder / "index.html").read_text(encoding="utf-8")
     names = re.findall(r'(?:src|href)="([^"]+)"', page)
     assert WRITTEN - {"index.html"} <= set(names)
-    assert all((told.folder / name).is_file() for name in names)
+    assert all((reported.folder / name).is_file() for name in names)
 
 
-def test_the_current_is_named_with_its_values(told: Told) -> None:
+def test_the_current_is_named_with_its_values(reported: Reported) -> None:
     truth = json.loads((DATA / "auv" / "truth.json").read_text(encoding="utf-8"))["values"]["ocean_current"]
-    diagnosis = told.read("auv/diagnosis.json")
+    diagnosis = reported.read("auv/diagnosis.json")
     assert diagnosis["verdict"] == "missing_effect"
     assert diagnosis["effects"] == ["ocean_current"]
     found = {p["name"]: p for p in diagnosis["parameters"]}
     for name, value in truth.items():
         off = abs(found[name]["value"] - value)
         assert off < max(5 * found[name]["standard_error"], 0.02 * abs(value)), name
-        assert f"{name} = {value:.4f}" in told.words, "the truth is told for comparison"
+        assert f"{name} = {value:.4f}" in reported.words, "the truth is told for comparison"
 
 
-def test_the_error_falls_on_the_run_that_was_kept_aside(told: Told) -> None:
-    first, *_, last = told.read("auv/diagnosis.json")["steps"]
+def test_the_error_falls_on_the_run_that_was_kept_aside(reported: Reported) -> None:
+    first, *_, last = reported.read("auv/diagnosis.json")["steps"]
     assert last["error"] < 0.3 * first["error"]
     assert last["error"] < 1.2, "down to the noise of the sensors"
     assert last["prediction"] < 0.3 * first["prediction"]
     row = re.search(
-        r"model as given │ (\S+) .*? refitted │ (\S+) .*? with ocean_current │ (\S+) ", told.words
+        r"model as given │ (\S+) .*? refitted │ (\S+) .*? with ocean_current │ (\S+) ", reported.words
     )
     assert row
     given, refitted, found = map(float, row.groups())
     assert found < 0.3 * refitted < 0.3 * given
 
 
-def test_the_new_vehicle_file_has_the_current(told: Told) -> None:
-    text = (told.folder / "auv" / "vehicle.toml").read_text(encoding="utf-8")
+def test_the_new_vehicle_file_has_the_current(reported: Reported) -> None:
+    text = (reported.folder / "auv" / "vehicle.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     assert set(table["effects"]["ocean_current"]) == {"V_N", "V_E"}
     assert table["history"][0]["added"] == ["ocean_current"]
@@ -128,11 +128,11 @@ def test_the_new_vehicle_file_has_the_current(told: Told) -> None:
 
 
 @pytest.mark.parametrize("way", ["step-to-multistep", "multistep-to-step"])
-def test_the_hull_is_not_explained_beyond_its_diagnosis(told: Told, way: str) -> None:
-    diagnosis = told.read(f"hull/{way}.json")
-    assert diagnosis["headline"] in told.hull(), "the verdict is told word for word"
+def test_the_hull_is_not_explained_beyond_its_diagnosis(reported: Reported, way: str) -> None:
+    diagnosis = reported.read(f"hull/{way}.json")
+    assert diagnosis["headline"] in reported.hull(), "the verdict is told word for word"
     named = diagnosis["effects"]
-    assert (told.folder / f"hull/{way}.toml").exists() == bool(named)
+    assert (reported.folder / f"hull/{way}.toml").exists() == bool(named)
     # A current that the tank does not have would do the same to one hull on one heading.
     assert diagnosis["verdict"] in ("missing_effect", "indistinguishable") or not named
     assert set(named) <= {"radiation_memory"}, "the wake has a memory, and nothing else is missing by name"
@@ -141,24 +141,24 @@ def test_the_hull_is_not_explained_beyond_its_diagnosis(told: Told, way: str) ->
     assert roles == {"train": f"surge_{fit}_coarse", "holdout": f"surge_{judged}_coarse"}
 
 
-def test_the_hull_fails_where_the_flow_has_a_memory(told: Told) -> None:
+def test_the_hull_fails_where_the_flow_has_a_memory(reported: Reported) -> None:
     """Start-up, coasting and reversal; a tenth of the push (6 N) is far more than these logs have noise."""
     rows = {
         name: [float(v) for v in re.findall(r"([\d.]+) N", cells)]
-        for name, cells in re.findall(r"│ (start-up|coasting|reversal)[^│]*│([^│]*│[^│]*)│", told.hull())
+        for name, cells in re.findall(r"│ (start-up|coasting|reversal)[^│]*│([^│]*│[^│]*)│", reported.hull())
     }
     assert set(rows) == {"start-up", "coasting", "reversal"}
     assert all(min(values) > 0.2 and max(values) > 0.6 for values in rows.values()), rows
 
 
-def test_fluid_memory_lowers_the_error_both_ways_round(told: Told) -> None:
+def test_fluid_memory_lowers_the_error_both_ways_round(reported: Reported) -> None:
     rows = {
         n: (float(a), float(b))
-        for n, a, b in re.findall(r"│ ([\w ]+?) │ ([\d.]+)% │ ([\d.]+)% │", told.hull())
+        for n, a, b in re.findall(r"│ ([\w ]+?) │ ([\d.]+)% │ ([\d.]+)% │", reported.hull())
     }
     plain, memory = rows["inertia and drag alone"], rows["radiation_memory"]
     assert all(m < 0.75 * p for m, p in zip(memory, plain, strict=True))
-    masses = re.search(r"give ([\d.]+) and ([\d.]+) kg .*? with it ([\d.]+) and ([\d.]+) kg", told.hull())
+    masses = re.search(r"give ([\d.]+) and ([\d.]+) kg .*? with it ([\d.]+) and ([\d.]+) kg", reported.hull())
     assert masses
     a, b, c, d = map(float, masses.groups())
     assert abs(a - b) > 5.0, "one hull, two added masses"
@@ -166,9 +166,9 @@ def test_fluid_memory_lowers_the_error_both_ways_round(told: Told) -> None:
     assert c == pytest.approx(20.6, abs=5.0)
 
 
-def test_the_tank_says_what_the_panels_say(told: Told) -> None:
-    values = load_vehicle(told.folder / "tank" / "vehicle.toml").values
+def test_the_tank_says_what_the_panels_say(reported: Reported) -> None:
+    values = load_vehicle(reported.folder / "tank" / "vehicle.toml").values
     for way in ("forward", "backward"):
         found = values[f"X_udot_{way}"].value
         assert found == pytest.approx(-0.6496, rel=0.05)  # 1600 panels, docs/story.md
-        assert f"{-found:.4g}" in told.words
+        assert f"{-found:.4g}" in reported.words

@@ -101,7 +101,7 @@ def test_a_part_of_the_log_and_several_logs(case: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (["doctor", "usv.toml", "none.csv"], "none.csv does not exist"),
         (["doctor", "none.toml", "train.csv"], "none"),
@@ -113,9 +113,9 @@ def test_a_part_of_the_log_and_several_logs(case: Path, capsys: pytest.CaptureFi
     ],
 )
 def test_bad_input_is_one_line(
-    case: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+    case: Path, capsys: pytest.CaptureFixture[str], words: list[str], reported: str
 ) -> None:
-    assert told in refusal(words, capsys, case)
+    assert reported in refusal(words, capsys, case)
 
 
 def test_the_help_teaches_by_an_example(capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,7 +51,7 @@ def undertow(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     return run
 
 
-def _told(columns: list[list[str]], term: str = "term", **more: Any) -> Dependence:
+def _reported(columns: list[list[str]], term: str = "term", **more: Any) -> Dependence:
     size = len(columns)
     values = {"coefficients": [-2.5] * size, "standard_errors": [0.1] * size, "units": ["N"] * size}
     return Dependence(term=term, columns=columns, share=0.7, chance=0.001, alike=[], **{**values, **more})
@@ -96,7 +96,7 @@ def _diagnosis(*left: Remaining, vehicle: str = "usv", effects: tuple[str, ...] 
 @pytest.fixture
 def found(tmp_path: Path) -> Path:
     file = tmp_path / "found.json"
-    file.write_text(_diagnosis(_left(depends_on=[_told([["|r|", "u"]], "|r| u")])).model_dump_json())
+    file.write_text(_diagnosis(_left(depends_on=[_reported([["|r|", "u"]], "|r| u")])).model_dump_json())
     return file
 
 
@@ -198,14 +198,14 @@ def _checked(tmp_path: Path, *left: Remaining, effect_id: str = "mine") -> Any:
     ],
 )
 def test_every_kind_of_term_passes_the_check(columns: list[list[str]], tmp_path: Path) -> None:
-    _checked(tmp_path, _left(depends_on=[_told(columns)]), _left("yaw", depends_on=[_told(columns)]))
+    _checked(tmp_path, _left(depends_on=[_reported(columns)]), _left("yaw", depends_on=[_reported(columns)]))
 
 
 def test_the_wrench_is_the_sum_of_the_terms(tmp_path: Path) -> None:
     cls = _checked(
         tmp_path,
-        _left(depends_on=[_told([["|r|", "u"]]), _told([["sin(2 psi)"], ["cos(2 psi)"]])]),
-        _left("yaw", depends_on=[_told([["t", "command f2"]])]),
+        _left(depends_on=[_reported([["|r|", "u"]]), _reported([["sin(2 psi)"], ["cos(2 psi)"]])]),
+        _left("yaw", depends_on=[_reported([["t", "command f2"]])]),
     )
     s = signals(("f1", "f2"))
     effect = cls(("f1", "f2"))
@@ -219,7 +219,7 @@ def test_the_wrench_is_the_sum_of_the_terms(tmp_path: Path) -> None:
 
 
 def test_a_vehicle_without_the_thruster_is_told(tmp_path: Path) -> None:
-    cls = _checked(tmp_path, _left(depends_on=[_told([["command f9"]])]))
+    cls = _checked(tmp_path, _left(depends_on=[_reported([["command f9"]])]))
     from undertow.errors import UndertowError
 
     with pytest.raises(UndertowError, match="effect 'mine' needs a thruster called 'f9'"):
@@ -237,7 +237,7 @@ def test_a_period_becomes_a_wave_whose_frequency_is_searched(tmp_path: Path) -> 
 
 
 def test_names_that_are_taken_are_not_taken_again(tmp_path: Path) -> None:
-    cls = _checked(tmp_path, _left("sway", depends_on=[_told([["u", "v"]]), _told([["v"]])]))
+    cls = _checked(tmp_path, _left("sway", depends_on=[_reported([["u", "v"]]), _reported([["v"]])]))
     names = [p.name for p in cls.specimen().parameters]
     assert len(set(names)) == 2
     assert not set(names) & {p.name for c in catalogue().values() for p in c.specimen().parameters}
@@ -246,7 +246,7 @@ def test_names_that_are_taken_are_not_taken_again(tmp_path: Path) -> None:
 def test_what_an_effect_cannot_state_is_left_out_and_said(undertow: Undertow, tmp_path: Path) -> None:
     line = Spectrum(period=6.3, amplitude=0.3, share=0.2, chance=1e-9, in_step=False)
     runs = BetweenRuns(of="mean force", values={"a": [1.0], "b": [-1.0]}, unit="N", chance=1e-9)
-    left = _left(depends_on=[_told([["|r|", "u"]])], spectrum=line, between_runs=[runs])
+    left = _left(depends_on=[_reported([["|r|", "u"]])], spectrum=line, between_runs=[runs])
     (tmp_path / "found.json").write_text(_diagnosis(left, effects=("lift",)).model_dump_json())
     code, out, _ = undertow("effects", "new", "mine", "--from", "found.json")
     assert code == 0
@@ -337,9 +337,9 @@ def test_a_diagnosis_without_a_term(undertow: Undertow, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "left",
     [
-        _left(EVIL, depends_on=[_told([["u"]])]),
-        _left(depends_on=[_told([["u", EVIL]])]),
-        _left(depends_on=[_told([["__import__('os')"]])]),
+        _left(EVIL, depends_on=[_reported([["u"]])]),
+        _left(depends_on=[_reported([["u", EVIL]])]),
+        _left(depends_on=[_reported([["__import__('os')"]])]),
         _left(spectrum=Spectrum(period=-1.0, amplitude=1.0, share=1.0, chance=0.0, in_step=True)),
     ],
 )
@@ -352,7 +352,7 @@ def test_what_no_diagnosis_could_say_is_refused(left: Remaining, undertow: Under
 
 
 def test_texts_out_of_a_diagnosis_stay_texts(tmp_path: Path) -> None:
-    left = _left(depends_on=[_told([["u"]], EVIL), _told([[f"command {EVIL}"]], EVIL)])
+    left = _left(depends_on=[_reported([["u"]], EVIL), _reported([[f"command {EVIL}"]], EVIL)])
     left.summary = EVIL
     diagnosis = _diagnosis(left, vehicle=EVIL, effects=(EVIL,))
     diagnosis.runs[0].name = EVIL

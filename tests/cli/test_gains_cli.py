@@ -361,12 +361,12 @@ def test_no_iota_is_a_verdict_of_its_own(sled: Path, capsys: Capture) -> None:
     assert {r["box"]["verdict"] for r in none if r["box"]} == {"no iota at the values of the file"}
     assert all(r["iota"] or not r["uses_iota"] for r in found["rows"] if r["verdict"] == "fails")
     assert {a["verdict"] for a in found["agreements"]} == {"no iota"}
-    told = re.search(
+    reported = re.search(
         r"(\d+) fail at the values of the file, (\d+) have no ι there", printed("mini-auv", "paper-pid")
     )
     uncertain = [r["verdict"] for r in found["rows"] if r["box"]]
-    assert told is not None
-    assert [int(n) for n in told.groups()] == [uncertain.count("fails"), uncertain.count("no iota")]
+    assert reported is not None
+    assert [int(n) for n in reported.groups()] == [uncertain.count("fails"), uncertain.count("no iota")]
 
 
 def test_sides_that_differ_little_are_told_apart(sled: Path, capsys: Capture) -> None:

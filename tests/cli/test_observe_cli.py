@@ -105,8 +105,8 @@ def test_several_logs_have_numbered_files_and_common_tests(dive: Path, tmp_path:
     pl.read_csv(dive).with_columns(pl.col("x") + 1.0).write_csv(second)
     command = ["observe", "mini-auv", str(dive), str(second), "--out", str(tmp_path / "smoothed.csv")]
     assert main(command) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "Innovations of all 2 logs" in told
+    reported = " ".join(capsys.readouterr().out.split())
+    assert "Innovations of all 2 logs" in reported
     first, other = (pl.read_csv(tmp_path / f"smoothed-{k}.csv") for k in (1, 2))
     np.testing.assert_allclose(other["x"] - first["x"], 1.0, atol=1e-3)
     assert not (tmp_path / "smoothed.csv").exists()

@@ -89,8 +89,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, np.ndarray]
 
 def _as_runs(columns: list[dict[str, np.ndarray]], names: tuple[str, ...]) -> list[Run]:
     other = dict(zip(PLAIN, names, strict=True))
-    told = [{other.get(k, k): v for k, v in c.items() if k != "t"} for c in columns]
-    return [Run(f"run{i}", c["t"], t) for i, (c, t) in enumerate(zip(columns, told, strict=True))]
+    reported = [{other.get(k, k): v for k, v in c.items() if k != "t"} for c in columns]
+    return [Run(f"run{i}", c["t"], t) for i, (c, t) in enumerate(zip(columns, reported, strict=True))]
 
 
 # --- in the model ---------------------------------------------------------------------------------

@@ -279,9 +279,9 @@ def test_outputs_that_come_late_are_told(tmp_path: Path) -> None:
     prompt = vehicle_with("linear_damping", thrusters=0)
     late = vehicle_with("linear_damping", "sensor_delay", thrusters=0)
     late = replace(late, values=late.values | {"velocity_delay": Value(0.15)})
-    told = _changes(prompt, late, tmp_path)
-    assert "output delay of u: 0 -> 0.15 s" in told
-    assert not any(line.startswith("rows changed") for line in told)
+    reported = _changes(prompt, late, tmp_path)
+    assert "output delay of u: 0 -> 0.15 s" in reported
+    assert not any(line.startswith("rows changed") for line in reported)
     folder = tmp_path / Library(late).folder_name
     assert json.loads((folder / "manifest.json").read_text())["output_delay"] == dict.fromkeys("uvw", 0.15)
     assert (
@@ -306,10 +306,10 @@ def test_the_same_model_has_no_changes(tmp_path: Path) -> None:
 def test_a_new_effect_is_told_with_its_parameters_and_rows(tmp_path: Path) -> None:
     before = vehicle_with("linear_damping", thrusters=0)
     after = vehicle_with("linear_damping", "lift", thrusters=0)
-    told = _changes(before, after, tmp_path)
-    assert told[0] == "effects added: lift"
-    assert told[1] == "parameters added: Y_uv, N_uv, Y_ur, N_ur, Z_uw, M_uw, Z_uq, M_uq"
-    assert told[2] == "rows changed: v_dot, w_dot, q_dot, r_dot (4 of 12)"
+    reported = _changes(before, after, tmp_path)
+    assert reported[0] == "effects added: lift"
+    assert reported[1] == "parameters added: Y_uv, N_uv, Y_ur, N_ur, Z_uw, M_uw, Z_uq, M_uq"
+    assert reported[2] == "rows changed: v_dot, w_dot, q_dot, r_dot (4 of 12)"
     back = _changes(after, before, tmp_path)
     assert back[0] == "effects removed: lift"
     assert back[1].startswith("parameters removed: Y_uv")
@@ -338,10 +338,10 @@ def test_a_thruster_that_moved_changes_its_rows(tmp_path: Path) -> None:
 def test_another_order_and_another_vehicle_are_told(tmp_path: Path) -> None:
     before = named_vehicle("cybership2")
     after = replace(before, name="CyberShip2", effects=tuple(reversed(before.effects)))
-    told = _changes(before, after, tmp_path)
-    assert told[0] == "vehicle: cybership2 -> CyberShip2"
-    assert "effects in another order" in told
-    assert "parameters in another order" in told
+    reported = _changes(before, after, tmp_path)
+    assert reported[0] == "vehicle: cybership2 -> CyberShip2"
+    assert "effects in another order" in reported
+    assert "parameters in another order" in reported
 
 
 def test_a_damaged_manifest_is_told_and_replaced(tmp_path: Path) -> None:

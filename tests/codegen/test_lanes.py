@@ -102,9 +102,9 @@ def test_kinks_are_those_of_plain_c(lanes: int, c_compiler: Compiler, tmp_path: 
         expected[:, i] = y
     found = over(function, lanes, x, c_compiler, tmp_path)
     for k, (row, wanted) in enumerate(zip(found, expected, strict=True)):
-        told = np.isnan(wanted)
-        assert np.array_equal(np.isnan(row), told), k
-        assert np.array_equal(row[~told].view(np.int64), wanted[~told].view(np.int64)), str(KINKS[k])
+        reported = np.isnan(wanted)
+        assert np.array_equal(np.isnan(row), reported), k
+        assert np.array_equal(row[~reported].view(np.int64), wanted[~reported].view(np.int64)), str(KINKS[k])
 
 
 def angles() -> np.ndarray:

@@ -83,9 +83,9 @@ def test_identified_damping_that_feeds_energy_is_found() -> None:
 def test_what_a_vehicle_lacks_is_open() -> None:
     vehicle = load_vehicle("mini-auv")
     bare = replace(vehicle, effects=tuple(e for e in vehicle.effects if "coriolis" not in e.id))
-    told = [f.text for f in audit_vehicle(bare) if f.kind == "open"]
-    assert sum("_coriolis is absent although the vehicle turns" in t for t in told) == 2
-    assert any("Y_vdot" in t for t in told)
+    reported = [f.text for f in audit_vehicle(bare) if f.kind == "open"]
+    assert sum("_coriolis is absent although the vehicle turns" in t for t in reported) == 2
+    assert any("Y_vdot" in t for t in reported)
 
 
 def test_an_effect_that_feeds_energy_in_is_found() -> None:

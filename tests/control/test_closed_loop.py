@@ -347,9 +347,9 @@ def test_a_pose_that_jumps_has_diverged() -> None:
 
 
 def test_progress_is_told() -> None:
-    told: list[float] = []
-    loop("paper-pd").run(Scenario(GOAL, 60.0, 0.001), lambda done, words: told.append(done))
-    assert told == pytest.approx([20.0, 40.0, 60.0, 60.001])
+    progress: list[float] = []
+    loop("paper-pd").run(Scenario(GOAL, 60.0, 0.001), lambda done, words: progress.append(done))
+    assert progress == pytest.approx([20.0, 40.0, 60.0, 60.001])
 
 
 def test_headings_turn_the_short_way() -> None:

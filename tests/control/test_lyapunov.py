@@ -140,8 +140,8 @@ def test_all_rest_states_have_v_dot_zero_but_only_the_set_point_stays() -> None:
 def test_without_sway_thrust_a_line_of_errors_stays() -> None:
     law = LAWS["pd"]()
     s = LawSignals(plant(), law)
-    told = equilibria_without_thrust(plant(), law)
-    assert "(x: -sin(psi), y: cos(psi))" in told
+    reported = equilibria_without_thrust(plant(), law)
+    assert "(x: -sin(psi), y: cos(psi))" in reported
     stuck = s.K_P.inv() * sm.Matrix([-sm.sin(PSI), sm.cos(PSI), 0, 0])
     rest = dict.fromkeys(s.plant.nu, sm.Integer(0)) | dict(zip(s.error, stuck, strict=True))
     net = (law.force(s) - s.plant.g).xreplace(rest).applyfunc(sm.trigsimp)

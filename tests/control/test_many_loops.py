@@ -150,12 +150,12 @@ def test_what_cannot_be_meant_is_told(asked: dict, complaint: str) -> None:
 
 
 def test_progress_counts_runs() -> None:
-    told: list[float] = []
+    reported: list[float] = []
     loop("paper-pd").run_many(
-        Scenario(GOAL, 0.1), parameters=MASS, progress=lambda done, words: told.append(done)
+        Scenario(GOAL, 0.1), parameters=MASS, progress=lambda done, words: reported.append(done)
     )
-    assert told[-1] == RUNS
-    assert told == sorted(told)
+    assert reported[-1] == RUNS
+    assert reported == sorted(reported)
 
 
 def test_commands_by_name() -> None:

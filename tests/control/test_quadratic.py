@@ -191,12 +191,14 @@ def test_sums_are_positive_only_where_each_of_them_is(counts: tuple[int, ...]) -
 
 
 @pytest.mark.parametrize(
-    ("start", "told"),
+    ("start", "reported"),
     [("x:1", "write NAME=VALUE"), ("q=1", "has no q"), ("x=-1", "no size"), ("x=0", "zero")],
 )
-def test_a_start_that_is_none_is_bad_input(start: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_start_that_is_none_is_bad_input(
+    start: str, reported: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["gains", "mini-auv", "paper-pd", "--form", "derived", "--start", start]) == 2
-    assert told in " ".join(capsys.readouterr().err.split())
+    assert reported in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_start_of_a_coordinate_that_the_vehicle_has_not_is_told() -> None:

@@ -49,10 +49,10 @@ def test_routh_over_intervals_and_ellipsoid(k_v: float, box: str) -> None:
     assert row.ellipsoid is not None
     assert (row.box.verdict, row.ellipsoid.verdict) == (box, box)
     if box == SOME:
-        told = row.box.counterexample
-        inertia, drag = 7.5 + told["X_udot_forward"], told["X_u_forward"]
+        reported = row.box.counterexample
+        inertia, drag = 7.5 + reported["X_udot_forward"], reported["X_u_forward"]
         assert (k_v + drag) * 0.012 < inertia * 0.0003
-        assert told["X_udot_forward"] == pytest.approx(1.630825 + 1.959964 * 0.1, rel=1e-6)
+        assert reported["X_udot_forward"] == pytest.approx(1.630825 + 1.959964 * 0.1, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -126,7 +126,7 @@ def test_a_false_name_is_rare(panel: Panel, craft: Path) -> None:
     assert names <= 2
 
 
-def told(*changes: tuple[Kind, str, float, float]) -> Statement:
+def reported(*changes: tuple[Kind, str, float, float]) -> Statement:
     """What is said of changes of kind, place, value and error five days against five, among many others."""
     own = tuple(
         Change(Direction(kind, of, np.zeros(1)), value, error, 8.0, two_sided_p(value, error, 8.0))
@@ -142,15 +142,15 @@ def told(*changes: tuple[Kind, str, float, float]) -> Statement:
 def test_none_seen_is_said_of_what_would_have_shown() -> None:
     """A narrow direction does not speak for another kind, nor for one that is nearly sure."""
     good: tuple[Kind, str, float, float] = ("thrust", "port", 0.001, 0.01)
-    calm = told(good, ("drag", "surge", 0.0, 0.02))
+    calm = reported(good, ("drag", "surge", 0.0, 0.02))
     assert calm.answer == "none seen"
     assert "would have shown from, %: drag in surge 20, thrust of port 9.8" in calm.words
-    likely = told(good, ("drag", "surge", 0.41, 0.06))
+    likely = reported(good, ("drag", "surge", 0.41, 0.06))
     assert likely.answer == "cannot tell"
     assert "drag in surge +41 ± 6 % may be a change, but is not sure enough" in likely.words
-    blind = told(good, ("drag", "surge", 0.0, 0.3))
+    blind = reported(good, ("drag", "surge", 0.0, 0.3))
     assert blind.answer == "cannot tell"
     assert "a change of drag in surge below" in blind.words
     assert "otherwise no change seen; would have shown from, %: thrust of port" in blind.words
-    none = told(good, ("drag", "surge", 0.0, np.inf))
+    none = reported(good, ("drag", "surge", 0.0, np.inf))
     assert none.words.startswith("cannot tell: these days do not determine drag; otherwise no change seen")

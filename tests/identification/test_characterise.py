@@ -71,21 +71,21 @@ def _is_silent(left: Remaining) -> bool:
 # --- simulated vehicles -----------------------------------------------------------------------------
 def test_drag_in_turns_goes_with_the_yaw_rate_and_the_speed() -> None:
     values, left = _left(*HEADING)
-    told, k = left["surge"].depends_on[0], values["turning_drag"]["k"]
-    assert told.term == "|r| u"
-    assert told.coefficients[0] == pytest.approx(-k, abs=4 * told.standard_errors[0])
-    assert told.standard_errors[0] < 0.2 * k
-    assert told.units == ["N/((rad/s) (m/s))"]
-    assert told.share > 0.9
+    reported, k = left["surge"].depends_on[0], values["turning_drag"]["k"]
+    assert reported.term == "|r| u"
+    assert reported.coefficients[0] == pytest.approx(-k, abs=4 * reported.standard_errors[0])
+    assert reported.standard_errors[0] < 0.2 * k
+    assert reported.units == ["N/((rad/s) (m/s))"]
+    assert reported.share > 0.9
     assert "correlates with |r| u (slows surge, the more the faster it turns)" in left["surge"].summary
 
 
 def test_a_force_that_turns_with_the_heading() -> None:
     values, left = _left(*HEADING)
-    (told,) = left["sway"].depends_on
-    assert told.term == "sin and cos of 2 psi"
-    assert np.hypot(*told.coefficients) == pytest.approx(values["heading_force"]["A"], rel=0.1)
-    angle = np.arctan2(-told.coefficients[1], told.coefficients[0])
+    (reported,) = left["sway"].depends_on
+    assert reported.term == "sin and cos of 2 psi"
+    assert np.hypot(*reported.coefficients) == pytest.approx(values["heading_force"]["A"], rel=0.1)
+    angle = np.arctan2(-reported.coefficients[1], reported.coefficients[0])
     assert np.sin(angle - 2 * values["heading_force"]["psi_0"]) == pytest.approx(0.0, abs=0.1)
     assert left["sway"].spectrum is None
 
@@ -100,11 +100,11 @@ def test_what_is_right_stays_right_although_all_accelerations_are_coupled(effect
 @pytest.mark.slow
 def test_a_force_that_follows_two_commands() -> None:
     _, left = _left(*COMMANDS)
-    told = left["surge"].depends_on[0]
-    assert told.columns == [["|command f1|", "|command f2|"]]
-    assert told.units == ["N/command^2"]
-    assert told.coefficients[0] < 0
-    assert told.share > 0.9
+    reported = left["surge"].depends_on[0]
+    assert reported.columns == [["|command f1|", "|command f2|"]]
+    assert reported.units == ["N/command^2"]
+    assert reported.coefficients[0] < 0
+    assert reported.share > 0.9
 
 
 def test_a_periodic_force_shows_its_period() -> None:
@@ -315,7 +315,7 @@ def test_columns_along_a_log() -> None:
     assert along.held(("u",)) is None
 
 
-def _told(columns: list[list[str]], coefficients: list[float], term: str) -> Dependence:
+def _reported(columns: list[list[str]], coefficients: list[float], term: str) -> Dependence:
     size = len(coefficients)
     return Dependence(
         term=term,
@@ -342,8 +342,8 @@ def _told(columns: list[list[str]], coefficients: list[float], term: str) -> Dep
     ],
 )
 def test_what_a_term_does(columns: list[list[str]], coefficients: list[float], words: str) -> None:
-    told = _told(columns, coefficients, "term")
-    assert words in how(told, "surge", "N")
+    reported = _reported(columns, coefficients, "term")
+    assert words in how(reported, "surge", "N")
 
 
 def test_a_sentence_holds_all_that_was_found() -> None:
@@ -355,7 +355,7 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         unit="N",
         note="",
         excess_rms=0.812,
-        depends_on=[_told([["|r|", "u"]], [-2.0], "|r| u")],
+        depends_on=[_reported([["|r|", "u"]], [-2.0], "|r| u")],
         spectrum=Spectrum(period=6.3, amplitude=0.2, share=0.1, chance=1e-6, in_step=False),
         between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
     )

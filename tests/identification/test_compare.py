@@ -61,8 +61,8 @@ def _sigma(forces: Forces, case: Case) -> np.ndarray:
 def test_a_force_that_the_log_leaves_out_is_the_residual_force() -> None:
     run = surge_run()
     missing = 0.1 * np.sin(0.5 * run.t)
-    told = replace(run, channels={**run.channels, "tau_X": run.channels["tau_X"] - missing})
-    forces = residual_forces(_true_surge(), [told])
+    reported = replace(run, channels={**run.channels, "tau_X": run.channels["tau_X"] - missing})
+    forces = residual_forces(_true_surge(), [reported])
     np.testing.assert_allclose(forces.missing[:, 0], 0.1 * np.sin(0.5 * forces.t), atol=0.012)
 
 

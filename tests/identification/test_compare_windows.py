@@ -147,8 +147,8 @@ def test_compiled_code_and_virtual_machine_agree() -> None:
 def test_five_per_cent_off_is_told_as_five_per_cent() -> None:
     prediction = predict(_true_surge(), [surge_run()], None)
     off = np.nan_to_num(prediction.windows.measured * 1.05)
-    told = replace(prediction, predicted=off)
-    assert prediction_error(told) == pytest.approx(0.05, rel=1e-9)
+    reported = replace(prediction, predicted=off)
+    assert prediction_error(reported) == pytest.approx(0.05, rel=1e-9)
 
 
 def test_noise_alone_gives_an_error_of_the_noise() -> None:

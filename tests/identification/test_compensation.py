@@ -133,12 +133,12 @@ def test_a_parameter_near_its_prior_is_not_told() -> None:
     assert absorbing(box, _fit(box, X_u=-6.0), []) == []
 
 
-@pytest.mark.parametrize(("value", "told"), [(-10.0, False), (-14.0, False), (-16.0, True), (-1.5, True)])
-def test_a_value_stated_without_a_deviation_is_told_from_three_times_on(value: float, told: bool) -> None:
+@pytest.mark.parametrize(("value", "reported"), [(-10.0, False), (-14.0, False), (-16.0, True), (-1.5, True)])
+def test_a_value_stated_without_a_deviation_is_told_from_three_times_on(value: float, reported: bool) -> None:
     box = _box(X_u=Value(-5.0, estimate=True))
     lines = absorbing(box, _fit(box, X_u=value), [])
-    assert bool(lines) is told
-    assert not told or f"is {value / -5:.3g} times its stated value (no standard deviation is" in lines[0]
+    assert bool(lines) is reported
+    assert not reported or f"is {value / -5:.3g} times its stated value (no standard deviation is" in lines[0]
     # Where the data hardly tell, it may have gone anywhere.
     loose = replace(_fit(box, X_u=value), standard_errors={"X_u": 4.0})
     assert absorbing(box, loose, []) == []

@@ -414,9 +414,9 @@ def test_a_mistake_that_a_log_has_not_the_channels_for_is_not_tried(
     found = examine(
         vehicle_of(usv), [read(kept, vehicle_of(usv), LogMapping.model_validate({"frames": frames}))]
     )
-    told = [f for f in found.result.findings if f.id == "degrees_for_radians"]
+    in_degrees = [f for f in found.result.findings if f.id == "degrees_for_radians"]
     assert all(np.isfinite(list(f.evidence.values())).all() for f in found.result.findings)
-    assert told or "psi" in left_out or frames
+    assert in_degrees or "psi" in left_out or frames
 
 
 def test_a_channel_in_the_place_of_another_is_no_reason_to_stop(usv: Case, read: Callable[..., Run]) -> None:

@@ -129,13 +129,13 @@ def test_a_log_whose_pose_and_velocities_disagree_blames_no_thruster(auv: Case) 
 def test_commands_that_stand_still_are_told(auv: Case) -> None:
     vehicle, (run,) = vehicle_of(auv), runs_of(auv)
 
-    def told(*names: str) -> Finding | None:
+    def reported(*names: str) -> Finding | None:
         still = {n: np.zeros(len(run.t)) for n in names}
         found = examine(vehicle, [replace(run, channels={**run.channels, **still})])
         return _by_id(found).get("still_commands")
 
-    assert told() is None
-    one, all_ = told("f4"), told(*vehicle.command_names)
+    assert reported() is None
+    one, all_ = reported("f4"), reported(*vehicle.command_names)
     assert one is not None
     assert (one.severity, one.text[:16]) == ("note", "f4 never changes")
     assert all_ is not None

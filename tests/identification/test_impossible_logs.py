@@ -154,16 +154,16 @@ ONCE = {m[0]: m for m in REFUSED if m[1] in QUICK and m[0] not in ALIKE}.values(
 
 
 @pytest.mark.parametrize(
-    ("what", "name", "wrong", "left_out", "told", "line"),
+    ("what", "name", "wrong", "left_out", "reported", "line"),
     quick_if(lambda m: m in ONCE, REFUSED),
     ids=[f"{m[0]}-{m[1]}-{len(m[3])}" for m in REFUSED],
 )
 def test_what_cannot_be_is_refused_with_value_limit_and_line(
-    what: str, name: str, wrong: Break, left_out: tuple[str, ...], told: str, line: str
+    what: str, name: str, wrong: Break, left_out: tuple[str, ...], reported: str, line: str
 ) -> None:
     message = _refusal(_vehicle(name), _log(name, wrong, left_out))
     assert message.startswith(f"log '{name}' is impossible: ")
-    assert told in message
+    assert reported in message
     assert line in message
     assert "\n" not in message
     assert "--trust-log" in message
@@ -193,9 +193,9 @@ def test_thrusters_with_a_curve_push_as_their_curve_says() -> None:
     np.testing.assert_allclose(given, wanted, atol=1e-6 * most)
     assert not _refusal(curved, driven)
     scaled_speeds = {n: MMPS * driven.channels[n] for n in ("u", "v")}
-    told = _refusal(curved, replace(driven, channels={**driven.channels, **scaled_speeds}))
-    assert "u, v are in mm/s" in told
-    assert "of the log needs" in told  # by the force, and not by the speed alone
+    reported = _refusal(curved, replace(driven, channels={**driven.channels, **scaled_speeds}))
+    assert "u, v are in mm/s" in reported
+    assert "of the log needs" in reported  # by the force, and not by the speed alone
 
 
 def test_a_vehicle_that_only_drifts_is_known_by_its_size() -> None:

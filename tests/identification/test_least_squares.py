@@ -201,10 +201,10 @@ def test_what_both_directions_share_is_weighted_and_a_contradiction_is_told() ->
     place = agree.names.index("B_net")
     assert agree.values[place] == pytest.approx(value, abs=4 * np.sqrt(agree.covariance[place, place]))
     apart = experiments(auv, [_heave(auv, 1.0, value), _heave(auv, -1.0, value + 1.9)])
-    told = combined(auv, [(e, estimate(e, CASES["1"])) for e in apart]).contradictions
-    assert len(told) == 1
-    assert told[0].startswith("B_net is ")
-    assert " by heave, forward and " in told[0]
+    reported = combined(auv, [(e, estimate(e, CASES["1"])) for e in apart]).contradictions
+    assert len(reported) == 1
+    assert reported[0].startswith("B_net is ")
+    assert " by heave, forward and " in reported[0]
 
 
 def test_yaw_is_the_same_both_ways() -> None:

@@ -165,11 +165,11 @@ def test_a_time_window_is_cut_before_the_checks(log):
 
 def test_missing_commands_follow_the_policy(log):
     text = "t,u,f1\n0,0,1\n1,1,\n2,2,\n3,3,4\n"
-    told = "command 'f1' is missing in 2 of 4 rows (t = 1 to 2 s)"
-    refused(log, text, told, 'missing_commands = "hold"', channels=["f1"])
+    reported = "command 'f1' is missing in 2 of 4 rows (t = 1 to 2 s)"
+    refused(log, text, reported, 'missing_commands = "hold"', channels=["f1"])
     held = log(text, {"missing_commands": "hold"}, ["f1"])
     np.testing.assert_array_equal(held.channels["f1"], [1, 1, 1, 4])
-    assert f"{told}; the last value was held" in held.notes
+    assert f"{reported}; the last value was held" in held.notes
     left = log(text, None, ["f1"], missing_commands="gap")
     np.testing.assert_array_equal(left.channels["f1"], [1, np.nan, np.nan, 4])
     first = text.replace("0,0,1", "0,0,")
@@ -438,16 +438,16 @@ def test_a_damaged_parquet_file_is_one_line(log):
     stream = io.BytesIO()
     t = np.arange(300) * 0.1
     pl.DataFrame({"t": t, "u": t % 7, "n": [1] * 300}).write_parquet(stream)
-    whole, rng, told, count = stream.getvalue(), np.random.default_rng(2), 0, 0
+    whole, rng, reported, count = stream.getvalue(), np.random.default_rng(2), 0, 0
     for _ in range(150):
         content = bytearray(whole)
         content[rng.integers(4, len(whole) - 4)] = rng.integers(256)
         try:
             log(bytes(content), name="run.parquet")
         except UndertowError as error:
-            told += "run.parquet" in str(error) and "\n" not in str(error)
+            reported += "run.parquet" in str(error) and "\n" not in str(error)
             count += 1
-    assert told == count > 30
+    assert reported == count > 30
 
 
 # --- odd columns --------------------------------------------------------------------------------
@@ -546,7 +546,7 @@ def test_shares_of_full_thrust_that_are_taken_for_newtons_are_told(tmp_path):
     rows = np.column_stack([np.linspace(-1.0, 1.0, 50)] * len(names))
     table = pl.DataFrame(dict(zip(["t", *names], [np.arange(50.0), *rows.T], strict=True)))
     in_newtons = {n: {"channel": n, "unit": "N"} for n in otter.command_names}
-    for by, mapping, told in (
+    for by, mapping, reported in (
         (1.0, full, 1),
         (0.7, full, 0),
         (3.0, full, 0),
@@ -554,7 +554,7 @@ def test_shares_of_full_thrust_that_are_taken_for_newtons_are_told(tmp_path):
     ):
         table.with_columns(pl.col(n) * by for n in otter.command_names).write_csv(path)
         (run,) = read_logs([path], otter, LogMapping.model_validate(mapping))
-        assert len([note for note in run.reader_notes if "takes them for newtons" in note]) == told, (
+        assert len([note for note in run.reader_notes if "takes them for newtons" in note]) == reported, (
             by,
-            told,
+            reported,
         )

@@ -101,8 +101,8 @@ def test_expected_errors_are_those_of_fits_to_the_flown_manoeuvre(surge_plan: Pl
     vehicle = surge_vehicle()
     expected = np.array(list(_errors(surge_plan).values()))
     fits = [fit_weak(vehicle, prepare([_log(surge_plan.manoeuvre, 0, seed)], vehicle)) for seed in range(16)]
-    told = np.mean([list(fit.standard_errors.values()) for fit in fits], axis=0)
-    np.testing.assert_allclose(told, expected, rtol=0.3)
+    reported = np.mean([list(fit.standard_errors.values()) for fit in fits], axis=0)
+    np.testing.assert_allclose(reported, expected, rtol=0.3)
     truth = np.array([vehicle.value_of(n).value for n in _errors(surge_plan)])
     scatter = np.sqrt(np.mean((np.array([list(f.values.values()) for f in fits]) - truth) ** 2, axis=0))
     # 16 draws know a standard deviation to 18 %.

@@ -84,10 +84,10 @@ def test_velocity_errors_are_as_large_as_sigma_says(noisy):
 def test_the_noise_is_estimated_and_told(noisy):
     t, pose, _ = noisy
     run = velocities_from_pose(Run("sim", t, pose))
-    told = {
+    reported = {
         note.split(":")[0]: float(note.split("noise ")[1].split()[0]) for note in run.notes if "noise" in note
     }
-    assert told == {name: pytest.approx(NOISE[name], rel=0.1) for name in ("x", "y", "psi")}
+    assert reported == {name: pytest.approx(NOISE[name], rel=0.1) for name in ("x", "y", "psi")}
 
 
 def test_outliers_are_found_and_taken_out_of_the_pose(noisy):

@@ -482,7 +482,7 @@ def test_labels_are_printable_and_short() -> None:
 
 
 def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
-    def told(*found: Found) -> Diagnosis:
+    def reported(*found: Found) -> Diagnosis:
         examined = Examination(
             undertow="0.1.0", vehicle="v", runs=["a"], findings=list(found), excitation=[], seconds=1.0
         )
@@ -491,9 +491,9 @@ def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
     mistake = Found(id="reversed_thruster", severity="mistake", text="thruster 'f1' pushes backwards")
     late = Found(id="late_velocity", severity="warning", text="velocity 0.2 s late")
     first = "First mend what the logs or the vehicle file have wrong: reversed_thruster."
-    assert told(late, mistake).headline == f"{first} headline of mini-auv"
-    assert told(mistake).warnings[0] == "mistake: thruster 'f1' pushes backwards"
-    assert told(late).headline == "headline of mini-auv"
+    assert reported(late, mistake).headline == f"{first} headline of mini-auv"
+    assert reported(mistake).warnings[0] == "mistake: thruster 'f1' pushes backwards"
+    assert reported(late).headline == "headline of mini-auv"
 
 
 def test_what_a_written_vehicle_file_has_is_said() -> None:

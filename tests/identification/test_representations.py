@@ -19,7 +19,7 @@ from undertow.identification.logs.reading import read_log
 from undertow.model.vehicle import Vehicle
 
 Columns = dict[str, np.ndarray]
-Told = tuple[Columns, dict[str, object]]
+Reported = tuple[Columns, dict[str, object]]
 
 DOFS = ("surge", "sway", "yaw")
 KINDS = {"x": "length", "y": "length", "psi": "angle", "u": "speed", "v": "speed", "r": "rate"}
@@ -57,18 +57,18 @@ def columns(case: Case, vehicle: Vehicle) -> Columns:
 
 
 # --- axes, written down again ---------------------------------------------------------------------
-def ned(columns: Columns) -> Told:
+def ned(columns: Columns) -> Reported:
     return columns, {}
 
 
-def enu(columns: Columns) -> Told:
+def enu(columns: Columns) -> Reported:
     """East, north; heading from east, anticlockwise; forward, port, up."""
     turned = {"x": columns["y"], "y": columns["x"], "psi": np.pi / 2 - columns["psi"]}
     port = {"v": -columns["v"], "r": -columns["r"]}
     return columns | turned | port, {"position": "ENU", "body": "FLU"}
 
 
-def over_ground(columns: Columns) -> Told:
+def over_ground(columns: Columns) -> Reported:
     """East, north, but headings of a compass; velocities along north and east."""
     u, v, psi = columns["u"], columns["v"], columns["psi"]
     turned = {"x": columns["y"], "y": columns["x"]}
@@ -114,10 +114,10 @@ FILES = {"CSV": csv, "CSV.gz": csv_gz, "Parquet": parquet}
 # --- the same fit ---------------------------------------------------------------------------------
 def written(columns: Columns, units: str, frames: str, file: str, folder: Path) -> tuple[Path, LogMapping]:
     """A run as a file, with the mapping that says how."""
-    told, spec = FRAMES[frames](columns)
+    reported, spec = FRAMES[frames](columns)
     unit, per_second = TIMES[units]
-    table, named = {"clock": told["t"] * per_second}, {}
-    for name, values in told.items():
+    table, named = {"clock": reported["t"] * per_second}, {}
+    for name, values in reported.items():
         if name != "t":
             unit_of, factor = UNITS[units].get(KINDS.get(name, "force"), (None, 1.0))
             table[f"my {name}"] = values * factor

@@ -227,11 +227,11 @@ def _written(tmp_path: Path, orders: Orders = PUSHED) -> tuple[Path, Tank]:
 @pytest.mark.usefixtures("solver")
 def test_logs_and_coefficients(tmp_path: Path) -> None:
     root, tank = _written(tmp_path)
-    told: list[tuple[float, str]] = []
-    written = run_tank(root, tank, grids=2, progress=lambda done, words: told.append((done, words)))
+    reported: list[tuple[float, str]] = []
+    written = run_tank(root, tank, grids=2, progress=lambda done, words: reported.append((done, words)))
     assert len(written) == 4
-    assert told[-1][0] == pytest.approx(1.0)
-    assert any("Courant" in words for _, words in told)
+    assert reported[-1][0] == pytest.approx(1.0)
+    assert any("Courant" in words for _, words in reported)
     assert run_tank(root, tank, grids=2) == []  # all is there
     found = {c.name: c for c in coefficients(root, tank)}
     # The stand-in takes differences of the place, which are not quite the acceleration.

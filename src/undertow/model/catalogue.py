@@ -9,6 +9,7 @@ import pkgutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, wraps
+from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from traceback import extract_tb
@@ -94,6 +95,13 @@ def merge(known: Catalogue, added: Iterable[type[Effect]]) -> dict[str, type[Eff
     return result
 
 
+class _Uncached(SourceFileLoader):
+    """Runs a file without leaving its bytecode beside it."""
+
+    def set_data(self, path: str, data: Any, *, _mode: int = 0) -> None:
+        pass
+
+
 def load_effects(path: Path) -> list[type[Effect]]:
     """Run a user's effect file and return the effect classes in it.
 
@@ -102,13 +110,14 @@ def load_effects(path: Path) -> list[type[Effect]]:
     if not path.is_file():
         raise UndertowError(f"effect file '{path}' does not exist: check the path")
     name = f"undertow_user_effects_{path.stem}_{crc32(str(path.resolve()).encode()):08x}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    loader = _Uncached(name, str(path))
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
+    if spec is None or path.suffix != ".py":
         raise UndertowError(f"effect file '{path}' is not a Python file: name it *.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up there
     try:
-        spec.loader.exec_module(module)
+        loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's file raises is the user's to mend
         del sys.modules[name]
         raise UndertowError(f"{_place(path, error)} cannot be run: {_what(error)}") from error

@@ -259,10 +259,10 @@ def test_a_reversal_is_heeded_where_the_autopilot_heeds_it(tmp_path: Path) -> No
     set_ = [("PARM", 1.0, [f"SERVO{OUTPUT_OF_MOTOR[2]}_REVERSED", 1.0])]
     sub = write_bin(tmp_path / "sub.bin", reversed_, set_)
     other = write_bin(tmp_path / "other.bin", {**reversed_, "MSG": lambda t, c: ["ArduRover V4.5.0"]}, set_)
-    for path, sign, told in ((sub, 1.0, "does not heed"), (other, -1.0, "is turned")):
+    for path, sign, reported in ((sub, 1.0, "does not heed"), (other, -1.0, "is turned")):
         (run,) = read_logs([path], vehicle)
         np.testing.assert_allclose(run.channels["f3"][:-1] * FULL, sign * dive().thrust[:-1, 2], atol=1e-9)
-        assert any("REVERSED" in note and told in note for note in run.reader_notes)
+        assert any("REVERSED" in note and reported in note for note in run.reader_notes)
 
 
 # --- the vehicle ----------------------------------------------------------------------------------
@@ -300,11 +300,11 @@ def test_the_frame_with_six_thrusters_is_its_own_vehicle(tmp_path: Path) -> None
         np.testing.assert_allclose(ours.wrench, theirs.wrench, atol=1e-12)
 
 
-@pytest.mark.parametrize(("frame", "told"), [(7.0, r"7 \(Custom\)"), (9.0, "9")])
-def test_a_frame_that_is_not_known_is_refused(log: FieldLog, frame: float, told: str) -> None:
+@pytest.mark.parametrize(("frame", "reported"), [(7.0, r"7 \(Custom\)"), (9.0, "9")])
+def test_a_frame_that_is_not_known_is_refused(log: FieldLog, frame: float, reported: str) -> None:
     other = replace(log, parameters={**log.parameters, "FRAME_CONFIG": frame})
     with pytest.raises(
-        UndertowError, match=rf"states FRAME_CONFIG {told}, and motors are known for 0 BlueROV1"
+        UndertowError, match=rf"states FRAME_CONFIG {reported}, and motors are known for 0 BlueROV1"
     ):
         vehicle_text(other, "made")
 

@@ -75,8 +75,8 @@ def test_an_object_in_a_struct_is_named(tmp_path: Path, version: str) -> None:
     t, path = 0.1 * np.arange(50), tmp_path / "log.mat"
     content = {"dive": {"by_name": MatlabContainerMap({"a": 1.0}), "ctd": {"t": t, "z": t}}}
     matio.save_to_mat(str(path), content, version=version)
-    told = "dive.by_name is an object of MATLAB: save it as a struct"
-    assert read_field_log(path).notes[0].startswith(told)
+    reported = "dive.by_name is an object of MATLAB: save it as a struct"
+    assert read_field_log(path).notes[0].startswith(reported)
 
 
 @pytest.mark.parametrize("version", ["v7", "v7.3"])

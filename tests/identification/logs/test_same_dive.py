@@ -70,7 +70,7 @@ def test_a_fit_has_the_same_values_from_floats_to_their_precision(tmp_path: Path
 
 
 @cache
-def _told() -> DiagnosisResult:
+def _reported() -> DiagnosisResult:
     return diagnose(dive().vehicle, *_parts(dive().run))
 
 
@@ -78,9 +78,9 @@ def _told() -> DiagnosisResult:
 @pytest.mark.parametrize("name", [*_DOUBLES, *_FLOATS])
 def test_the_diagnosis_is_the_same_from_every_format(tmp_path: Path, name: str) -> None:
     found = diagnose(dive().vehicle, *_parts(_read(tmp_path, name)))
-    assert found.verdict == _told().verdict
-    assert list(found.effects) == [MISSING] == list(_told().effects)
-    one, other = (_estimates(result) for result in (found, _told()))
+    assert found.verdict == _reported().verdict
+    assert list(found.effects) == [MISSING] == list(_reported().effects)
+    one, other = (_estimates(result) for result in (found, _reported()))
     assert one == pytest.approx(other, rel=1e-3 if name in _FLOATS else 1e-6)
     assert {n: one[n] for n in CURRENT} == pytest.approx(CURRENT, abs=0.02)
 

@@ -420,8 +420,8 @@ def inverse_of(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=float)
 
 
-ALL, SOME, NOMINAL, OPEN = "holds for all", "fails for some", "fails at the values of the file", "not settled"
-SAMPLED, NO_IOTA_THERE = "not settled (attitudes sampled)", "no iota at the values of the file"
+ALL, SOME, NOMINAL, OPEN = "holds for all", "fails for some", "fails at the values of the file", "undecided"
+SAMPLED, NO_IOTA_THERE = "undecided (attitudes sampled)", "no iota at the values of the file"
 
 
 @dataclass(frozen=True)

@@ -540,9 +540,9 @@ class SettledObserver:
         noise = np.zeros((len(x), len(x)))
         noise[process.driven, process.driven] = observer.densities
         r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, DESIGN.sample))
-        self.gain = self._settled(noise, r)
+        self.gain = self._steady_gain(noise, r)
 
-    def _settled(self, noise: Array, r: Array) -> Array:
+    def _steady_gain(self, noise: Array, r: Array) -> Array:
         try:
             covariance, _, _ = ct.care(self.a.T, self.c.T, noise, r)
         except (ValueError, np.linalg.LinAlgError, ct.ControlArgument) as error:

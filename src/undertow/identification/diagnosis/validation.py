@@ -226,9 +226,9 @@ class SimulationValidator:
 
     def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         """A model in the windows of a length, and the best start of each."""
-        return self._once(f"shot over {horizon:g} s", fit, lambda fit: self._settled(fit, horizon))
+        return self._once(f"shot over {horizon:g} s", fit, lambda fit: self._at_best_starts(fit, horizon))
 
-    def _settled(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
+    def _at_best_starts(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         shooting = self._shooting(fit, horizon)
         return shooting, shooting.fitted_starts(np.asarray(fit.p))
 

@@ -188,8 +188,10 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
 
 def _is_down(topic: Topic) -> bool:
     """Whether the axes of a topic point down."""
-    told = [topic.frame, topic.child]
-    return any(_said(name, "ned", "frd") for name in told) and not any(_said(n, "enu", "flu") for n in told)
+    reported = [topic.frame, topic.child]
+    return any(_said(name, "ned", "frd") for name in reported) and not any(
+        _said(n, "enu", "flu") for n in reported
+    )
 
 
 def _take_motion(
