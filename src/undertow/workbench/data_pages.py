@@ -63,7 +63,6 @@ def _logs(view: View) -> None:
 
 def _notes(run: Run) -> None:
     """What the reader of a log said: what it left out, cut, converted and took for granted."""
-    from nicegui import ui
 
     def say(notes: Sequence[str]) -> None:
         with ui.column().classes("gap-0 w-full"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -351,6 +351,7 @@ def alternatives(
     and has room for what it leaves. What does less well under it may leave less of its own noise.
     """
     found = []
+    least = cache(lambda: _times_own_noise(under_own_noise(effect_set, bench), bench))
     for rival in rivals:
         others = list(effect_set.findings)
         if rival.id in {f.id for f in others}:
@@ -359,7 +360,7 @@ def alternatives(
         tried = fitted(vehicle, others, bench)
         if not as_good(effect_set.score, tried.score, bench):
             tried = under_own_noise(tried, bench)
-            if _times_own_noise(tried, bench) > _times_own_noise(under_own_noise(effect_set, bench), bench):
+            if _times_own_noise(tried, bench) > least():
                 continue
         found.append(tried)
     return sorted(found, key=lambda c: c.score.error)

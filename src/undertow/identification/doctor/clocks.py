@@ -325,11 +325,14 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
         follows = "the motion follows the commands by {:+.2f} s at the beginning of a run"
         how = f"{follows} and by {{:+.2f}} s at its end"
         return _two_clocks("commands and motion", how, float(both[0][0]), float(drift), float(spread))
-    certain = max(SETTINGS.command_sure * float(error[0]), SETTINGS.command_steps * step)
-    if abs(found[0]) > certain and _explains(at, float(found[0])):
-        return _late(at, float(found[0]), float(error[0]), mapping)
-    if _acausal(float(found[0]), float(error[0]), step) or any(run.reported for run in at.runs):
-        return _prompt(at, float(found[0]), float(error[0]))
+    delay, sigma = float(found[0]), float(error[0])
+    certain = abs(delay) > max(SETTINGS.command_sure * sigma, SETTINGS.command_steps * step)
+    acausal = _acausal(delay, sigma, step)
+    explains = (certain or acausal) and _explains(at, delay)
+    if certain and explains:
+        return _late(at, delay, sigma, mapping)
+    if acausal or any(run.reported for run in at.runs):
+        return _prompt(delay, sigma, acausal=acausal, shifted=acausal and explains)
     return None
 
 
@@ -376,9 +379,8 @@ def _explains(at: Dynamics, delay: float) -> bool:
     return fit is not None and at.gain(fit).decisive
 
 
-def _prompt(at: Dynamics, delay: float, error: float) -> Finding:
-    why, acausal = "", _acausal(delay, error, at.runs[0].step)
-    shifted = acausal and _explains(at, delay)
+def _prompt(delay: float, error: float, *, acausal: bool, shifted: bool) -> Finding:
+    why = ""
     if shifted:
         why = ", which no vehicle does: compare the clocks of commands and sensors"
     elif acausal:
