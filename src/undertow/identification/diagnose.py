@@ -51,7 +51,7 @@ from .diagnosis.result import (
     run_info,
 )
 from .diagnosis.search import Search, last_fit, search
-from .diagnosis.selection import Selection, Worth, select, selected
+from .diagnosis.selection import Selection, Worth, gained, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.trial import Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.validation import SimulationValidator
@@ -123,8 +123,9 @@ class ResultBuilder:
 
     def worth(self) -> list[Worth]:
         """What every effect that was added does to predictions, between the fits of the result."""
-        ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
-        return [Worth.of(*pair, self.settings) for pair in pairwise(ahead)]
+        ahead = [self.validator.squares_ahead(fit, pose=True) for fit in self.fits]
+        steps = zip(pairwise(ahead), self.found.effect_set.findings, strict=True)
+        return [gained(before, after, [f], self.validator) for (before, after), f in steps]
 
     def regrade(self, worth: Sequence[Worth]) -> None:
         """Take over what the effects that were selected are worth in the fits of the result."""

@@ -16,6 +16,7 @@ from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import Linearised
 from undertow.identification.estimation.step import inverse_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
+from undertow.model.effect import Measurement
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -110,6 +111,11 @@ class FoundEffect:
     def id(self) -> str:
         """Id of the effect."""
         return self.trial.id
+
+    @property
+    def of_sensors(self) -> bool:
+        """Whether it says how the sensors read."""
+        return issubclass(self.trial.candidate.effect, Measurement)
 
 
 IsNoise = Callable[[WeakFit, WeakData], bool]

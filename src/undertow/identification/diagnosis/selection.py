@@ -144,6 +144,30 @@ def _error_ahead(squares: Mapping[float, Array]) -> float:
     return float(np.mean(np.log(np.maximum(means, 1e-12))))
 
 
+def compared(
+    squares: Mapping[float, Array], findings: Sequence[FoundEffect], validator: SimulationValidator
+) -> Mapping[float, Array]:
+    """Squares of the channels by which effects are compared: those of the velocities.
+
+    What is wrong about a sensor may show in nothing but the contradiction between pose and velocity: with an
+    effect of the sensors among them, those of the pose, too.
+
+    squares: as of `SimulationValidator.squares_ahead` with the pose.
+    """
+    return squares if any(f.of_sensors for f in findings) else validator.velocities(squares)
+
+
+def gained(
+    before: Mapping[float, Array],
+    after: Mapping[float, Array],
+    findings: Sequence[FoundEffect],
+    validator: SimulationValidator,
+) -> Worth:
+    """What effects are worth, from the squares without and with them."""
+    without, with_them = (compared(s, findings, validator) for s in (before, after))
+    return Worth.of(without, with_them, validator.settings)
+
+
 # --- the selection --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Graded:
@@ -346,7 +370,7 @@ class _Selector:
         found = {f.id: f for f in self._screened(current)}
         before, *after = self._ahead([bench.base, *(f.trial.fit for f in found.values())])
         ahead = dict(zip(found, after, strict=True))
-        worth = {i: Worth.of(before, squares, self._settings) for i, squares in ahead.items()}
+        worth = {i: gained(before, squares, [found[i]], self._validator) for i, squares in ahead.items()}
         able = [f for i, f in found.items() if worth[i].something(least)]
         springs = self._springs(able, worth)
         leading, near = self._leading([f for f in able if f.id not in springs], ahead, bench)
@@ -401,7 +425,7 @@ class _Selector:
 
         def worth(first: FoundEffect, then: FoundEffect) -> Worth:
             both = self._ahead([fitted(vehicle, [first, then], bench).fit])[0]
-            return Worth.of(ahead[first.id], both, self._settings)
+            return gained(ahead[first.id], both, [first, then], self._validator)
 
         return worth
 
@@ -423,16 +447,17 @@ class _Selector:
         most = self._settings.simulated
         if len(found) <= most:
             return found
-        squares = list(mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit), len(found)))
-        by_simulation = np.argsort(np.argsort([_error_ahead(s) for s in squares], kind="stable"))
+        work = mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit, pose=True), len(found))
+        squares = [_error_ahead(compared(each, found, self._validator)) for each in work]
+        by_simulation = np.argsort(np.argsort(squares, kind="stable"))
         turn = np.minimum(2 * by_simulation, 2 * np.arange(len(found)) + 1)  # they come in order of residual
         return [found[k] for k in np.argsort(turn, kind="stable")[:most]]
 
     def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
-        """How models predict once each is fitted as the result will be, on all cores."""
+        """How models predict velocities and pose once each is fitted as the result will be, on all cores."""
         validator, most = self._validator, len(fits)
         new = [f for f in fits if id(f) not in self._predicted]
-        work = mapped(lambda i: validator.squares_ahead(validator.final(new[i])[0]), len(new))
+        work = mapped(lambda i: validator.squares_ahead(validator.final(new[i])[0], pose=True), len(new))
         for i, squares in enumerate(work):
             self._predicted[id(new[i])] = new[i], squares  # kept: its identity is the key
             if most > 1:  # else one of many pairs
@@ -465,7 +490,8 @@ class _Selector:
         Resamples of the weak residual see quick forces, those of the simulation slow ones: each has half.
         """
         by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
-        return 0.5 * (by_residual + best_in_resamples([ahead[f.id] for f in findings], self._settings))
+        squares = [compared(ahead[f.id], findings, self._validator) for f in findings]
+        return 0.5 * (by_residual + best_in_resamples(squares, self._settings))
 
     def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is."""
@@ -496,8 +522,8 @@ class _Selector:
         vehicle = bench.base.model.functions.vehicle
         known = {n: replace(vehicle.values[n], value=before.values[n], estimate=False) for n in names}
         held = self._validator.final(fitted(vehicle.with_values(known), [finding], bench).fit)[0]
-        base, with_it = (self._validator.squares_ahead(f) for f in (before, held))
-        return without_inertia(names, Worth.of(base, with_it, self._settings), self._settings)
+        base, with_it = (self._validator.squares_ahead(f, pose=True) for f in (before, held))
+        return without_inertia(names, gained(base, with_it, [finding], self._validator), self._settings)
 
 
 def without_inertia(names: Sequence[str], held: Worth, settings: Settings = DEFAULT) -> str:

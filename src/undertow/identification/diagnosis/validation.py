@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -146,14 +146,18 @@ class Contender:
 
 
 def relative_squares(prediction: Prediction) -> Array:
-    """Mean square of the error of every velocity in every window over that of its motion in all, (b, n).
+    """Mean square of the error of every channel in every window over that of its motion in all, (b, n + m).
 
-    A window in which a slow sensor has no report counts as the others on average.
+    The n velocities come first, then the m measured channels of the pose, whose motion is that since the
+    window began. A window in which a slow sensor has no report counts as the others on average.
     """
     half = len(prediction.names) // 2
-    measured = prediction.windows.measured[:, 1:, half:]
-    error, inside = prediction.residual[:, 1:, half:], prediction.windows.inside
-    lost = np.any(~np.isfinite(prediction.predicted).all(axis=2) & inside, axis=1)
+    windows = prediction.windows
+    pose = [i for i in range(half) if np.any(np.isfinite(windows.measured[:, :, i]))]
+    columns = [*range(half, 2 * half), *pose]
+    moved = windows.measured - np.where(np.arange(2 * half) < half, windows.start, 0.0)[:, None]
+    measured, error = moved[:, 1:, columns], prediction.residual[:, 1:, columns]
+    lost = np.any(~np.isfinite(prediction.predicted).all(axis=2) & windows.inside, axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         total, count = np.nansum(error**2, axis=1), np.count_nonzero(np.isfinite(measured), axis=1)
         mean = np.where(count > 0, total / np.maximum(count, 1), total.sum(axis=0) / count.sum(axis=0))
@@ -274,12 +278,20 @@ class SimulationValidator:
             return [adapted(model, run)[0] for run in self.test]
         return in_runs(model, self.test)[0]
 
-    def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
-        """Mean square of the error of predicted velocities by horizon, window and velocity, (b, n).
+    def squares_ahead(self, fit: Fitted, *, pose: bool = False) -> dict[float, Array]:
+        """Mean square of the error of predictions by horizon, window and velocity, (b, n).
 
         In units of the mean square of the velocity in all windows; very large where a simulation diverged.
+
+        pose: whether the measured channels of the pose follow, (b, n + m).
         """
-        return self._once("ahead", fit, self._squares_ahead)
+        all_of_it = self._once("ahead", fit, self._squares_ahead)
+        return all_of_it if pose else self.velocities(all_of_it)
+
+    def velocities(self, squares: Mapping[float, Array]) -> dict[float, Array]:
+        """The columns of the velocities, (b, n), of squares with the pose behind them."""
+        count = len(self._vehicle.velocity_names)
+        return {horizon: each[:, :count] for horizon, each in squares.items()}
 
     def _squares_ahead(self, fit: Fitted) -> dict[float, Array]:
         vehicles, predictor = in_runs(fit, self.test)[0], Predictor(fit.vehicle, compiled=False)

@@ -22,7 +22,6 @@ from undertow.identification.estimation.step import (
     within_limits,
 )
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.model.effect import Measurement
 from undertow.model.parameter import Parameter, printed
 from undertow.model.plausibility import check_vehicle
 from undertow.model.vehicle import Vehicle
@@ -146,14 +145,14 @@ def error_of_sensors(findings: Iterable[FoundEffect], settings: Settings = DEFAU
     Pose and velocities follow from each other without a force: what lies between them is no disturbance, also
     where it changes no predicted velocity.
     """
-    own = (f for f in findings if f.significant and issubclass(f.trial.candidate.effect, Measurement))
+    own = (f for f in findings if f.significant and f.of_sensors)
     most = max(own, key=lambda f: f.explained, default=None)
     if most is None or most.explained < settings.sensor_share:
         return None
     text = (
         f"Unexplained: the sensors contradict each other. {most.id} takes away {most.explained:.0%} of what "
-        "exceeds the noise, where no disturbance acts, but lowers the error of no predicted velocity by as "
-        "much as matters: see what the doctor says of the logs."
+        "exceeds the noise, where no disturbance acts, but lowers the error of no predicted velocity or "
+        "position by as much as matters: see what the doctor says of the logs."
     )
     return Judgement("unexplained", text, [], [], most.explained)
 
