@@ -11,13 +11,16 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
+from undertow.identification.diagnosis.validation import relative_squares
 from undertow.identification.estimation.predictor import Predictor, best_start, predict
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.windows import (
+    Prediction,
     arriving,
     cut,
     horizons,
     local_value,
+    position_error,
     prediction_error,
     start_values,
     time_constants,
@@ -362,3 +365,15 @@ def test_shortest_windows_have_samples_enough() -> None:
     assert short >= 20 * 0.5
     assert middle >= 2 * short
     assert long >= 2 * middle
+
+
+def test_squares_of_the_pose_are_those_of_the_way_since_the_window_began() -> None:
+    """A kilometre from the origin half a metre is as much as close to it."""
+    x, u = 1000.0 + CLOCK + np.sin(CLOCK), 1.0 + np.cos(CLOCK)
+    windows = cut([Run("far", CLOCK, {"x": x, "u": u, "tau_X": u})], surge_vehicle(), 5.0)
+    predicted = windows.measured * [1.0, 1.1] + [0.5, 0.0]
+    squares = relative_squares(Prediction(windows, predicted))  # velocity first
+    way = (windows.measured[:, :, 0] - windows.start[:, None, 0])[:, 1:]
+    np.testing.assert_allclose(squares[:, 1], 0.25 / np.nanmean(way**2), rtol=1e-9)
+    assert np.mean(squares[:, 0]) == pytest.approx(0.01, rel=0.05)
+    assert position_error(Prediction(windows, predicted)) == pytest.approx(0.5)

@@ -65,3 +65,13 @@ def test_a_rival_is_judged_under_its_own_noise() -> None:
     found = diagnose(vehicle_of(case), runs[:-1], runs[-1:], known=known).diagnosis
     assert found.verdict == "missing_effect"
     assert found.effects == ["water_speed_log", "added_mass_coupling"]
+
+
+@pytest.mark.slow
+def test_an_antenna_off_the_origin_is_named_where_slow_forces_act() -> None:
+    """No predicted velocity shows where an antenna is, and no force explains a contradiction of sensors."""
+    case = make_case("usv", ("position_lever_arm", "slow_force_1"), 20261125)
+    runs = runs_of(case)
+    found = diagnose(vehicle_of(case), runs[:-1], runs[-1:]).diagnosis
+    assert found.effects == ["position_lever_arm"]
+    assert "the position over" in found.headline

@@ -21,6 +21,7 @@ from undertow.identification.diagnosis.selection import (
     alternatives,
     best_in_resamples,
     dominated,
+    gained,
     without_inertia,
 )
 from undertow.identification.diagnosis.settings import DEFAULT
@@ -204,3 +205,15 @@ def test_a_mass_that_swings_has_a_frequency_of_its_own(frequency: float, error: 
     errors = {"m_slosh": 1.0, "slosh_frequency": error, "slosh_damping": 0.01}
     words = undetermined(catalogue()["slosh"](()), values, errors)
     assert said in words if said else words == ""
+
+
+def test_sensors_are_compared_by_the_pose_and_forces_by_the_velocities() -> None:
+    before = {h: np.full((20, 5), 0.04) for h in (1.0, 4.0, 16.0)}  # three velocities, then x and y
+    after = {h: squares * [1.0, 1.0, 1.0, 0.25, 0.25] for h, squares in before.items()}
+    validator = SimpleNamespace(
+        settings=DEFAULT, velocities=lambda squares: {h: each[:, :3] for h, each in squares.items()}
+    )
+    sensor, force = (cast(FoundEffect, SimpleNamespace(of_sensors=own)) for own in (True, False))
+    assert gained(before, after, [sensor], validator).largest[16.0] == pytest.approx(0.5)
+    assert gained(before, after, [force], validator).largest[16.0] == 0.0
+    assert gained(before, after, [force, sensor], validator).enough(DEFAULT.worth)

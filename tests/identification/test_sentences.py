@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from math import inf
 from typing import Any
 
 import pytest
@@ -24,6 +25,7 @@ from undertow.identification.report.sentences import (
     next_command,
     rises,
     shown,
+    step_changes,
     summarised,
     useless,
 )
@@ -93,6 +95,17 @@ def test_what_falls_and_what_rises_are_said_apart() -> None:
         "lowers the 5-s error from 69 to 50 % and raises the 20-s error from 58 to 84 %"
     )
     assert changes({"free run": 0.4}, {"free run": 0.2}) == "lowers the free-run error from 40 to 20 %"
+
+
+def test_the_position_is_said_where_it_gains_most() -> None:
+    before = Step(added=[], error=9.0, ahead={"5 s": 0.040}, position={"5 s": 0.5, "free run": 4.0})
+    sensor = Step(added=["a"], error=1.0, ahead={"5 s": 0.040}, position={"5 s": 0.02, "free run": inf})
+    force = Step(added=["b"], error=1.0, ahead={"5 s": 0.010}, position={"5 s": 0.25})
+    assert step_changes(before, sensor) == (
+        "leaves the 5-s error at 4.0 % and brings that of the position over 5 s from 0.5 to 0.02 m"
+    )
+    assert step_changes(before, force) == "lowers the 5-s error from 4.0 to 1.0 %"
+    assert "free run" not in sensor.position  # what diverges has no size
 
 
 def test_shares_have_two_digits() -> None:

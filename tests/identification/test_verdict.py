@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from undertow.identification.diagnosis.evidence import Comparison, FoundEffect
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
 from undertow.identification.diagnosis.settings import DEFAULT
 
@@ -76,10 +77,8 @@ def test_no_disturbance_acts_between_pose_and_velocity(
     effect: str, *, significant: bool, share: float, said: bool
 ) -> None:
     """Forces that nobody knows may be behind an excess in the forces, not behind one between two sensors."""
-    candidate = SimpleNamespace(effect=catalogue()[effect])
-    finding = SimpleNamespace(
-        id=effect, significant=significant, explained=share, trial=SimpleNamespace(candidate=candidate)
-    )
+    trial = SimpleNamespace(candidate=SimpleNamespace(effect=catalogue()[effect]), id=effect)
+    finding = FoundEffect(trial, Comparison(0.1, (0.0, 0.2), 0.001), share, 0.001, significant)
     judgement = error_of_sensors([finding])
     assert (judgement is not None) == said
     if judgement is not None:

@@ -278,7 +278,7 @@ class ResultBuilder:
         return [*first, *steps]
 
     def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
-        ahead = self.validator.ahead(fit)
+        ahead, position = self.validator.ahead(fit)
         prediction, channels = self.validator.prediction(fit)
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(
@@ -287,7 +287,8 @@ class ResultBuilder:
             prediction=prediction,
             channels=channels,
             simulation=simulation if math.isfinite(simulation) else None,
-            ahead={k: v for k, v in ahead.items() if math.isfinite(v)},
+            ahead=ahead,
+            position=position,
             freed=list(freed),
         )
 

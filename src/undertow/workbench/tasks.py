@@ -125,7 +125,7 @@ class Job:
             force = force_errors(models, validator.test, self.vehicle_of(0), validator.sigma)
         except UndertowError:  # runs that can be simulated may be too short for test functions
             force = [math.nan] * len(models)
-        return [_finite({FORCE: f, **validator.ahead(m)}) for f, m in zip(force, models, strict=True)]
+        return [_finite({FORCE: f, **validator.ahead(m)[0]}) for f, m in zip(force, models, strict=True)]
 
 
 def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list[Run]:
@@ -212,7 +212,7 @@ def diagnose(job: Job) -> Result:
     for i, name in enumerate(best):
         job.report(0.8 + 0.2 * i / len(best), f"simulating it with {name}")
         candidates.append(_candidate(job, found, name, with_force=i < SETTINGS.supplied))
-    without = {FORCE: found.diagnosis.steps[0].error, **_finite(job.validator.ahead(found.before))}
+    without = {FORCE: found.diagnosis.steps[0].error, **_finite(job.validator.ahead(found.before)[0])}
     shown = [c for c in candidates if _does_something(c, without)]
     return {
         "diagnosis": found.diagnosis.model_dump(mode="json"),
@@ -248,7 +248,7 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
         "equations": [f"{e.left} = {e.plain}" for e in equations],
         "typeset": [e.latex for e in equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],
-        "errors": {FORCE: ranked.error_after, **_finite(job.validator.ahead(fit))},
+        "errors": {FORCE: ranked.error_after, **_finite(job.validator.ahead(fit)[0])},
         "explained": ranked.explained,
         "chance": ranked.p_value,
         "sure": ranked.sure,
@@ -288,9 +288,9 @@ def add(job: Job) -> Result:
     )
     job.report(0.9, "predicting validation data")
     ahead = {
-        "given": {FORCE: done.given.error, **_finite(job.validator.ahead(job.vehicle))},
-        "refitted": {FORCE: done.before.error, **_finite(job.validator.ahead(setup.bench.base))},
-        "errors": {FORCE: done.after.error, **_finite(job.validator.ahead(done.fit))},
+        "given": {FORCE: done.given.error, **_finite(job.validator.ahead(job.vehicle)[0])},
+        "refitted": {FORCE: done.before.error, **_finite(job.validator.ahead(setup.bench.base)[0])},
+        "errors": {FORCE: done.after.error, **_finite(job.validator.ahead(done.fit)[0])},
     }
     result = {"sentence": addition_sentence(done), "helps": done.helps, "effect": effect, **ahead}
     if not (done.helps or force):

@@ -189,14 +189,15 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
 
 def _step(setup: AdditionSetup, added: list[str], model: Fitted | Vehicle, noise: list[Whitening]) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
-    ahead = setup.validator.ahead(model)
+    ahead, position = setup.validator.ahead(model)
     prediction, channels = setup.validator.prediction(model)
     return Step(
         added=added,
         error=_force_error(model, setup.bench.test, noise),
         prediction=prediction,
         channels=channels,
-        ahead={horizon: share for horizon, share in ahead.items() if np.isfinite(share)},
+        ahead=ahead,
+        position=position,
     )
 
 

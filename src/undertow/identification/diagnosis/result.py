@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from undertow.identification.doctor.findings import Finding, ResultTable
 from undertow.identification.logs.run import Run
@@ -139,8 +141,8 @@ class Step(ResultTable):
     `error` is that of the weak form, normalised (1 is the noise floor); `simulation` that of simulated
     windows of 5 s whose starts are estimated, in units of the noise; `prediction` the error of velocities 5 s
     ahead in shares of their rms, `channels` that of each (None: it diverges), and `ahead` the same as
-    `prediction` over several horizons and over the whole run. `freed` are values that the vehicle file holds
-    fixed, fitted here with the rest.
+    `prediction` over several horizons and over the whole run; `position` is that of the position, in m.
+    `freed` are values that the vehicle file holds fixed, fitted here with the rest.
     """
 
     added: list[str]
@@ -149,7 +151,13 @@ class Step(ResultTable):
     channels: dict[str, float | None] = Field(default_factory=dict)
     simulation: float | None = None
     ahead: dict[str, float] = Field(default_factory=dict)
+    position: dict[str, float] = Field(default_factory=dict)
     freed: list[str] = Field(default_factory=list)
+
+    @field_validator("ahead", "position", mode="before")
+    @classmethod
+    def _without_diverging(cls, errors: Mapping[str, float]) -> dict[str, float]:
+        return {horizon: error for horizon, error in errors.items() if math.isfinite(error)}
 
     @property
     def changes(self) -> list[str]:

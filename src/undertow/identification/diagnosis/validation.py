@@ -32,7 +32,14 @@ from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.estimation.windows import Prediction, Windows, cut, horizons, prediction_error
+from undertow.identification.estimation.windows import (
+    Prediction,
+    Windows,
+    cut,
+    horizons,
+    position_error,
+    prediction_error,
+)
 from undertow.identification.logs.checks import check_fit
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
@@ -252,20 +259,23 @@ class SimulationValidator:
         lengths = (*self.horizons, None)
         return {h: cut(self.test, self._vehicle, h, sigma=self.sigma) for h in lengths}
 
-    def ahead(self, model: Fitted | Vehicle) -> dict[str, float]:
-        """Error of predicted velocities by horizon, and over whole runs, in shares of their rms."""
-        errors = self._errors(model, self._ahead.values())
-        names = ("free run" if h is None else f"{h:g} s" for h in self._ahead)
-        return dict(zip(names, errors, strict=True))
+    def ahead(self, model: Fitted | Vehicle) -> tuple[dict[str, float], dict[str, float]]:
+        """Errors of predictions by horizon and over whole runs: of velocities in shares of their rms, and of
+        the position in m.
+        """
+        found = list(self._predicted(model, self._ahead.values()))
+        names = ["free run" if h is None else f"{h:g} s" for h in self._ahead]
+        shares, metres = (
+            {n: float(error(p)) for n, p in zip(names, found, strict=True)}
+            for error in (prediction_error, position_error)
+        )
+        return shares, metres
 
     def prediction(self, model: Fitted | Vehicle) -> tuple[float, dict[str, float | None]]:
         """The same over the short windows that decide, and that of each velocity, None where it diverges."""
         (short,) = self._predicted(model, [self.windows])
         parts = {n: float(e) if np.isfinite(e) else None for n, e in short.relative.items()}
         return float(prediction_error(short)), parts
-
-    def _errors(self, model: Fitted | Vehicle, windows: Iterable[Windows]) -> list[float]:
-        return [float(prediction_error(p)) for p in self._predicted(model, windows)]
 
     def _predicted(self, model: Fitted | Vehicle, windows: Iterable[Windows]) -> Iterator[Prediction]:
         vehicles = self._vehicles(model)

@@ -480,6 +480,12 @@ class Prediction:
         return {self.names[i]: float(table[i]) for i in self._there}
 
 
+def position_error(prediction: Prediction) -> float:
+    """Root mean square of the distance from predicted to measured position, m; NaN where none is measured."""
+    squares = [prediction.rms[n] ** 2 for n in ("x", "y", "z") if n in prediction.rms]
+    return float(np.sqrt(sum(squares))) if squares else float("nan")
+
+
 def prediction_error(prediction: Prediction) -> float:
     """One number: geometric mean over the degrees of freedom of the relative error of the velocities.
 

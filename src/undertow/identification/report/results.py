@@ -20,7 +20,7 @@ from undertow.identification.long_logs.result import LongLogs
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
-from .sentences import changes, rises, shown, useless
+from .sentences import changes, rises, shown, step_changes, useless
 
 
 class FittedParameter(ResultTable):
@@ -150,7 +150,7 @@ def addition_sentence(addition: Addition) -> str:
 
 
 def _what_it_does(addition: Addition) -> str:
-    ahead = changes(addition.before.ahead, addition.after.ahead)
+    ahead = step_changes(addition.before, addition.after)
     change = f"Adding {addition.effect} {ahead or 'changes no prediction'} on the validation data"
     if addition.helps:
         return f"{change}."

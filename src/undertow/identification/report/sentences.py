@@ -10,6 +10,7 @@ from pathlib import PurePath
 
 from undertow.errors import listed
 from undertow.identification.diagnosis.result import Diagnosis, Step
+from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.model.symbols import DOFS, VELOCITY
 
 
@@ -81,6 +82,26 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
         _said("leaves", [_still(h, a) for h, (b, a) in pairs.items() if not (rises(b, a) or rises(a, b))]),
     ]
     return listed([part for part in parts if part])
+
+
+def step_changes(before: Step, after: Step) -> str:
+    """How the errors of predictions change from one model to another.
+
+    Of the position it is said where that gains most: what is wrong about a sensor may show in nothing else.
+    """
+    said = [changes(before.ahead, after.ahead)]
+    gained = _fall(before.position, after.position)
+    if gained >= max(DEFAULT.worth, _fall(before.ahead, after.ahead)):
+        horizon = [h for h in _horizons([before.position]) if h in after.position][-1]
+        sizes = " to ".join(f"{step.position[horizon]:.2g}" for step in (before, after))
+        said.append(f"brings that of the position over {horizon} from {sizes} m")
+    return listed([part for part in said if part])
+
+
+def _fall(before: Mapping[str, float], after: Mapping[str, float]) -> float:
+    """Fall of the error over the longest horizon that both have, as a share of it."""
+    both = [h for h in _horizons([before]) if h in after and before[h] > 0.0]
+    return 1.0 - after[both[-1]] / before[both[-1]] if both else 0.0
 
 
 def useless(relative: Mapping[str, float | None]) -> str:
@@ -210,7 +231,7 @@ def _change(diagnosis: Diagnosis) -> str:
     """What the effects, and the values found to be others, do to the error."""
     taken = set(_taken(diagnosis))
     before, after = _without(diagnosis), [s for s in diagnosis.steps if set(s.added) <= taken][-1]
-    by_horizon = changes(before.ahead, after.ahead)
+    by_horizon = step_changes(before, after)
     return by_horizon or f"brings the error from {before.error:.3g} to {after.error:.3g} times the noise"
 
 
