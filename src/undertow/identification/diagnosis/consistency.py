@@ -219,8 +219,11 @@ def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
 
 
 def never_turned(finding: FoundEffect, bench: Bench) -> str:
-    """Why these logs do not tell a current from a force fixed to the vehicle; empty where they do."""
-    if not issubclass(finding.trial.candidate.effect, Flow):
+    """Why these logs do not tell a current from a force fixed to the vehicle; empty where they do.
+
+    Of a sensor that reads the speed through the water they always do: no force parts pose and velocity.
+    """
+    if finding.of_sensors or not issubclass(finding.trial.candidate.effect, Flow):
         return ""
     runs = [r for data in (bench.train, bench.test) for r in data.runs]
     turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))

@@ -382,7 +382,10 @@ class _Selector:
         if worthy and doubtful:
             best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
             return Graded(best, [], worth[best.id], doubt)
-        doubts = {f.id: self._doubt(f, bench) for f in (*leading, *near)} if worthy else {}
+        forces = {f.id: self._shows_in_forces(f, before, ahead[f.id]) for f in (*leading, *near)}
+        doubts = (
+            {f.id: self._doubt(f, bench, forces=forces[f.id]) for f in (*leading, *near)} if worthy else {}
+        )
         doubts |= self._dominated(worthy, doubts, ahead, bench)
         if not graded:
             self._worth |= worth
@@ -493,8 +496,20 @@ class _Selector:
         squares = [compared(ahead[f.id], findings, self._validator) for f in findings]
         return 0.5 * (by_residual + best_in_resamples(squares, self._settings))
 
-    def _doubt(self, finding: FoundEffect, bench: Bench) -> str:
-        """Why an effect is not established as the cause of what it explains; empty where it is."""
+    def _shows_in_forces(
+        self, finding: FoundEffect, before: Mapping[float, Array], after: Mapping[float, Array]
+    ) -> bool:
+        """Whether an effect changes predicted velocities, and not only the pose that belongs to them."""
+        without, with_it = (self._validator.velocities(s) for s in (before, after))
+        return not finding.of_sensors or Worth.of(without, with_it, self._settings).something(
+            self._settings.worth
+        )
+
+    def _doubt(self, finding: FoundEffect, bench: Bench, *, forces: bool) -> str:
+        """Why an effect is not established as the cause of what it explains; empty where it is.
+
+        forces: whether it explains any of the forces: else these say nothing about it.
+        """
         if words := left_open(finding, self._settings) or never_turned(finding, bench):
             return words
         if words := self._in_place_of_inertia(finding, bench):
@@ -504,7 +519,7 @@ class _Selector:
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
         variables = own_variables(finding.trial.candidate, *vehicles)
-        if not variables:
+        if not variables or not forces:
             return ""
         share = captured(bench.base, fit, bench.train, bench.test, variables)
         if share < self._settings.own_share:
