@@ -12,7 +12,7 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
 from undertow.identification.diagnosis.floors import in_words, noise_floors
-from undertow.identification.diagnosis.reference import predictable
+from undertow.identification.diagnosis.reference import is_disturbance, predictable
 from undertow.identification.diagnosis.result import Predictability
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
@@ -126,3 +126,26 @@ def _predictability(motion: str, **found: object) -> Predictability:
     }
     given = {"degree_of_freedom": motion, "of_motion": 0.1, "variables": {}, **size, **found}
     return Predictability.model_validate(given)
+
+
+@pytest.mark.parametrize(
+    ("high", "something", "noisy", "said"),
+    [
+        (0.10, False, (), True),
+        (0.25, False, (), False),  # the logs are too short to say that nothing hides there
+        (0.25, False, ("pitch",), True),  # but nothing can hide where the sensors' noise explains all
+        (0.10, True, ("pitch",), False),
+    ],
+)
+def test_nothing_hides_in_the_noise_of_the_sensors(
+    high: float, *, something: bool, noisy: tuple[str, ...], said: bool
+) -> None:
+    common = {"unit": "N m", "averaged_over": 1.0, "residual_rms": 1.0, "share": 0.0, "variables": {}}
+    rest = {"noise_share": 0.8, "disturbance_rms": 0.3, "of_motion": 0.01}
+    found = [
+        Predictability(degree_of_freedom="heave", interval=(0.0, 0.02), something=False, **common, **rest),
+        Predictability(
+            degree_of_freedom="pitch", interval=(0.0, high), something=something, **common, **rest
+        ),
+    ]
+    assert is_disturbance(found, noisy) == said

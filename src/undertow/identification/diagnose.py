@@ -157,7 +157,8 @@ class ResultBuilder:
     @cached_property
     def _verdict(self) -> Judgement:
         """The judgement, or that nothing is missing which these logs could show."""
-        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable):
+        noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
+        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable, noisy):
             return self.judgement
         if any(r.depends_on or r.spectrum or r.between_runs for r in self._left):
             return self.judgement

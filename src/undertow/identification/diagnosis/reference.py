@@ -9,7 +9,7 @@ is a lower bound.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -116,9 +116,13 @@ def _forces(
     return forces, _other_values(fit, [force.learned for force in forces])
 
 
-def is_disturbance(found: Sequence[Predictability]) -> bool:
-    """Whether the signals predict nothing, and these logs are long enough to say so."""
-    return not any(p.something or p.interval[1] > SETTINGS.most_hidden for p in found)
+def is_disturbance(found: Sequence[Predictability], noisy: Container[str] = ()) -> bool:
+    """Whether the signals predict nothing, and these logs are long enough to say so.
+
+    noisy: degrees of freedom in which the noise of the sensors explains all: nothing can hide there.
+    """
+    hidden = (p for p in found if p.interval[1] > SETTINGS.most_hidden)
+    return not any(p.something for p in found) and all(p.degree_of_freedom in noisy for p in hidden)
 
 
 def captured(

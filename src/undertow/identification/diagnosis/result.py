@@ -322,8 +322,9 @@ class Remaining(ResultTable):
 class AddedEffect(ResultTable):
     """An effect that was added where more than noise is left.
 
-    `falls` is the fall of the error of predicted velocities by horizon, as a share of it; `doubt` says why
-    the effect is not established as the cause, and is empty where it is.
+    `falls` is the fall of the error of predicted velocities by horizon, as a share of it, of an effect of the
+    sensors that of velocities and pose; `doubt` says why the effect is not established as the cause, and is
+    empty where it is.
     """
 
     effect: str
