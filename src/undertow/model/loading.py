@@ -48,13 +48,17 @@ def read_vehicle_table(path: Path) -> VehicleTable:
     return read_table(path, VehicleTable, "vehicle file")
 
 
-def read_table(path: Path, model: type[Content], kind: str) -> Content:
+def read_table(path: str | Path, model: type[Content], kind: str) -> Content:
     """Read a TOML file of a given kind and validate it."""
-    content = read_toml(path, kind)
+    return validated(read_toml(path, kind), model, str(path))
+
+
+def validated(content: Mapping[str, Any], model: type[Content], file: str) -> Content:
+    """The content of a TOML file as its model; `file` is what errors call it."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise UndertowError(f"{path}: {_first_complaint(error, model)}") from error
+        raise UndertowError(f"{file}: {_first_complaint(error, model)}") from error
 
 
 def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from undertow.errors import UndertowError
 from undertow.typing import Array, Progress
 
 from .bodies import AddedMass, transformation, transformed
-from .mesh import Faces, Mesh, base_mesh, bisected, each_edge, load_capytaine, quartered, subdivided
+from .mesh import Faces, Mesh, base_mesh, each_edge, load_capytaine, load_igl, quartered, subdivided
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,6 @@ class PanelRules:
 
     crease: float = 30.0  # degrees; edges that bend by less are taken for a coarsely drawn curve
     curved: int = 8000  # triangles from which a curve is drawn finely enough
-    candidates: int = 12  # triangles whose nearest point may be that of the surface
     missed: float = 0.05  # share of the volume that panels may miss
     finest: int = 3200  # panels of the finest of three meshes: some seconds, 0.5 GB
     fewest: int = 320  # panels of the finest mesh
@@ -44,10 +42,9 @@ def panels(mesh: Mesh, finest: int, crease: float = PANEL_RULES.crease) -> tuple
     smooth = mesh
     while len(smooth.faces) < PANEL_RULES.curved and _bends(smooth, crease):
         smooth = curved(smooth, crease)
-    onto = _Surface(bisected(smooth, float(np.sqrt(coarse.areas.mean()))))
-    first = Mesh(onto.nearest(coarse.vertices), coarse.faces)
-    second = _finer(first, onto)
-    third = _finer(second, onto)
+    first = _laid(coarse, smooth)
+    second = _laid(subdivided(first), smooth)
+    third = _laid(subdivided(second), smooth)
     _check_shape(third, smooth)
     return first, second, third
 
@@ -61,46 +58,11 @@ def _check_shape(panelled: Mesh, smooth: Mesh) -> None:
         )
 
 
-def _finer(mesh: Mesh, onto: _Surface) -> Mesh:
-    flat = subdivided(mesh)
-    return Mesh(onto.nearest(flat.vertices), flat.faces)
-
-
-class _Surface:
-    """Finds points on a surface whose triangles are of similar size."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        self._corners = mesh.corners
-        self._tree = KDTree(mesh.corners.mean(axis=1))
-
-    def nearest(self, points: Array) -> Array:
-        """The nearest point of the surface for each point, m, shape (n, 3)."""
-        count = min(PANEL_RULES.candidates, len(self._corners))
-        _, which = self._tree.query(points, k=count)
-        found = _on_triangles(points[:, None], self._corners[which.reshape(len(points), count)])
-        best = np.argmin(np.sum((found - points[:, None]) ** 2, axis=2), axis=1)
-        return np.asarray(found[np.arange(len(points)), best])
-
-
-def _on_triangles(points: Array, corners: Array) -> Array:
-    """Nearest points of triangles (..., 3 corners, 3) to points (..., 3)."""
-    a, b, c = (corners[..., i, :] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
-    flat = points - np.sum((points - a) * normal, axis=-1, keepdims=True) * normal
-    inside = np.stack(
-        [np.sum(np.cross(q - p, flat - p) * normal, axis=-1) >= 0 for p, q in ((a, b), (b, c), (c, a))]
-    )
-    ends = np.stack([_on_edge(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
-    nearest = np.argmin(np.sum((ends - points) ** 2, axis=-1), axis=0)
-    edge = np.take_along_axis(ends, nearest[None, ..., None], axis=0)[0]
-    return np.where(np.all(inside, axis=0)[..., None], flat, edge)
-
-
-def _on_edge(points: Array, a: Array, b: Array) -> Array:
-    along = b - a
-    share = np.sum((points - a) * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-300)
-    return np.asarray(a + np.clip(share, 0.0, 1.0)[..., None] * along)
+def _laid(mesh: Mesh, onto: Mesh) -> Mesh:
+    """The same triangles with every vertex at the nearest point of a surface."""
+    package = load_igl("cutting a hull into panels")
+    _, _, nearest = package.point_mesh_squared_distance(mesh.vertices, onto.vertices, onto.faces)
+    return Mesh(nearest, mesh.faces)
 
 
 def _bends(mesh: Mesh, crease: float) -> bool:
