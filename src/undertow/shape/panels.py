@@ -200,7 +200,7 @@ def added_mass_of_hull(
         found.append([])
         for j, coarse in enumerate(meshes):
             report((i + (0.0, 0.02, 0.15)[j]) / len(cases), f"{len(coarse.faces)} panels")
-            found[-1].append(_solved(cpt, coarse, mesh.centroid, density, depth, omega))
+            found[-1].append(_of_hull(cpt, coarse, mesh.centroid, density, depth, omega))
     missed = abs(meshes[-1].volume / mesh.volume - 1) if len(mesh.faces) > len(meshes[0].faces) else 0.0
     parts = [_extrapolated([part(f) for f in fs], missed) for fs in found for part in (np.real, np.imag)]
     sizes = tuple(len(m.faces) for m in meshes)
@@ -237,7 +237,7 @@ def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int
         )
 
 
-def _solved(
+def _of_hull(
     cpt: Any, mesh: Mesh, centre: Array, density: float, depth: float | None, omega: float
 ) -> NDArray[np.complex128]:
     """Added mass + i radiation damping about the centre of the hull, body axes, shape (6, 6)."""
@@ -247,22 +247,31 @@ def _solved(
         mesh=cpt.Mesh(vertices, mesh.faces), dofs=cpt.rigid_body_dofs(rotation_center=place), name="hull"
     )
     surface = np.inf if depth is None else 0.0
-    # Without a surface the frequency is of no matter; at an infinite one there are no waves to be tabulated.
+    # Without a surface the frequency is of no matter.
     frequency = 1.0 if depth is None else omega
-    waves = {} if np.isfinite(omega) else {"tabulation_nr": 0, "tabulation_nz": 0}
-    solver = cpt.BEMSolver(green_function=cpt.Delhommeau(**waves), method="direct")
     problems = [
         cpt.RadiationProblem(body=body, radiating_dof=dof, omega=frequency, free_surface=surface, rho=density)
         for dof in body.dofs
     ]
-    results = solver.solve_all(problems, keep_details=False, progress_bar=False)
-    found = np.array(
-        [[r.added_masses[dof] + 1j * r.radiation_dampings[dof] for dof in body.dofs] for r in results]
-    )
+    return radiated(solved(cpt, problems, omega))
+
+
+def solved(cpt: Any, problems: Sequence[Any], omega: float, method: str = "direct") -> list[Any]:
+    """Results of problems at one frequency; at an infinite one there are no waves to be tabulated."""
+    waves = {} if np.isfinite(omega) else {"tabulation_nr": 0, "tabulation_nz": 0}
+    solver = cpt.BEMSolver(green_function=cpt.Delhommeau(**waves), method=method)
+    return list(solver.solve_all(problems, keep_details=method == "indirect", progress_bar=False))
+
+
+def radiated(results: Sequence[Any]) -> NDArray[np.complex128]:
+    """Added mass + i radiation damping by the results for each motion, body axes, shape (6, 6)."""
+    body = results[0].body
+    found = np.array([[r.added_masses[d] + 1j * r.radiation_dampings[d] for d in body.dofs] for r in results])
     if not np.isfinite(found).all():  # it goes on after an error, with numbers that are none
+        count = body.mesh.nb_faces
         raise UndertowError(
-            f"capytaine gave no result for {len(mesh.faces)} panels, which take "
-            f"{PANEL_RULES.pair * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
+            f"capytaine gave no result for {count} panels, which take "
+            f"{PANEL_RULES.pair * count**2 / 1e9:.2g} GB of memory: choose fewer panels"
         )
     return transformed(found.real, UP) + 1j * transformed(found.imag, UP)
 

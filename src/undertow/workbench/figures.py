@@ -16,7 +16,7 @@ import numpy as np
 from undertow.figures import unit_text
 from undertow.identification.logs.run import UNITS, Run
 from undertow.identification.report.page import parameter_text
-from undertow.typing import Array
+from undertow.identification.report.pictures import thinned
 
 Figure = dict[str, Any]
 Line = list[float | None]
@@ -61,23 +61,6 @@ def typeset(latex: str) -> str | None:
     except ValueError:
         return None
     return f"data:image/svg+xml;base64,{b64encode(stream.getvalue()).decode()}"
-
-
-def thinned(t: Array, y: Array, pixels: int = SETTINGS.pixels) -> tuple[Array, Array]:
-    """A series of which every pixel keeps its least and its greatest value, each at its own time.
-
-    `t`, `y`: (n,); what is returned has at most 2 `pixels` entries. A pixel without any value is NaN.
-    """
-    size = math.ceil(len(t) / pixels)
-    if size <= 2:
-        return t, y
-    short = -len(t) % size
-    table = np.concatenate([y, np.full(short, np.nan)]).reshape(-1, size)
-    least = np.argmin(np.where(np.isnan(table), np.inf, table), axis=1)
-    most = np.argmax(np.where(np.isnan(table), -np.inf, table), axis=1)
-    columns = np.sort(np.column_stack([least, most]), axis=1)
-    rows = np.minimum((columns + size * np.arange(len(table))[:, None]).ravel(), len(t) - 1)
-    return t[rows], y[rows]
 
 
 def plain(values: Iterable[float], digits: int = 7) -> Line:
@@ -205,7 +188,7 @@ def _of_another_size(before: Run, run: Run, name: str) -> bool:
 def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour: str, said: str) -> Figure:
     first, last = np.searchsorted(run.t, window)
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
-    t, y = thinned(run.t[rows], run.channels[name][rows])
+    t, y = thinned(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
     return {
         "type": "scatter",
         "mode": "lines",
