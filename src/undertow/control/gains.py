@@ -17,7 +17,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.model.loading import is_file, read_table
 from undertow.model.symbols import DOFS, POSE
 from undertow.model.tables import FileTable, Identifier, Quantity
-from undertow.model.units import si_of, to_si
+from undertow.model.units import si_of
 from undertow.model.vehicle import Vehicle
 
 from .laws import LAWS, GainMatrix, Law, LawSignals
@@ -155,10 +155,7 @@ def _speed(allocation: AllocationTable) -> float:
     """Speed at which forces of fins are taken, m/s; zero where none is stated."""
     if allocation.speed is None:
         return 0.0
-    try:
-        speed = to_si(allocation.speed, "m/s")
-    except UndertowError as error:
-        raise UndertowError(f"[allocation] speed: {error}") from error
+    speed = si_of("[allocation] speed", allocation.speed, "m/s")
     if not LIMITS.speed[0] <= speed <= LIMITS.speed[1]:
         low, high = LIMITS.speed
         raise UndertowError(f"[allocation] speed = {allocation.speed}: give one from {low:g} to {high:g} m/s")

@@ -189,15 +189,12 @@ def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour:
     first, last = np.searchsorted(run.t, window)
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
     t, y = thinned(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": escaped(said),
-        "x": plain(t, 9),
-        "y": plain(y),
-        "yaxis": f"y{row if row > 1 else ''}",
-        "line": {"width": 1, "color": colour},
-    }
+    return _curve(plain(t, 9), plain(y), escaped(said), colour, 1, yaxis=f"y{row if row > 1 else ''}")
+
+
+def _curve(x: Sequence[Any], y: Sequence[Any], name: str, colour: str, width: float, **more: Any) -> Figure:
+    line = {"width": width, "color": colour}
+    return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": line, **more}
 
 
 def _band(start: float, end: float, colour: str, opacity: float) -> Figure:
@@ -275,8 +272,7 @@ def residual_in_time(result: Mapping[str, Any], run: int, dof: str, regime: str 
     unit = result["dofs"][dof]
     data = [
         *_ribbon(t, [0.0] * len(t), [1.96 * (n or 0.0) for n in noise], "#90a4ae", "noise of the sensors"),
-        {"type": "scatter", "mode": "lines", "name": "residual force", "x": t, "y": force}
-        | {"line": {"width": 1.2, "color": _MODEL}},
+        _curve(t, force, "residual force", _MODEL, 1.2),
     ]
     return _figure(
         data,
@@ -388,17 +384,7 @@ def simulation(
 
 
 def _trace(points: Sequence[Line], name: str, colour: str, axis: str, first: bool) -> Figure:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": points[0],
-        "y": points[1],
-        "name": name,
-        "legendgroup": name,
-        "showlegend": first,
-        "yaxis": axis,
-        "line": {"width": 1.3, "color": colour},
-    }
+    return _curve(points[0], points[1], name, colour, 1.3, legendgroup=name, showlegend=first, yaxis=axis)
 
 
 def waterfall(bars: Sequence[tuple[str, float | None]], unit: str, *, floor: float | None) -> Figure:
