@@ -14,7 +14,7 @@ import sympy as sm
 from pydantic import Field, StrictStr
 
 from undertow.errors import UndertowError, nearest
-from undertow.model.loading import is_file, read_table
+from undertow.model.loading import file_or_bundled, read_table
 from undertow.model.symbols import DOFS, POSE
 from undertow.model.tables import FileTable, Identifier, Quantity
 from undertow.model.units import si_of
@@ -127,7 +127,8 @@ def load_gains(
     that is missing, of the wrong size or unit, negative or not finite, and a law that needs a force that no
     thruster gives where the file does not say that it knows.
     """
-    path = _resolve(source)
+    otherwise = f"gains '{source}' are neither a file nor a bundled set"
+    path = file_or_bundled(source, bundled_gains(), otherwise)
     table = read_table(path, GainTable, "gain file")
     try:
         return gains_from_table(change(table) if change else table, vehicle)
@@ -160,18 +161,6 @@ def _speed(allocation: AllocationTable) -> float:
         low, high = LIMITS.speed
         raise UndertowError(f"[allocation] speed = {allocation.speed}: give one from {low:g} to {high:g} m/s")
     return speed
-
-
-def _resolve(source: str | Path) -> Path:
-    path, bundled = Path(source), bundled_gains()
-    if is_file(path):
-        return path
-    if str(source) in bundled:
-        return bundled[str(source)]
-    raise UndertowError(
-        f"gains '{source}' are neither a file nor a bundled set{nearest(str(source), bundled)}; "
-        f"bundled are {', '.join(bundled)}"
-    )
 
 
 # --- gains ------------------------------------------------------------------------------------

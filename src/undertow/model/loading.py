@@ -265,16 +265,19 @@ def load_vehicle(
 
 def resolve_vehicle(source: str | Path) -> Path:
     """The path that a user means by a path or the name of a bundled vehicle."""
+    otherwise = f"vehicle '{source}' is neither a file nor a bundled vehicle"
+    return file_or_bundled(source, bundled_vehicles(), otherwise)
+
+
+def file_or_bundled(source: str | Path, bundled: Mapping[str, Path], otherwise: str) -> Path:
+    """A file, or a bundled one by its name; `otherwise` says what is wrong with any other source."""
     path = Path(source)
-    bundled = bundled_vehicles()
     if is_file(path):
         return path
     if str(source) in bundled:
         return bundled[str(source)]
-    raise UndertowError(
-        f"vehicle '{source}' is neither a file nor a bundled vehicle{nearest(str(source), bundled)}; "
-        f"bundled are {', '.join(bundled) or 'none'}"
-    )
+    known = ", ".join(bundled) or "none"
+    raise UndertowError(f"{otherwise}{nearest(str(source), bundled)}; bundled are {known}")
 
 
 def is_file(path: Path) -> bool:
