@@ -5,6 +5,9 @@ VENV ?= .venv
 WORKERS ?= 2
 
 BIN := $(VENV)/bin
+# Workers, later runs and the programs that tests start share bytecode, also where the environment asks Python to
+# write none.
+export PYTHONDONTWRITEBYTECODE :=
 # Tests of a file stay together, so that what they share is made once.
 PYTEST := $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet

@@ -10,9 +10,10 @@ import pytest
 from matplotlib.mathtext import MathTextParser
 
 from undertow.identification.logs.run import Run
+from undertow.identification.report.pictures import thinned
 from undertow.model.catalogue import catalogue
 from undertow.model.describe import describe
-from undertow.workbench.figures import SETTINGS, channels, escaped, thinned, typeset, waterfall
+from undertow.workbench.figures import SETTINGS, channels, escaped, typeset, waterfall
 
 
 def test_a_million_samples_keep_every_peak_in_two_points_a_pixel() -> None:
@@ -20,7 +21,7 @@ def test_a_million_samples_keep_every_peak_in_two_points_a_pixel() -> None:
     t = np.arange(1_000_000) / 100.0
     y = rng.normal(size=len(t))
     y[[123_456, 777_777]] = 40.0, -50.0
-    short, values = thinned(t, y)
+    short, values = thinned(t, y, SETTINGS.pixels)
     assert len(short) <= 2 * SETTINGS.pixels
     assert (values.max(), values.min()) == (40.0, -50.0)
     assert short[values.argmax()] == t[123_456]
@@ -41,7 +42,7 @@ def test_each_pixel_keeps_its_own_range() -> None:
 def test_gaps_stay_gaps_and_short_series_stay_whole() -> None:
     t, y = np.arange(1000.0), np.ones(1000)
     y[300:500] = np.nan
-    assert thinned(t, y)[0] is t
+    assert thinned(t, y, 500)[0] is t
     short, values = thinned(t, y, 50)
     gap = (short >= 300) & (short < 500)
     assert np.isnan(values[gap]).all()

@@ -364,8 +364,14 @@ def known_effects(files: Iterable[Path] | None) -> dict[str, type[Effect]]:
     return merge(catalogue(), [cls for file in files or () for cls in load_effects(file)])
 
 
-def target_of(vehicle: str, out: Path | None, in_place: bool) -> Path | None:
-    """The vehicle file to be written, or None; one that the user has not asked to be replaced is refused."""
+def target_of(
+    vehicle: str, out: Path | None, in_place: bool, *beside: Path | None, inputs: Sequence[str | Path]
+) -> Path | None:
+    """The vehicle file to be written, or None; one that the user has not asked to be replaced is refused.
+
+    So is one that cannot be written, or is one of the `inputs`; the same of the files `beside` it.
+    """
+    from undertow.files import check_writable
     from undertow.model.loading import bundled_vehicles, resolve_vehicle
 
     path = resolve_vehicle(vehicle)
@@ -375,7 +381,9 @@ def target_of(vehicle: str, out: Path | None, in_place: bool) -> Path | None:
         raise UndertowError(f"'{vehicle}' comes with undertow and stays as it is: use --out")
     if out is not None and out.exists() and out.samefile(path):
         raise UndertowError(f"--out '{out}' is the vehicle file itself: name another, or give --in-place")
-    return path if in_place else out
+    target = path if in_place else out
+    check_writable(target, *beside, inputs=[*inputs, *([] if in_place else [vehicle])])
+    return target
 
 
 def new_file(target: Path, force: bool, inputs: Iterable[str | Path]) -> Path:

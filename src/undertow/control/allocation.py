@@ -8,7 +8,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.model.tables import Quantity
-from undertow.model.units import to_si
+from undertow.model.units import si_of
 
 from .gains import GainSet
 
@@ -82,10 +82,8 @@ def allocation_of(gains: GainSet) -> Allocation:
 def _limit(name: str, stated: Quantity, unit: str) -> float:
     """A limit as vehicle files state it: an angle, or in N where the command is the thrust itself."""
     newtons = isinstance(stated, str) and "N" in stated
-    try:
-        value = to_si(stated, "rad" if unit == "rad" else "N" if newtons else "command")
-    except UndertowError as error:
-        raise UndertowError(f"[allocation] limit of '{name}': {error}") from error
+    counted = "rad" if unit == "rad" else "N" if newtons else "command"
+    value = si_of(f"[allocation] limit of '{name}'", stated, counted)
     if value <= 0:
         raise UndertowError(f"[allocation] limit of '{name}' is {stated}: give one above zero")
     return value

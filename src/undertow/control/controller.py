@@ -19,7 +19,7 @@ from undertow.codegen.manifest import Entry
 from undertow.codegen.spelling import Dialect, Part, Struct, comment, filled, identifier, slug
 from undertow.errors import UndertowError
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
-from undertow.model.units import to_si
+from undertow.model.units import si_of
 
 from .allocation import Allocation, allocation_of
 from .gains import GainSet
@@ -219,10 +219,7 @@ class Controller:
     @cached_property
     def gate(self) -> float:
         """Error of the heading that opens the gate, rad."""
-        try:
-            return to_si(self.gains.schedule.gate, "rad")
-        except UndertowError as error:
-            raise UndertowError(f"[schedule] gate: {error}") from error
+        return si_of("[schedule] gate", self.gains.schedule.gate, "rad")
 
     @property
     def _by_turns(self) -> bool:

@@ -14,10 +14,10 @@ import sympy as sm
 from pydantic import Field, StrictStr
 
 from undertow.errors import UndertowError, nearest
-from undertow.model.loading import is_file, read_table
+from undertow.model.loading import file_or_bundled, read_table
 from undertow.model.symbols import DOFS, POSE
 from undertow.model.tables import FileTable, Identifier, Quantity
-from undertow.model.units import si_of, to_si
+from undertow.model.units import si_of
 from undertow.model.vehicle import Vehicle
 
 from .laws import LAWS, GainMatrix, Law, LawSignals
@@ -127,7 +127,8 @@ def load_gains(
     that is missing, of the wrong size or unit, negative or not finite, and a law that needs a force that no
     thruster gives where the file does not say that it knows.
     """
-    path = _resolve(source)
+    otherwise = f"gains '{source}' are neither a file nor a bundled set"
+    path = file_or_bundled(source, bundled_gains(), otherwise)
     table = read_table(path, GainTable, "gain file")
     try:
         return gains_from_table(change(table) if change else table, vehicle)
@@ -155,26 +156,11 @@ def _speed(allocation: AllocationTable) -> float:
     """Speed at which forces of fins are taken, m/s; zero where none is stated."""
     if allocation.speed is None:
         return 0.0
-    try:
-        speed = to_si(allocation.speed, "m/s")
-    except UndertowError as error:
-        raise UndertowError(f"[allocation] speed: {error}") from error
+    speed = si_of("[allocation] speed", allocation.speed, "m/s")
     if not LIMITS.speed[0] <= speed <= LIMITS.speed[1]:
         low, high = LIMITS.speed
         raise UndertowError(f"[allocation] speed = {allocation.speed}: give one from {low:g} to {high:g} m/s")
     return speed
-
-
-def _resolve(source: str | Path) -> Path:
-    path, bundled = Path(source), bundled_gains()
-    if is_file(path):
-        return path
-    if str(source) in bundled:
-        return bundled[str(source)]
-    raise UndertowError(
-        f"gains '{source}' are neither a file nor a bundled set{nearest(str(source), bundled)}; "
-        f"bundled are {', '.join(bundled)}"
-    )
 
 
 # --- gains ------------------------------------------------------------------------------------

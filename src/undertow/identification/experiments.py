@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.identification.logs.run import Run
 from undertow.model.saving import save_vehicle
 from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY
@@ -46,15 +46,11 @@ class Experiment:
 
     def __str__(self) -> str:
         logs = ", ".join(run.name for run in (*self.train, *self.test))
-        parts = [f"{_listed(self.vehicle.degrees_of_freedom)} free"]
-        parts += [f"{_listed(self.held)} held at rest"] if self.held else []
-        parts += [f"{_listed(self.moved)} as logged"] if self.moved else []
+        parts = [f"{listed(self.vehicle.degrees_of_freedom)} free"]
+        parts += [f"{listed(self.held)} held at rest"] if self.held else []
+        parts += [f"{listed(self.moved)} as logged"] if self.moved else []
         parts += ["driven by forces from outside"] if self.pushed else []
         return f"{'; '.join(parts)} ({logs})"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def on_rig(vehicle: Vehicle, runs: Sequence[Run]) -> bool:
@@ -170,7 +166,7 @@ class Together:
                 apart = abs(one.values[name] - other.values[name])
                 spread = float(np.hypot(one.standard_errors[name], other.standard_errors[name]))
                 if apart > SURE * spread:
-                    places = [_listed(f.model.functions.vehicle.degrees_of_freedom) for f in (one, other)]
+                    places = [listed(f.model.functions.vehicle.degrees_of_freedom) for f in (one, other)]
                     yield (
                         f"{name} is {one.values[name]:.4g} by {places[0]} and {other.values[name]:.4g} by "
                         f"{places[1]} (SNAME signs), {apart / spread:.1f} standard errors apart: one of them "

@@ -126,14 +126,20 @@ def propeller_values(
     table: ThrusterTable, parameters: Mapping[str, Parameter], signs: str
 ) -> dict[str, Value]:
     """Parameters that the table of a propeller states, by name."""
+    entries = {f"{key}_{table.name}": getattr(table.propeller, key, None) for key in PROPELLER_KEYS}
+    return _values(f"propeller of thruster '{table.name}'", entries, table.source, parameters, signs)
+
+
+def _values(
+    place: str, entries: Mapping[str, Any], source: str, parameters: Mapping[str, Parameter], signs: str
+) -> dict[str, Value]:
+    """Parameters that the entries of a table state, by name; `source` is that of entries without one."""
     found: dict[str, Value] = {}
-    for key in PROPELLER_KEYS:
-        entry = getattr(table.propeller, key, None)
+    for name, entry in entries.items():
         if entry is not None:
             stated = as_table(entry)
-            stated = stated if stated.source else stated.model_copy(update={"source": table.source})
-            parameter = parameters[f"{key}_{table.name}"]
-            found |= parameter_values(f"propeller of thruster '{table.name}'", parameter, stated, signs)
+            stated = stated if stated.source else stated.model_copy(update={"source": source})
+            found |= parameter_values(place, parameters[name], stated, signs)
     return found
 
 
@@ -237,14 +243,11 @@ def _propeller(place: str, table: SurfaceTable, thrusters: list[str]) -> tuple[s
 def surface_values(table: SurfaceTable, parameters: Mapping[str, Parameter], signs: str) -> dict[str, Value]:
     """Parameters that a surface's table states, by name; `parameters` are all those of surfaces, by name."""
     place = f"surface '{table.name}'"
-    found: dict[str, Value] = {}
-    for key, name in SURFACE_KEYS.items():
-        entry = _lift(place, table) if key == "lift_coefficient" else getattr(table, key)
-        if entry is not None:
-            stated = as_table(entry)
-            stated = stated if stated.source else stated.model_copy(update={"source": table.source})
-            found |= parameter_values(place, parameters[f"{name}_{table.name}"], stated, signs)
-    return found
+    entries = {
+        f"{name}_{table.name}": _lift(place, table) if key == "lift_coefficient" else getattr(table, key)
+        for key, name in SURFACE_KEYS.items()
+    }
+    return _values(place, entries, table.source, parameters, signs)
 
 
 def _lift(place: str, table: SurfaceTable) -> Any:

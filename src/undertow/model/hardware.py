@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -119,17 +119,21 @@ class Curve:
         clipped = ((max(b, min(command, e)) - b, c) for b, e, c in self.pieces)
         return self.start + sum(c * x**n for x, cs in clipped for n, c in enumerate(cs, 1))
 
+    @cached_property
+    def _falls(self) -> bool:
+        low, high = self.pieces[0][0], self.pieces[-1][1]
+        thrusts = [self.at(low + (high - low) * k / _GRID) for k in range(_GRID + 1)]
+        rounding = _FALL * abs(thrusts[-1] - thrusts[0])
+        return any(b < a - rounding for a, b in pairwise(thrusts))
+
     def inverse(self, thrust: float) -> float:
         """The command that gives a thrust, N, or the nearest one that the curve has.
 
         Refused where the curve falls somewhere: then several commands give the same thrust.
         """
-        low, high = self.pieces[0][0], self.pieces[-1][1]
-        grid = [low + (high - low) * k / _GRID for k in range(_GRID + 1)]
-        if any(
-            self.at(b) < self.at(a) - _FALL * abs(self.at(high) - self.at(low)) for a, b in pairwise(grid)
-        ):
+        if self._falls:
             raise UndertowError("the thrust falls with the command somewhere: no command belongs to a thrust")
+        low, high = self.pieces[0][0], self.pieces[-1][1]
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             low, high = (low, middle) if self.at(middle) >= thrust else (middle, high)

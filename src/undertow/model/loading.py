@@ -48,13 +48,17 @@ def read_vehicle_table(path: Path) -> VehicleTable:
     return read_table(path, VehicleTable, "vehicle file")
 
 
-def read_table(path: Path, model: type[Content], kind: str) -> Content:
+def read_table(path: str | Path, model: type[Content], kind: str) -> Content:
     """Read a TOML file of a given kind and validate it."""
-    content = read_toml(path, kind)
+    return validated(read_toml(path, kind), model, str(path))
+
+
+def validated(content: Mapping[str, Any], model: type[Content], file: str) -> Content:
+    """The content of a TOML file as its model; `file` is what errors call it."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise UndertowError(f"{path}: {_first_complaint(error, model)}") from error
+        raise UndertowError(f"{file}: {_first_complaint(error, model)}") from error
 
 
 def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
@@ -261,16 +265,19 @@ def load_vehicle(
 
 def resolve_vehicle(source: str | Path) -> Path:
     """The path that a user means by a path or the name of a bundled vehicle."""
+    otherwise = f"vehicle '{source}' is neither a file nor a bundled vehicle"
+    return file_or_bundled(source, bundled_vehicles(), otherwise)
+
+
+def file_or_bundled(source: str | Path, bundled: Mapping[str, Path], otherwise: str) -> Path:
+    """A file, or a bundled one by its name; `otherwise` says what is wrong with any other source."""
     path = Path(source)
-    bundled = bundled_vehicles()
     if is_file(path):
         return path
     if str(source) in bundled:
         return bundled[str(source)]
-    raise UndertowError(
-        f"vehicle '{source}' is neither a file nor a bundled vehicle{nearest(str(source), bundled)}; "
-        f"bundled are {', '.join(bundled) or 'none'}"
-    )
+    known = ", ".join(bundled) or "none"
+    raise UndertowError(f"{otherwise}{nearest(str(source), bundled)}; bundled are {known}")
 
 
 def is_file(path: Path) -> bool:

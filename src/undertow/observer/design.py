@@ -10,10 +10,10 @@ from typing import Annotated, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from undertow.errors import UndertowError, nearest
-from undertow.files import read_toml
+from undertow.model.loading import read_table
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.tables import FileTable, Quantity
 from undertow.model.units import to_si
@@ -223,12 +223,7 @@ def load_observer(path: str | Path, vehicle: Vehicle) -> Design:
     UndertowError
         If the file cannot be read, or names sensors or states that the vehicle does not have.
     """
-    try:
-        table = ObserverTable.model_validate(read_toml(path, "observer file"))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise UndertowError(f"{path}: {where}: {first['msg'].lower()}: see docs/observer.md") from error
+    table = read_table(path, ObserverTable, "observer file")
     try:
         return design(table, vehicle)
     except UndertowError as error:

@@ -13,10 +13,10 @@ from scipy.optimize import brentq
 from undertow.errors import UndertowError
 from undertow.typing import Array, Progress
 
-from .bodies import AddedMass, transformed
+from .bodies import AddedMass
 from .first import GRAVITY
 from .mesh import Mesh, load_capytaine
-from .panels import UP, panels
+from .panels import UP, panels, radiated, solved
 
 Complex = NDArray[np.complex128]
 
@@ -218,14 +218,8 @@ class FloatingBody:
 
     def _radiated(self, body: Any, omega: float) -> Complex:
         """Added mass + i radiation damping about the origin, body axes, shape (6, 6), symmetric."""
-        results = self._solve(body, self._radiation_problems(body, omega), "direct", omega)
-        found = np.array(
-            [[r.added_masses[d] + 1j * r.radiation_dampings[d] for d in body.dofs] for r in results]
-        )
-        if not np.isfinite(found).all():
-            raise UndertowError(f"capytaine gave no result at {omega:.4g} rad/s: choose fewer panels")
-        found = (found + found.T) / 2
-        return transformed(found.real, UP) + 1j * transformed(found.imag, UP)
+        found = radiated(solved(self._cpt, self._radiation_problems(body, omega), omega))
+        return (found + found.T) / 2
 
     def _radiation_problems(self, body: Any, omega: float) -> list[Any]:
         return [
@@ -234,11 +228,6 @@ class FloatingBody:
             )
             for d in body.dofs
         ]
-
-    def _solve(self, body: Any, problems: Sequence[Any], method: str, omega: float) -> list[Any]:
-        waves = {} if np.isfinite(omega) else {"tabulation_nr": 0, "tabulation_nz": 0}
-        solver = self._cpt.BEMSolver(green_function=self._cpt.Delhommeau(**waves), method=method)
-        return list(solver.solve_all(problems, keep_details=method == "indirect", progress_bar=False))
 
     # --- a regular wave ---------------------------------------------------------------------------
     def regular_wave(self, omega: float, inertia: Array) -> RegularWave:
@@ -256,7 +245,7 @@ class FloatingBody:
             )
             for h in headings
         ]
-        scattered = self._solve(self._body, problems, "direct", omega)
+        scattered = solved(self._cpt, problems, omega)
         pressed = self._cpt.bem.airy_waves.froude_krylov_force
         dofs = list(self._body.dofs)
         forces = np.array(
@@ -274,8 +263,8 @@ class FloatingBody:
         margin = 0.1
         count = FLOATING_RULES.theta
         theta = np.linspace(-np.pi - margin, 2 * np.pi + margin, count + count // 2)
-        radiating = self._solve(self._body, self._radiation_problems(self._body, omega), "indirect", omega)
-        scattering = self._solve(self._body, problems, "indirect", omega)
+        radiating = solved(self._cpt, self._radiation_problems(self._body, omega), omega, "indirect")
+        scattering = solved(self._cpt, problems, omega, "indirect")
         out = np.array([kochin(r, theta) for r in radiating])
         scattered = np.array([kochin(r, theta) for r in scattering])
         return _mean_drift(

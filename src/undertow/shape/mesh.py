@@ -271,6 +271,14 @@ def load_capytaine() -> Any:
     return package
 
 
+def load_igl(purpose: str) -> Any:
+    """The package igl; `purpose` is what it is needed for."""
+    try:
+        return importlib.import_module("igl")
+    except ImportError as error:
+        raise UndertowError(f"{purpose} needs libigl: {INSTALL}") from error
+
+
 _LETTERS = {"F": (0, 1), "B": (0, -1), "R": (1, 1), "L": (1, -1), "D": (2, 1), "U": (2, -1)}
 _STL_HEAD, _STL_FACET = 84, np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 
@@ -503,12 +511,7 @@ def each_edge(mesh: Mesh) -> tuple[Faces, Faces]:
 
 def _simplified(mesh: Mesh, count: int) -> Mesh:
     """At most some `count` triangles, by the collapse of edges that changes the surface least."""
-    try:
-        package: Any = importlib.import_module("igl")
-    except ImportError as error:
-        raise UndertowError(
-            f"a hull of {len(mesh.faces)} triangles has to be simplified, which needs libigl: {INSTALL}"
-        ) from error
+    package = load_igl(f"a hull of {len(mesh.faces)} triangles has to be simplified, which")
     points, faces, *_ = package.qslim(mesh.vertices - mesh.centroid, mesh.faces, count)
     found, _ = mended(
         Mesh(np.asarray(points, dtype=float), np.asarray(faces, dtype=np.int64)),

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from undertow.errors import UndertowError
 from undertow.typing import Array, Progress
 
 from .bodies import AddedMass, transformation, transformed
-from .mesh import Faces, Mesh, base_mesh, bisected, each_edge, load_capytaine, quartered, subdivided
+from .mesh import Faces, Mesh, base_mesh, each_edge, load_capytaine, load_igl, quartered, subdivided
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,6 @@ class PanelRules:
 
     crease: float = 30.0  # degrees; edges that bend by less are taken for a coarsely drawn curve
     curved: int = 8000  # triangles from which a curve is drawn finely enough
-    candidates: int = 12  # triangles whose nearest point may be that of the surface
     missed: float = 0.05  # share of the volume that panels may miss
     finest: int = 3200  # panels of the finest of three meshes: some seconds, 0.5 GB
     fewest: int = 320  # panels of the finest mesh
@@ -44,10 +42,9 @@ def panels(mesh: Mesh, finest: int, crease: float = PANEL_RULES.crease) -> tuple
     smooth = mesh
     while len(smooth.faces) < PANEL_RULES.curved and _bends(smooth, crease):
         smooth = curved(smooth, crease)
-    onto = _Surface(bisected(smooth, float(np.sqrt(coarse.areas.mean()))))
-    first = Mesh(onto.nearest(coarse.vertices), coarse.faces)
-    second = _finer(first, onto)
-    third = _finer(second, onto)
+    first = _laid(coarse, smooth)
+    second = _laid(subdivided(first), smooth)
+    third = _laid(subdivided(second), smooth)
     _check_shape(third, smooth)
     return first, second, third
 
@@ -61,46 +58,11 @@ def _check_shape(panelled: Mesh, smooth: Mesh) -> None:
         )
 
 
-def _finer(mesh: Mesh, onto: _Surface) -> Mesh:
-    flat = subdivided(mesh)
-    return Mesh(onto.nearest(flat.vertices), flat.faces)
-
-
-class _Surface:
-    """Finds points on a surface whose triangles are of similar size."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        self._corners = mesh.corners
-        self._tree = KDTree(mesh.corners.mean(axis=1))
-
-    def nearest(self, points: Array) -> Array:
-        """The nearest point of the surface for each point, m, shape (n, 3)."""
-        count = min(PANEL_RULES.candidates, len(self._corners))
-        _, which = self._tree.query(points, k=count)
-        found = _on_triangles(points[:, None], self._corners[which.reshape(len(points), count)])
-        best = np.argmin(np.sum((found - points[:, None]) ** 2, axis=2), axis=1)
-        return np.asarray(found[np.arange(len(points)), best])
-
-
-def _on_triangles(points: Array, corners: Array) -> Array:
-    """Nearest points of triangles (..., 3 corners, 3) to points (..., 3)."""
-    a, b, c = (corners[..., i, :] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
-    flat = points - np.sum((points - a) * normal, axis=-1, keepdims=True) * normal
-    inside = np.stack(
-        [np.sum(np.cross(q - p, flat - p) * normal, axis=-1) >= 0 for p, q in ((a, b), (b, c), (c, a))]
-    )
-    ends = np.stack([_on_edge(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
-    nearest = np.argmin(np.sum((ends - points) ** 2, axis=-1), axis=0)
-    edge = np.take_along_axis(ends, nearest[None, ..., None], axis=0)[0]
-    return np.where(np.all(inside, axis=0)[..., None], flat, edge)
-
-
-def _on_edge(points: Array, a: Array, b: Array) -> Array:
-    along = b - a
-    share = np.sum((points - a) * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-300)
-    return np.asarray(a + np.clip(share, 0.0, 1.0)[..., None] * along)
+def _laid(mesh: Mesh, onto: Mesh) -> Mesh:
+    """The same triangles with every vertex at the nearest point of a surface."""
+    package = load_igl("cutting a hull into panels")
+    _, _, nearest = package.point_mesh_squared_distance(mesh.vertices, onto.vertices, onto.faces)
+    return Mesh(nearest, mesh.faces)
 
 
 def _bends(mesh: Mesh, crease: float) -> bool:
@@ -238,7 +200,7 @@ def added_mass_of_hull(
         found.append([])
         for j, coarse in enumerate(meshes):
             report((i + (0.0, 0.02, 0.15)[j]) / len(cases), f"{len(coarse.faces)} panels")
-            found[-1].append(_solved(cpt, coarse, mesh.centroid, density, depth, omega))
+            found[-1].append(_of_hull(cpt, coarse, mesh.centroid, density, depth, omega))
     missed = abs(meshes[-1].volume / mesh.volume - 1) if len(mesh.faces) > len(meshes[0].faces) else 0.0
     parts = [_extrapolated([part(f) for f in fs], missed) for fs in found for part in (np.real, np.imag)]
     sizes = tuple(len(m.faces) for m in meshes)
@@ -275,7 +237,7 @@ def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int
         )
 
 
-def _solved(
+def _of_hull(
     cpt: Any, mesh: Mesh, centre: Array, density: float, depth: float | None, omega: float
 ) -> NDArray[np.complex128]:
     """Added mass + i radiation damping about the centre of the hull, body axes, shape (6, 6)."""
@@ -285,22 +247,31 @@ def _solved(
         mesh=cpt.Mesh(vertices, mesh.faces), dofs=cpt.rigid_body_dofs(rotation_center=place), name="hull"
     )
     surface = np.inf if depth is None else 0.0
-    # Without a surface the frequency is of no matter; at an infinite one there are no waves to be tabulated.
+    # Without a surface the frequency is of no matter.
     frequency = 1.0 if depth is None else omega
-    waves = {} if np.isfinite(omega) else {"tabulation_nr": 0, "tabulation_nz": 0}
-    solver = cpt.BEMSolver(green_function=cpt.Delhommeau(**waves), method="direct")
     problems = [
         cpt.RadiationProblem(body=body, radiating_dof=dof, omega=frequency, free_surface=surface, rho=density)
         for dof in body.dofs
     ]
-    results = solver.solve_all(problems, keep_details=False, progress_bar=False)
-    found = np.array(
-        [[r.added_masses[dof] + 1j * r.radiation_dampings[dof] for dof in body.dofs] for r in results]
-    )
+    return radiated(solved(cpt, problems, omega))
+
+
+def solved(cpt: Any, problems: Sequence[Any], omega: float, method: str = "direct") -> list[Any]:
+    """Results of problems at one frequency; at an infinite one there are no waves to be tabulated."""
+    waves = {} if np.isfinite(omega) else {"tabulation_nr": 0, "tabulation_nz": 0}
+    solver = cpt.BEMSolver(green_function=cpt.Delhommeau(**waves), method=method)
+    return list(solver.solve_all(problems, keep_details=method == "indirect", progress_bar=False))
+
+
+def radiated(results: Sequence[Any]) -> NDArray[np.complex128]:
+    """Added mass + i radiation damping by the results for each motion, body axes, shape (6, 6)."""
+    body = results[0].body
+    found = np.array([[r.added_masses[d] + 1j * r.radiation_dampings[d] for d in body.dofs] for r in results])
     if not np.isfinite(found).all():  # it goes on after an error, with numbers that are none
+        count = body.mesh.nb_faces
         raise UndertowError(
-            f"capytaine gave no result for {len(mesh.faces)} panels, which take "
-            f"{PANEL_RULES.pair * len(mesh.faces) ** 2 / 1e9:.2g} GB of memory: choose fewer panels"
+            f"capytaine gave no result for {count} panels, which take "
+            f"{PANEL_RULES.pair * count**2 / 1e9:.2g} GB of memory: choose fewer panels"
         )
     return transformed(found.real, UP) + 1j * transformed(found.imag, UP)
 

@@ -16,7 +16,7 @@ import numpy as np
 from undertow.figures import unit_text
 from undertow.identification.logs.run import UNITS, Run
 from undertow.identification.report.page import parameter_text
-from undertow.typing import Array
+from undertow.identification.report.pictures import thinned
 
 Figure = dict[str, Any]
 Line = list[float | None]
@@ -61,23 +61,6 @@ def typeset(latex: str) -> str | None:
     except ValueError:
         return None
     return f"data:image/svg+xml;base64,{b64encode(stream.getvalue()).decode()}"
-
-
-def thinned(t: Array, y: Array, pixels: int = SETTINGS.pixels) -> tuple[Array, Array]:
-    """A series of which every pixel keeps its least and its greatest value, each at its own time.
-
-    `t`, `y`: (n,); what is returned has at most 2 `pixels` entries. A pixel without any value is NaN.
-    """
-    size = math.ceil(len(t) / pixels)
-    if size <= 2:
-        return t, y
-    short = -len(t) % size
-    table = np.concatenate([y, np.full(short, np.nan)]).reshape(-1, size)
-    least = np.argmin(np.where(np.isnan(table), np.inf, table), axis=1)
-    most = np.argmax(np.where(np.isnan(table), -np.inf, table), axis=1)
-    columns = np.sort(np.column_stack([least, most]), axis=1)
-    rows = np.minimum((columns + size * np.arange(len(table))[:, None]).ravel(), len(t) - 1)
-    return t[rows], y[rows]
 
 
 def plain(values: Iterable[float], digits: int = 7) -> Line:
@@ -205,16 +188,13 @@ def _of_another_size(before: Run, run: Run, name: str) -> bool:
 def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour: str, said: str) -> Figure:
     first, last = np.searchsorted(run.t, window)
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
-    t, y = thinned(run.t[rows], run.channels[name][rows])
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "name": escaped(said),
-        "x": plain(t, 9),
-        "y": plain(y),
-        "yaxis": f"y{row if row > 1 else ''}",
-        "line": {"width": 1, "color": colour},
-    }
+    t, y = thinned(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
+    return _curve(plain(t, 9), plain(y), escaped(said), colour, 1, yaxis=f"y{row if row > 1 else ''}")
+
+
+def _curve(x: Sequence[Any], y: Sequence[Any], name: str, colour: str, width: float, **more: Any) -> Figure:
+    line = {"width": width, "color": colour}
+    return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": line, **more}
 
 
 def _band(start: float, end: float, colour: str, opacity: float) -> Figure:
@@ -292,8 +272,7 @@ def residual_in_time(result: Mapping[str, Any], run: int, dof: str, regime: str 
     unit = result["dofs"][dof]
     data = [
         *_ribbon(t, [0.0] * len(t), [1.96 * (n or 0.0) for n in noise], "#90a4ae", "noise of the sensors"),
-        {"type": "scatter", "mode": "lines", "name": "residual force", "x": t, "y": force}
-        | {"line": {"width": 1.2, "color": _MODEL}},
+        _curve(t, force, "residual force", _MODEL, 1.2),
     ]
     return _figure(
         data,
@@ -405,17 +384,7 @@ def simulation(
 
 
 def _trace(points: Sequence[Line], name: str, colour: str, axis: str, first: bool) -> Figure:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": points[0],
-        "y": points[1],
-        "name": name,
-        "legendgroup": name,
-        "showlegend": first,
-        "yaxis": axis,
-        "line": {"width": 1.3, "color": colour},
-    }
+    return _curve(points[0], points[1], name, colour, 1.3, legendgroup=name, showlegend=first, yaxis=axis)
 
 
 def waterfall(bars: Sequence[tuple[str, float | None]], unit: str, *, floor: float | None) -> Figure:

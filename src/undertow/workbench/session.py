@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_text, write_whole
-from undertow.identification.doctor.findings import Edit, as_toml, into_file, read_edits
+from undertow.identification.doctor.findings import as_toml, edits_of, into_file, read_edits
 from undertow.identification.logs.checks import MEASURABLE
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping, place_beside, read_mapping
 from undertow.identification.logs.run import Run
@@ -250,10 +250,7 @@ class Workspace:
             return
         out = self.folder / "mapping-given.toml"
         content = used.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude={"schema_"})
-        tables = {key: value for key, value in content.items() if isinstance(value, dict)}
-        edits = [Edit("", key, value) for key, value in content.items() if key not in tables]
-        edits += [Edit(table, key, value) for table, own in tables.items() for key, value in own.items()]
-        write_whole(out, as_toml(edits, whole=True) + "\n")
+        write_whole(out, as_toml(edits_of(content), whole=True) + "\n")
         self.session.mapping = str(out.absolute())
 
     def write_mapping(self) -> None:

@@ -27,6 +27,7 @@ from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
 from undertow.identification.report.data import RunTraces
 from undertow.identification.report.page import estimate_text, render_report
+from undertow.identification.report.pictures import thinned
 from undertow.identification.report.results import addition_sentence
 from undertow.identification.report.scaffold import check_id, effect_file, suggested
 from undertow.identification.report.tables import report_data, simulated
@@ -40,7 +41,7 @@ from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .figures import plain, thinned
+from .figures import plain
 from .session import FORCE, REFITTED, ModelStep, Workspace
 
 Result = dict[str, Any]

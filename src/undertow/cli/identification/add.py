@@ -59,16 +59,15 @@ def add(
     picture: Annotated[Path | None, _PICTURE] = None,
     json: JsonFileOption = None,
 ) -> int:
-    from undertow.files import check_folder, check_writable, together, write_whole
+    from undertow.files import check_folder, together, write_whole
     from undertow.identification.api import result_of, save_addition, try_effect
     from undertow.identification.long_logs.choosing import FIT
     from undertow.model.catalogue import lookup
 
     known = options.known
     lookup(effect, known)  # before any log is read
-    target = target_of(vehicle, out, in_place)
-    read: list[str | Path] = [*logs, *(holdout or []), *options.files]
-    check_writable(target, picture, json, inputs=[*read, *([] if in_place else [vehicle])])
+    read = [*logs, *(holdout or []), *options.files]
+    target = target_of(vehicle, out, in_place, picture, json, inputs=read)
     if target is not None and codegen:
         check_folder(build)
     loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT, out=target)

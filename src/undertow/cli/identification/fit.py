@@ -95,14 +95,12 @@ def fit(
     force: Annotated[bool, _FORCE] = False,
     json: JsonFileOption = None,
 ) -> int:
-    from undertow.files import check_writable
     from undertow.identification.api import fit as refit
     from undertow.identification.experiments import experiments, on_rig, refitted
     from undertow.identification.long_logs.choosing import FIT
 
-    target = target_of(vehicle, out, in_place)
-    read: list[str | Path] = [*logs, *(holdout or []), *options.files]
-    check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
+    read = [*logs, *(holdout or []), *options.files]
+    target = target_of(vehicle, out, in_place, json, inputs=read)
     loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=FIT, out=target)
     model, train, test, _, _ = loaded
     parts = experiments(model, train, test)  # one, of the vehicle itself, where no rig holds a motion

@@ -71,11 +71,9 @@ def identify(
     out: OutOption = None,
     in_place: InPlaceOption = False,
 ) -> None:
-    from undertow.files import check_writable, together, write_whole
+    from undertow.files import together, write_whole
 
-    target = target_of(vehicle, out, in_place)
-    read: list[str | Path] = [*logs, *options.files]
-    check_writable(target, json, inputs=[*read, *([] if in_place else [vehicle])])
+    target = target_of(vehicle, out, in_place, json, inputs=[*logs, *options.files])
     if figures is not None:
         _check_figures(figures, logs, stream)
     done = _identified(vehicle, logs, cases, edges, stream, options)

@@ -111,15 +111,13 @@ class BodyOptions:
 
     def _target(self, inputs: Sequence[Path]) -> Path | None:
         """The vehicle file to be written; what could not be done after the work is refused before it."""
-        from undertow.files import check_writable
-
         if self.into is None and (self.out is not None or self.in_place):
             raise UndertowError("--out and --in-place are for --into VEHICLE: name the vehicle file")
         if not 0 < self.sigma < float("inf"):
             raise UndertowError(f"--sigma {self.sigma:g} is not a share: give a number above 0, such as 0.1")
-        target = None if self.into is None else target_of(self.into, self.out, self.in_place)
-        check_writable(target, inputs=inputs)
-        return target
+        if self.into is None:
+            return None
+        return target_of(self.into, self.out, self.in_place, inputs=inputs)
 
     def _write(
         self, vehicle: Vehicle, added: AddedMass, radiation: Sequence[Radiation], target: Path | None

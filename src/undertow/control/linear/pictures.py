@@ -57,11 +57,8 @@ def _bode(found: Analysis, channels: Sequence[Channel]) -> Figure:
     angle.axhline(-180.0, color=FAINT, linewidth=0.8, linestyle=":")
     size.set_ylabel(f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
     angle.set(ylabel="phase [deg]", xlabel="frequency [rad/s]", xlim=(omega[0], omega[-1]))
-    angle.yaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 1.5, 3, 4.5, 9, 10], min_n_ticks=3))
-    size.set_title(_title(found, what))
-    size.legend()
-    _grids(axes)
-    return shown
+    angle.yaxis.set_major_locator(_degrees())
+    return _titled(shown, axes, _title(found, what))
 
 
 def _opened(found: Analysis, channels: Sequence[Channel]) -> tuple[list[tuple[str, Any]], str, str]:
@@ -124,10 +121,7 @@ def _nyquist(found: Analysis, channels: Sequence[Channel]) -> Figure:
     axis.set_aspect("equal", adjustable="datalim")
     words = f" [{unit}]" if unit else ""
     axis.set(xlabel=f"real part{words}", ylabel=f"imaginary part{words}")
-    axis.set_title(_title(found, f"Nyquist, {what}"))
-    axis.legend()
-    _grids(axes)
-    return shown
+    return _titled(shown, axes, _title(found, f"Nyquist, {what}"))
 
 
 def _nichols(found: Analysis, channels: Sequence[Channel]) -> Figure:
@@ -140,11 +134,8 @@ def _nichols(found: Analysis, channels: Sequence[Channel]) -> Figure:
     _, what, unit = _drawn(found, channels, draw)
     axis.plot(-180.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.8, label="-180 deg, 0 dB")
     axis.set(xlabel="phase [deg]", ylabel=f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
-    axis.set_title(_title(found, f"Nichols, {what}"))
-    axis.xaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 1.5, 3, 4.5, 9, 10], min_n_ticks=3))
-    axis.legend()
-    _grids(axes)
-    return shown
+    axis.xaxis.set_major_locator(_degrees())
+    return _titled(shown, axes, _title(found, f"Nichols, {what}"))
 
 
 def _singular_values(found: Analysis, channels: Sequence[Channel]) -> Figure:
@@ -159,10 +150,7 @@ def _singular_values(found: Analysis, channels: Sequence[Channel]) -> Figure:
         axis.semilogx(omega, decibels(row), color=colour, label=f"singular value {i}")
     axis.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
     axis.set(xlabel="frequency [rad/s]", ylabel="singular value [dB re SI]", xlim=(omega[0], omega[-1]))
-    axis.set_title(_title(found, f"singular values, {words}"))
-    axis.legend()
-    _grids(axes)
-    return shown
+    return _titled(shown, axes, _title(found, f"singular values, {words}"))
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -215,10 +203,7 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
     if not found.dt:
         _stretch(axis, own)
     _plane(axis, found.dt)
-    axis.set_title(_title(found, "poles of the loop" if found.loop else "poles"))
-    axis.legend()
-    _grids(axes)
-    return shown
+    return _titled(shown, axes, _title(found, "poles of the loop" if found.loop else "poles"))
 
 
 def _both(modes: Sequence[Any]) -> list[complex]:
@@ -302,6 +287,18 @@ def _members(found: Analysis, name: str, channels: Sequence[Channel]) -> list[An
 
 def _cycle(count: int) -> list[str]:
     return [COLOURS[i % len(COLOURS)] for i in range(count)]
+
+
+def _degrees() -> MaxNLocator:
+    """Ticks of an axis in degrees, such as every 15, 30, 45 or 90."""
+    return MaxNLocator(nbins=8, steps=[1, 1.5, 3, 4.5, 9, 10], min_n_ticks=3)
+
+
+def _titled(shown: Figure, axes: Any, title: str) -> Figure:
+    axes[0, 0].set_title(title)
+    axes[0, 0].legend()
+    _grids(axes)
+    return shown
 
 
 def _grids(axes: Any) -> None:

@@ -20,7 +20,7 @@ from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
 from .findings import Edits, Finding, as_toml, delay_edit
 from .kinematics import Kinematics, Samples, Stretch
-from .mistakes import Undo, with_channels
+from .mistakes import Undo, they_are, with_channels
 from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
 
 _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
@@ -88,8 +88,7 @@ def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]
     and velocities hardly have anything in common without it either, no clock is to blame.
     """
     clear = [one for one in found if one.clear(runs[0].step)]
-    known = kinematics.rates(runs)
-    weight = 1.0 / np.sqrt(known.variance + 1e-12 * np.mean(known.pose**2 + known.velocity**2, axis=0))
+    weight = kinematics.rates(runs).weight
 
     def misfit(chosen: Sequence[Latency]) -> float:
         rates = kinematics.rates(without_latencies(runs, chosen))
@@ -127,8 +126,7 @@ def _delays(
     What else sensors do to velocities is fitted beside them: in a steady turn a late position looks like one
     of a sensor off the origin.
     """
-    known = kinematics.rates(runs)
-    weight = 1.0 / np.sqrt(known.variance + 1e-12 * np.mean(known.pose**2 + known.velocity**2, axis=0))
+    weight = kinematics.rates(runs).weight
     step, count, size = runs[0].step, len(sources), SETTINGS.cluster * len(kinematics.rows)
 
     def left(shift: Array) -> Array:
@@ -257,11 +255,11 @@ def clock_findings(
     drifting: set[str] = set()
     for one in shifts(kinematics, without_latencies(runs, found)):
         if abs(one.drift) > max(SETTINGS.sure * one.drift_error, step):
-            names, verb = _listed(one.names)
-            how = f"{names} {verb} {{:+.2f}} s late at the beginning of a run and {{:+.2f}} s at its end"
+            late_by = f"{they_are(one.names)} {{:+.2f}} s late"
+            how = f"{late_by} at the beginning of a run and {{:+.2f}} s at its end"
             drifting |= {*one.names, *one.poses}
             delay = one.delay + late.get(one.names[0], 0.0) - max(late.get(n, 0.0) for n in one.poses)
-            yield _two_clocks(f"{names} and the pose", how, delay, one.drift, one.drift_error)
+            yield _two_clocks(f"{', '.join(one.names)} and the pose", how, delay, one.drift, one.drift_error)
     steady = [one for one in found if not drifting & {*one.names}]
     yield from (late_source(one, mapping) for one in steady if one.clear(step))
     if steady and any(run.reported for run in runs):
@@ -277,13 +275,8 @@ def clock_findings(
         )
 
 
-def _listed(names: tuple[str, ...]) -> tuple[str, str]:
-    return ", ".join(names), "is" if len(names) == 1 else "are"
-
-
 def late_source(one: Latency, mapping: LogMapping) -> Finding:
     """The finding on a source that is late, and the lines of the mapping file that mend it."""
-    names, verb = _listed(one.names)
     early = one.delay < 0
     described = {*one.names} <= {*VELOCITY[:3]} and not early
     effect = ", or the effect sensor_delay describes it" if described else ""
@@ -292,7 +285,7 @@ def late_source(one: Latency, mapping: LogMapping) -> Finding:
     return Finding(
         id="late_velocity" if one.names[0] in VELOCITY else "late_pose",
         severity="warning",
-        text=f"{names} {verb} {abs(one.delay):.3f} ± {one.error:.1g} s {when} "
+        text=f"{they_are(one.names)} {abs(one.delay):.3f} ± {one.error:.1g} s {when} "
         f"{', '.join(one.against)}{why}; a `delay` in the mapping file mends it{effect}",
         evidence={"delay": one.delay, "error": one.error},
         mapping=as_toml(delay_edits(one, mapping)),

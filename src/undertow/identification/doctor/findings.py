@@ -186,7 +186,11 @@ def as_toml(edits: Iterable[Edit], *, whole: bool = False) -> str:
 
 def read_edits(lines: str) -> Edits:
     """The changes that the lines of a finding stand for: the way back of `as_toml`."""
-    content = tomllib.loads(lines)
+    return edits_of(tomllib.loads(lines))
+
+
+def edits_of(content: TypingMapping[str, Any]) -> Edits:
+    """The changes that state all of a mapping file's content."""
     tables = {key: value for key, value in content.items() if isinstance(value, dict)}
     on_top = [Edit("", key, value) for key, value in content.items() if key not in tables]
     inside = [Edit(table, key, value) for table, own in tables.items() for key, value in own.items()]

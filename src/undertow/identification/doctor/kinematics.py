@@ -84,6 +84,11 @@ class Rates:
     velocity: Array
     variance: Array
 
+    @property
+    def weight(self) -> Array:
+        """What their difference is multiplied with for noise of one."""
+        return 1.0 / np.sqrt(self.variance + 1e-12 * np.mean(self.pose**2 + self.velocity**2, axis=0))
+
 
 @dataclass(frozen=True)
 class Mismatch:

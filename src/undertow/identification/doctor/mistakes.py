@@ -346,7 +346,7 @@ def read_in_degrees(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         factor = 180 / np.pi if deg else np.pi / 180
         yield Mistake(
             "radians_for_degrees" if deg else "degrees_for_radians",
-            f"{_listed(names)} in {is_in}, read as {read_as}",
+            f"{they_are(names)} in {is_in}, read as {read_as}",
             _rescaled(names, factor, np.pi / 2 if attitude_of(mapping) == "ENU" else 0.0),
             lambda m, names=names, deg=deg: _unit_edits(m, names, "rad" if deg else "deg"),  # type: ignore[misc]
         )
@@ -492,9 +492,9 @@ def turned_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         yield exchanged("turned_velocity", f"u and v are of a sensor that is mounted turned {how}", places)
 
 
-def _listed(names: tuple[str, ...]) -> str:
-    verb = "is" if len(names) == 1 else "are"
-    return f"{', '.join(names)} {verb}"
+def they_are(names: tuple[str, ...]) -> str:
+    """The names of channels with "is" or "are"."""
+    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'}"
 
 
 KINDS: tuple[Callable[[LogMapping, set[str]], Iterator[Mistake]], ...] = (

@@ -192,7 +192,7 @@ def _water(linear: list[str]) -> Callable[[Samples, Stretch], Array]:
 def fit_sensor(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, sensor: Sensor) -> SensorFit:
     """Fit one kind of deviation to what pose rates and velocities differ by."""
     regressor = regressor_of(kinematics, runs, sensor)
-    weight = 1.0 / np.sqrt(rates.variance + 1e-12 * np.mean(rates.pose**2 + rates.velocity**2, axis=0))
+    weight = rates.weight
     table = (regressor * weight[:, :, None]).reshape(-1, regressor.shape[2])
     target = ((rates.pose - rates.velocity) * weight).ravel()
     value, error = clustered_least_squares(table, target, SETTINGS.cluster * len(kinematics.rows))

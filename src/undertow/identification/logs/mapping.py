@@ -12,11 +12,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
+from undertow.model.loading import validated
 from undertow.model.units import to_si
 from undertow.typing import Array
 
@@ -167,10 +168,7 @@ def read_mapping(path: str | Path) -> LogMapping:
         raise UndertowError(
             f"mapping file {path} has schema {data.get('schema')!r}: write schema = {SCHEMA!r} on top"
         )
-    try:
-        mapping = LogMapping.model_validate(data)
-    except ValidationError as error:
-        raise UndertowError(f"mapping file {path}: {_first_fault(error)}") from error
+    mapping = validated(data, LogMapping, f"mapping file {path}")
     _refuse_twins(mapping, path)
     return mapping
 
@@ -204,31 +202,6 @@ def _table_of(entries: dict[str, Any]) -> Table:
         inline = tomlkit.inline_table()
         table[name] = inline.update(entry) or inline if isinstance(entry, dict) else entry
     return table
-
-
-def _first_fault(error: ValidationError) -> str:
-    # An unknown key explains a missing one (chanel: channel is missing), so it is reported first.
-    fault = min(error.errors(include_url=False), key=lambda one: one["type"] != "extra_forbidden")
-    place = [str(part) for part in fault["loc"]]
-    key = ".".join(place)
-    if fault["type"] == "extra_forbidden":
-        known = _keys_beside(place)
-        return f"unknown key {key!r}{nearest(place[-1], known)}: known here are {', '.join(known)}"
-    if fault["type"] == "missing":
-        return f"key {key!r} is missing: add it"
-    return f"{key} = {str(fault['input'])[:80]!r}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def _keys_beside(place: list[str]) -> list[str]:
-    sections: dict[str, type[BaseModel]] = {
-        "time": Time,
-        "frames": Frames,
-        "water": Water,
-        "columns": Column,
-        "channels": Channel,
-    }
-    model = LogMapping if len(place) == 1 else sections[place[0]]
-    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 def _refuse_twins(mapping: LogMapping, path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.files import json_ready
 from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.windows import Prediction, cut
@@ -123,11 +124,11 @@ def _errors(name: str, tally: _Tally, motion: Array, names: tuple[str, ...]) -> 
     ]
     return ModelOnTheRest(
         model=name,
-        error=_finite(_mean(whole)),
-        channels={n: _finite(float(e)) for n, e in zip(names, whole, strict=True)},
+        error=json_ready(_mean(whole)),
+        channels={n: json_ready(float(e)) for n, e in zip(names, whole, strict=True)},
         diverged=tally.diverged,
-        lowest=_finite(min(pieces, default=np.nan)),
-        highest=_finite(max(pieces, default=np.nan)),
+        lowest=json_ready(min(pieces, default=np.nan)),
+        highest=json_ready(max(pieces, default=np.nan)),
     )
 
 
@@ -140,7 +141,3 @@ def _mean(shares: Array) -> float:
     """Geometric mean of the errors of the velocities that there are."""
     known = shares[np.isfinite(shares)]
     return float(np.exp(np.mean(np.log(np.maximum(known, 1e-12))))) if len(known) else float("nan")
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -13,6 +13,7 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.files import json_ready
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import free_parameters
@@ -270,8 +271,8 @@ def _result(
         logs=[_whole(spool, i in kept) for i, spool in enumerate(spools)],
         every=found.thin,
         rate=1.0 / (found.step * found.thin),
-        fastest=_finite(found.fastest),
-        slowest=_finite(found.slowest),
+        fastest=json_ready(found.fastest),
+        slowest=json_ready(found.slowest),
         stretches=len(cut),
         seconds=usual,
         chosen=[s for pool, choice, role in tables for s in _stretches(spools, pool, choice, role, motions)],
@@ -316,10 +317,6 @@ def _stretch(spool: Spool, s: Stretch, gain: Array, role: Role, motions: Sequenc
         gain=float(gain.sum()),
         most=motions[int(np.argmax(gain))],
     )
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 # --- what stretches tell -------------------------------------------------------------------------------

@@ -33,8 +33,7 @@ _LOST = 3.0  # usual times between samples without one that break a line
 _SPANS = 1.0
 # Few enough colours that the colour bar is drawn as lines and not put into the page as an image.
 _HEAT = colormaps["YlOrRd"].resampled(40)
-_POINTS = 500
-_BUCKETS = _POINTS // 2
+_BUCKETS = 250  # of a line, each a pixel or two wide
 
 
 def _plain_number(value: float, _: int) -> str:
@@ -241,12 +240,12 @@ def _limits(axis: Any, trace: Trace) -> None:
     axis.set_ylim(low - room, high + room)
 
 
-def thinned(t: Array, values: Array) -> tuple[Array, Array]:
-    """At most `_POINTS` points that look the same: the least and largest value of every bucket, gaps kept."""
-    if len(t) <= _POINTS:
+def thinned(t: Array, values: Array, buckets: int = _BUCKETS) -> tuple[Array, Array]:
+    """Two points a bucket that look the same: its least and largest value at their own times, gaps kept."""
+    if len(t) <= 2 * buckets:
         return t, values
     kept = []
-    for bucket in np.array_split(np.arange(len(t)), _BUCKETS):
+    for bucket in np.array_split(np.arange(len(t)), buckets):
         finite = bucket[np.isfinite(values[bucket])]
         if len(finite):
             gap = bucket[~np.isfinite(values[bucket])][:1]
