@@ -60,7 +60,7 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
     known = {"constant_force": ut.catalogue()["constant_force"]}
     diagnosed = ut.diagnose(vehicle, [train], [test], known=known).before
     again = ut.fit(fit.vehicle, [train], [test]).fit
-    ahead = setup.validator.ahead(done.vehicle)
+    ahead = setup.validator.ahead(done.vehicle)[0]
     assert added.before.ahead == pytest.approx({h: ahead[h] for h in added.before.ahead}, rel=1e-3)
     for parameter, value in fit.values.items():
         error = fit.standard_errors[parameter]
