@@ -61,8 +61,8 @@ class QuadraticSettings:
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
     tilt: float = 2.0  # roll and pitch that are allowed for, times those of the start
-    # Degrees of freedom up to which P is a full matrix. Beyond, it has a block for each axis (one for those
-    # that the heading mixes): the program takes seconds then instead of minutes.
+    # Degrees of freedom up to which P is a full matrix. Beyond, it has a block for each axis, as gains have:
+    # the program takes seconds then instead of minutes.
     most_full: int = 4
 
 
@@ -170,25 +170,16 @@ class Program:
         return Interval(A.lo * ratio, A.hi * ratio)
 
     # --- the program ----------------------------------------------------------------------------
-    @cached_property
-    def blocks(self) -> Array:
-        """By axis the block of P that it belongs to, shape (n,).
-
-        V of uncoupled axes is the same with the signs of an axis turned round. Where A depends on the
-        heading, x and y are coupled whenever the vehicle heads neither north nor east, and so is psi.
-        """
-        n, names = self.loop.n, self.search.problem.coordinates
-        if not self.search.problem.decoupled and n <= SETTINGS.most_full:
-            return np.zeros(n, dtype=int)
-        turned = {"x", "y", "psi"} if "psi" in self.loop.angles else set()
-        return np.array([-1 if c in turned else i for i, c in enumerate(names)])
+    @property
+    def _apart(self) -> bool:
+        """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
+        return self.search.problem.decoupled or self.loop.n > SETTINGS.most_full
 
     @cached_property
     def basis(self) -> Array:
-        """Symmetric matrices that P is a sum of, (k, size, size)."""
-        size = self.loop.size
-        block = np.tile(self.blocks, size // self.loop.n)
-        pairs = [(i, j) for i in range(size) for j in range(i, size) if block[i] == block[j]]
+        """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
+        n, size = self.loop.n, self.loop.size
+        pairs = [(i, j) for i in range(size) for j in range(i, size) if not self._apart or i % n == j % n]
         found = np.zeros((len(pairs), size, size))
         for k, (i, j) in enumerate(pairs):
             found[k, i, j] = found[k, j, i] = 1.0
@@ -407,11 +398,11 @@ class Program:
         return [r for r in kept.values() if np.any(r.states != 0)]
 
     def _upright(self, row: Array) -> Array:
-        """The row with the first number of each block positive, which leaves V as it is."""
-        found, block = row + 0.0, np.tile(self.blocks, len(row) // self.loop.n)  # no zero with a sign
-        for own in (block == b for b in set(self.blocks)):
-            found[own] *= -1.0 if found[own][np.argmax(found[own] != 0)] < 0 else 1.0
-        return found + 0.0
+        """The row with its first number positive, and that of each axis where this leaves V as it is."""
+        columns = row.reshape(-1, self.loop.n) if self._apart else row[:, None]
+        first = np.argmax(columns != 0, axis=0)
+        signs = np.where(columns[first, np.arange(len(first))] < 0, -1.0, 1.0)
+        return np.asarray((columns * signs).ravel() + 0.0)  # no zero with a sign
 
     @cached_property
     def speed_rows(self) -> Array:
