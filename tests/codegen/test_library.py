@@ -29,7 +29,8 @@ from undertow.model.loading import bundled_vehicles, load_vehicle
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-ffp-contract=off")
 ARM = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 SINGLE = "-DMINI_AUV_SINGLE"
-NEEDED = {"vehicle": (), "jacobians": ("vehicle",), "thrusters": (), "paper_pid": (), "usbl": ()}
+NEEDED = {"vehicle": (), "jacobians": ("vehicle",), "thrusters": (), "paper_pid": ()}
+NEEDED |= {"usbl_ekf": (), "usbl_ukf": ()}
 PARTS = tuple(NEEDED)
 
 
@@ -49,7 +50,7 @@ def _auv() -> Library:
     vehicle = load_vehicle("mini-auv")
     limits = {"limits": {"f2": "3 N"}}
     change = lambda t: t.model_copy(update={"allocation": t.allocation.model_copy(update=limits)})  # noqa: E731
-    return library_of(vehicle, [load_gains("paper-pid", vehicle, change)], [usbl()])
+    return library_of(vehicle, [load_gains("paper-pid", vehicle, change)], [usbl("ekf"), usbl("ukf")])
 
 
 def _built(library: Library, place: Path, *flags: str) -> Any:
@@ -204,7 +205,7 @@ def test_it_fits_a_cortex_m4(tmp_path: Path) -> None:
     on_board = [flash[f"mini_auv_{part}.c"] for part in ("vehicle", "thrusters", "paper_pid")]
     assert 0 < sum(on_board) < 8_000
     stack = {s.function: s.stack for s in stacks}
-    assert {"mini_auv_dynamics", "mini_auv_paper_pid_step", "mini_auv_usbl_predict"} <= set(stack)
+    assert {"mini_auv_dynamics", "mini_auv_paper_pid_step", "mini_auv_usbl_ukf_predict"} <= set(stack)
     assert stack["mini_auv_paper_pid_step"] < 1_000
 
 

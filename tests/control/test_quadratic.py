@@ -261,6 +261,24 @@ def test_products_read_in_other_ways_hold_a_larger_start() -> None:
     assert without.start > 1
 
 
+def test_a_full_p_holds_no_smaller_start_where_the_heading_couples_axes() -> None:
+    """Heading between north and east, the unequal gains of x and y and the inertia of the vehicle mix."""
+    problem, start = thick_water(UNEQUAL, 5.2), dict.fromkeys(("x", "y", "z", "psi"), 0.05)
+    found = []
+    for coupled in (False, True):
+        looked = Search(problem, start, coupled=coupled)
+        looked.centre = np.pi / 4
+        program = Program(looked, Bounds(np.full(4, 0.3), {"psi": 0.3}))
+        proposal = program.solve()
+        assert proposal is not None
+        found.append(proposal)
+    separate, full = found
+    x, y = 4, 5  # errors
+    assert separate.P[x, y] == 0
+    assert full.P[x, y] != 0
+    assert full.start < separate.start * (1 + SETTINGS.slack)
+
+
 def test_thrusters_that_push_and_turn_either_way_both_have_room_left() -> None:
     """With coupled axes V changes when surge alone turns round: each of a pair has its own bound."""
     limited = HEAVE.replace("LIMIT", "").replace("0.16]", "0.16]\nlimit = 0.2")

@@ -23,7 +23,7 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value
 from undertow.observer.design import Design, ObserverTable, design, load_observer
-from undertow.observer.filters import Observer, Reports
+from undertow.observer.filters import Method, Observer, Reports
 from undertow.observer.observer_c import observer_c
 from undertow.observer.process import AT_REST
 
@@ -79,17 +79,19 @@ def test_a_sampling_interval_over_which_the_prediction_grows_is_refused() -> Non
         loop.run(Scenario(to, 2.0, 0.1))
 
 
-def with_current() -> Design:
-    return design(table(estimate=["V_N", "V_E"], disturbance=DISTURBANCE | WALK), load_vehicle("mini-auv"))
+def with_current(method: Method = "ekf") -> Design:
+    more = {"estimate": ["V_N", "V_E"], "disturbance": DISTURBANCE | WALK}
+    return design(table(name=f"usbl {method}", filter=method, **more), load_vehicle("mini-auv"))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
-def test_the_filter_in_c_is_that_of_python(tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["ekf", "ukf"])
+def test_the_filter_in_c_is_that_of_python(method: Method, tmp_path: Path) -> None:
     compiler = find_compiler()
     if compiler is None:
         pytest.skip("no C compiler on this machine")
-    observer = with_current()
-    library = Library(observer.process.vehicle, [("usbl", lambda c: observer_c(observer, c))])
+    observer, own = with_current(method), f"mini_auv_usbl_{method}"
+    library = Library(observer.process.vehicle, [(f"usbl-{method}", lambda c: observer_c(observer, c))])
     folder = library.write(tmp_path).folder
     strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off", "-Isrc")
     command = [
@@ -97,7 +99,7 @@ def test_the_filter_in_c_is_that_of_python(tmp_path: Path) -> None:
         *strict,
         "-fPIC",
         "-shared",
-        "src/mini_auv_usbl.c",
+        f"src/{own}.c",
         "-lm",
         "-o",
         "observer.so",
@@ -107,8 +109,8 @@ def test_the_filter_in_c_is_that_of_python(tmp_path: Path) -> None:
     library = ctypes.CDLL(str(folder / "observer.so"))
     n, rows, dt = observer.process.x.numel(), 40, 0.1
     x, P = np.zeros(n), np.zeros((n, n))
-    p = ctypes.c_void_p(ctypes.addressof(ctypes.c_double.in_dll(library, "mini_auv_usbl_parameters_default")))
-    library.mini_auv_usbl_start(_pointer(x), _pointer(P), p)
+    p = ctypes.c_void_p(ctypes.addressof(ctypes.c_double.in_dll(library, f"{own}_parameters_default")))
+    getattr(library, f"{own}_start")(_pointer(x), _pointer(P), p)
     np.testing.assert_allclose(P, AT_REST.covariance(observer.process), rtol=1e-15)
     t, rng = dt * np.arange(rows), np.random.default_rng(5)
     u = np.column_stack([np.full(rows, -7.15), np.sin(t), np.full(rows, -7.15), np.cos(t)])
@@ -117,16 +119,16 @@ def test_the_filter_in_c_is_that_of_python(tmp_path: Path) -> None:
         y[:: k + 1, i] = 0.1 * rng.standard_normal(len(y[:: k + 1]))
     variance = np.ones(8)
     variance[list(observer.channels)] = observer.variance
-    python = Observer(observer.process, observer.densities).run(Reports(t, u, y, variance), x, P)
+    python = Observer(observer.process, observer.densities).run(Reports(t, u, y, variance), x, P, method)
     for k in range(rows):
         held = np.ascontiguousarray(u[max(k - 1, 0)])
         if k:
             now, step = ctypes.c_double(t[k - 1]), ctypes.c_double(t[k] - t[k - 1])
             new = _pointer(x), _pointer(P)
-            library.mini_auv_usbl_predict(*new, _pointer(held), p, now, step, *new)
+            getattr(library, f"{own}_predict")(*new, _pointer(held), p, now, step, *new)
         for name, i in zip(observer.sensors, observer.channels, strict=True):
             if np.isfinite(y[k, i]):
-                update = getattr(library, f"mini_auv_usbl_update_{name}")
+                update = getattr(library, f"{own}_update_{name}")
                 update.restype = ctypes.c_double
                 report = ctypes.c_double(y[k, i])
                 nis = update(_pointer(x), _pointer(P), _pointer(held), p, ctypes.c_double(t[k]), report)
@@ -173,6 +175,14 @@ def test_compiled_loops_with_an_observer_are_those_of_the_virtual_machine() -> N
     runs = [ClosedLoop(gains, observer=observer, compiled=c).run(scenario) for c in (True, False)]
     for name, values in runs[0].estimated.items():
         np.testing.assert_allclose(values, runs[1].estimated[name], rtol=1e-8, atol=1e-10)
+
+
+def test_a_loop_with_sigma_points_finds_the_current() -> None:
+    gains = load_gains("paper-pd", load_vehicle("mini-auv"))
+    loop = ClosedLoop(gains, auv(V_N=0.05, V_E=-0.03), observer=with_current("ukf"), compiled=False)
+    record = loop.run(Scenario((0.0, 0.0, 1.0, 0.5), 20.0, 0.1))
+    assert record.estimated["V_N"][-1] == pytest.approx(0.05, abs=0.02)
+    assert record.estimated["V_E"][-1] == pytest.approx(-0.03, abs=0.02)
 
 
 def test_poles_of_the_loop_are_those_of_the_law_and_of_the_filter() -> None:

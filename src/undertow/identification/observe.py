@@ -357,7 +357,9 @@ def csv(observed: Observed) -> str:
     return pl.DataFrame(columns).fill_nan(None).write_csv()
 
 
-def observer_file(observed: Observed | ObservedLogs, runs: Sequence[Run], name: str) -> str:
+def observer_file(
+    observed: Observed | ObservedLogs, runs: Sequence[Run], name: str, method: Method = "ekf"
+) -> str:
     """An observer file (TOML): the sensors of logs with noise and rates, and the noise that was found.
 
     Of several logs, root mean squares of the noise, and the median of the rates.
@@ -365,7 +367,7 @@ def observer_file(observed: Observed | ObservedLogs, runs: Sequence[Run], name: 
     import tomlkit
 
     document = tomlkit.document()
-    document.update({"schema": SCHEMA, "name": name, "process": observed.process})
+    document.update({"schema": SCHEMA, "name": name, "process": observed.process, "filter": method})
     first = observed.each[0] if isinstance(observed, ObservedLogs) else observed
     document["estimate"] = list(first.parameters)
     sensors = tomlkit.table()

@@ -21,7 +21,16 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .filters import SETTINGS as FILTER
-from .filters import Believed, Observer, corrected, predicted
+from .filters import (
+    Believed,
+    Method,
+    Observer,
+    added_noise,
+    corrected,
+    moved_point,
+    predicted,
+    reported_point,
+)
 from .process import AT_REST, Kind, Process, process_of
 
 SCHEMA = "undertow/observer/1"
@@ -55,6 +64,7 @@ class ObserverTable(FileTable):
     name: Annotated[str, Field(min_length=1, max_length=80)]
     description: str = ""
     process: Kind = "model"
+    filter: Method = "ekf"
     estimate: list[str] = Field(default_factory=list)
     sensors: dict[str, SensorTable]
     # Root of the spectral density of the white noise on the rate of each driven state, SI times s^0.5.
@@ -71,10 +81,12 @@ class Numbers(NamedTuple):
 
 
 class Numbered(NamedTuple):
-    """The functions of an observer with its numbers p as an input, and the values of p by name."""
+    """The functions of an observer by name, with its numbers p as an input, and the values of p by name.
 
-    predict: ca.Function
-    updates: Mapping[str, ca.Function]
+    An extended filter has `predict` and one for each sensor, an unscented one what happens at one point.
+    """
+
+    functions: Mapping[str, ca.Function]
     values: Mapping[str, float]
 
 
@@ -95,6 +107,7 @@ class Design:
     variance: Array
     period: Array
     densities: Array  # spectral densities of the noise that drives the process
+    method: Method = "ekf"
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -119,7 +132,8 @@ class Design:
     def _prediction(self, numbers: Numbers, p: ca.SX) -> ca.Function:
         x, P, u, t = self._symbols
         dt = ca.SX.sym("dt")
-        new = predicted(self.process, x, P, u, numbers.vehicle, numbers.densities, t, dt)[:2]
+        given = x, P, u, numbers.vehicle, numbers.densities, t, dt
+        new = predicted(self.process, *given, self.method)[:2]
         outputs = [ca.densify(o) for o in ca.cse(list(new))]
         return _function("predict", {"x": x, "P": P, "u": u, "p": p, "t": t, "dt": dt}, outputs, ["xn", "Pn"])
 
@@ -149,9 +163,29 @@ class Design:
         values = [*process.values.tolist(), *map(float, roots), FILTER.gate]
         symbols = [*vehicle, *noise, *drive, gate]
         p = ca.vertcat(*symbols)
-        updates = {name: self._updating(k, numbers, p) for k, name in enumerate(self.sensors)}
         named = {e.name(): v for e, v in zip(symbols, values, strict=True)}
-        return Numbered(self._prediction(numbers, p), updates, named)
+        if self.method == "ukf":
+            return Numbered(self._of_points(numbers, p), named)
+        updates = {f"with_{name}": self._updating(k, numbers, p) for k, name in enumerate(self.sensors)}
+        return Numbered({"predict": self._prediction(numbers, p)} | updates, named)
+
+    def _of_points(self, numbers: Numbers, p: ca.SX) -> dict[str, ca.Function]:
+        """What an unscented filter has besides its points: a motion, its noise, and the reports."""
+        x, _, u, t = self._symbols
+        dt, given = ca.SX.sym("dt"), {"x": x, "u": u, "p": p, "t": t}
+        moved = moved_point(self.process)(x, u, numbers.vehicle, t, dt)
+        added = added_noise(self.process, x, u, numbers.vehicle, numbers.densities, t, dt)
+        reports = {
+            f"reported_{name}": _function(
+                "reported", given, [reported_point(self.process, i)(x, u, numbers.vehicle, t)], ["z"]
+            )
+            for i, name in zip(self.channels, self.sensors, strict=True)
+        }
+        timed = given | {"dt": dt}
+        return {
+            "moved": _function("moved", timed, [moved], ["xn"]),
+            "noise": _function("noise", timed, [ca.densify(ca.cse(added))], ["Pn"]),
+        } | reports
 
     def _believed(
         self,
@@ -166,7 +200,8 @@ class Design:
     ) -> Believed:
         own, channel = numbers or self._numbers, self.channels[sensor]
         r = own.variance[sensor]
-        return corrected(self.process, channel, x, P, u, own.vehicle, t, y, r, there, own.gate)
+        given = x, P, u, own.vehicle, t, y, r, there, own.gate
+        return corrected(self.process, channel, *given, self.method)
 
     @property
     def _symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -252,7 +287,13 @@ def design(table: ObserverTable, vehicle: Vehicle) -> Design:
     densities = np.array([table.disturbance[n] for n in process.driven_names]) ** 2
     Observer(process, densities)
     return Design(
-        table.name, process, tuple(channels), np.array(noise) ** 2, np.array(period, dtype=float), densities
+        table.name,
+        process,
+        tuple(channels),
+        np.array(noise) ** 2,
+        np.array(period, dtype=float),
+        densities,
+        table.filter,
     )
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from math import log, pi, remainder
+from functools import lru_cache
+from math import log, pi
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.compiler import Evaluator, compiled_or_virtual, load
+from undertow.codegen.compiler import compiled_or_virtual, load
 from undertow.codegen.functions import wrapped
 from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
@@ -41,6 +41,16 @@ class FilterSettings:
     most_rows: int = 200_000
     # Share of the largest eigenvalue, in standard deviations, that counts as a state without uncertainty.
     rounding: float = 1e-13
+
+    def reach(self, n: int) -> float:
+        """Squared distance of the sigma points of n states from their mean, in standard deviations."""
+        return self.alpha**2 * (n + self.kappa)
+
+    def weights(self, n: int) -> tuple[float, float, float]:
+        """Of the centre in means, of any other point, and of the centre in covariances."""
+        share = 0.5 / self.reach(n)
+        centre = 1 - 2 * n * share
+        return centre, share, centre + 1 - self.alpha**2 + self.beta
 
 
 SETTINGS = FilterSettings()
@@ -124,11 +134,12 @@ def propagate(process: Process, x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX, dt: ca.S
     return runge_kutta(rates, [x, ca.SX.eye(x.numel())], [dt, dt])
 
 
-def discrete_noise(process: Process, a: ca.SX, q: ca.SX, dt: ca.SX) -> ca.SX:
+def added_noise(process: Process, x: ca.SX, u: ca.SX, p: ca.SX, q: ca.SX, t: ca.SX, dt: ca.SX) -> ca.SX:
     """Covariance that white noise of spectral densities q adds in dt, shape (nx, nx).
 
     The integral of e^{As} Q e^{A's} over dt as a series: its terms follow from L -> A L + L A'.
     """
+    _, a, _, _ = process.system(x, u, p, t)
     n = process.x.numel()
     term = ca.SX(n, n)
     for k, i in enumerate(process.driven):
@@ -142,13 +153,27 @@ def discrete_noise(process: Process, a: ca.SX, q: ca.SX, dt: ca.SX) -> ca.SX:
 
 
 def predicted(
-    process: Process, x: ca.SX, P: ca.SX, u: ca.SX, p: ca.SX, q: ca.SX, t: ca.SX, dt: ca.SX
+    process: Process,
+    x: ca.SX,
+    P: ca.SX,
+    u: ca.SX,
+    p: ca.SX,
+    q: ca.SX,
+    t: ca.SX,
+    dt: ca.SX,
+    method: Method = "ekf",
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """State and covariance after dt, and the covariance of the state before with it."""
-    new, phi = propagate(process, x, u, p, t, dt)
-    _, a, _, _ = process.system(x, u, p, t)
-    cross = P @ phi.T
-    return new, _symmetric(phi @ cross + discrete_noise(process, a, q, dt)), cross
+    if method == "ukf":
+        before = sigma_points(x, P)
+        after = at_points(moved_point(process), before, u, p, t, dt)
+        new, spread = gathered(after)
+        grown, cross = covariance(spread, spread), covariance(gathered(before)[1], spread)
+    else:
+        new, phi = propagate(process, x, u, p, t, dt)
+        cross = P @ phi.T
+        grown = phi @ cross
+    return new, _symmetric(grown + added_noise(process, x, u, p, q, t, dt)), cross
 
 
 @dataclass(frozen=True)
@@ -174,8 +199,13 @@ def corrected(
     r: ca.SX,
     there: ca.SX,
     gate: ca.SX,
+    method: Method = "ekf",
 ) -> Believed:
-    """State after one report, in Joseph's form, which keeps a covariance positive."""
+    """State after one report, by an extended filter in Joseph's form, which keeps a covariance positive."""
+    if method == "ukf":
+        points = sigma_points(x, P)
+        seen = at_points(reported_point(process, channel), points, u, p, t)
+        return weighed(x, points, seen, y, r, there, gate, wraps=bool(process.angles[channel]))
     _, _, seen, slopes = process.system(x, u, p, t)
     h = slopes[channel, :]
     error = y - seen[channel]
@@ -189,6 +219,70 @@ def corrected(
     return Believed(
         x + gain * error, _symmetric(rest @ P @ rest.T + gain @ gain.T * r), error, variance, used
     )
+
+
+# --- sigma points ---------------------------------------------------------------------------------
+def sigma_points(x: ca.SX, P: ca.SX) -> ca.SX:
+    """Points with mean x and covariance P, by the columns of its Cholesky factor, shape (2 n + 1, n)."""
+    n = x.numel()
+    root = ca.SX.zeros(n, n)
+    for j in range(n):
+        rest = P[j:, j] - root[j:, :j] @ root[j, :j].T
+        root[j:, j] = ca.if_else(rest[0] > SETTINGS.rounding * P[j, j], rest / ca.sqrt(rest[0]), 0)
+    off = float(np.sqrt(SETTINGS.reach(n))) * root.T
+    return ca.repmat(x.T, 2 * n + 1, 1) + ca.vertcat(ca.SX.zeros(1, n), off, -off)
+
+
+def at_points(function: ca.Function, points: ca.SX, *given: ca.SX) -> ca.SX:
+    """Values of a function at all points, shape (2 n + 1, k)."""
+    return ca.vertcat(*[function(points[i, :], *given).T for i in range(points.size1())])
+
+
+def gathered(points: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Mean of points, shape (k, 1), and their deviations from it, shape (2 n + 1, k)."""
+    n = points.size1() // 2
+    centre, share, _ = SETTINGS.weights(n)
+    mean = share * ca.sum1(points[1:, :]) + centre * points[0, :]
+    return mean.T, points - ca.repmat(mean, 2 * n + 1, 1)
+
+
+def covariance(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Of deviations of points, shape (2 n + 1, k) each."""
+    n = a.size1() // 2
+    _, share, spread = SETTINGS.weights(n)
+    return share * a[1:, :].T @ b[1:, :] + spread * a[0, :].T @ b[0, :]
+
+
+@lru_cache(maxsize=8)
+def moved_point(process: Process) -> ca.Function:
+    """`xn = moved(x, u, p, t, dt)`: one state after dt."""
+    given, dt = (process.x, process.u, process.p, process.t), ca.SX.sym("dt")
+    new = propagate(process, *given, dt)[0]
+    return ca.Function("moved", [*given, dt], [ca.densify(new)], ["x", "u", "p", "t", "dt"], ["xn"])
+
+
+@lru_cache(maxsize=64)
+def reported_point(process: Process, channel: int) -> ca.Function:
+    """`z = reported(x, u, p, t)`: what a sensor reports of one state."""
+    given = [process.x, process.u, process.p, process.t]
+    seen = ca.densify(process.reports[channel])
+    return ca.Function("reported", given, [seen], ["x", "u", "p", "t"], ["z"])
+
+
+def weighed(
+    x: ca.SX, points: ca.SX, seen: ca.SX, y: ca.SX, r: ca.SX, there: ca.SX, gate: ca.SX, *, wraps: bool
+) -> Believed:
+    """State after one report (an angle if it wraps), given the sigma points and what is seen at them."""
+    centre, off = gathered(seen)
+    error = wrapped(y - centre) if wraps else y - centre
+    variance = covariance(off, off) + r
+    used = there * (error**2 <= gate * variance)
+    apart = points - ca.repmat(x.T, points.size1(), 1)
+    gain = used * covariance(apart, off) / variance
+    # As in Joseph's form: P less what was learnt is a difference of large numbers, lost in single precision.
+    rest = apart - off @ gain.T
+    P = _symmetric(covariance(rest, rest) + gain @ gain.T * r)
+    return Believed(x + gain * error, P, error, variance, used)
 
 
 # --- filters --------------------------------------------------------------------------------------
@@ -229,8 +323,8 @@ class Observer:
         UndertowError
             If the state is no finite number any more.
         """
-        passing = self._extended if method == "ekf" else self._unscented
-        found = passing(reports, np.asarray(mean, float), np.asarray(covariance, float), progress)
+        row = _row_of(self.process, method, self._compiled and method == "ekf")
+        found = self._passed(row, reports, np.asarray(mean, float), np.asarray(covariance, float), progress)
         lost = ~np.isfinite(found.mean).all(axis=1)
         if lost.any():
             when = reports.t[int(np.argmax(lost))]
@@ -242,8 +336,7 @@ class Observer:
         innovation, variance = (np.where(there, a, np.nan) for a in (found.innovation, found.variance))
         return replace(found, innovation=innovation, variance=variance)
 
-    # --- extended -----------------------------------------------------------------------------
-    def _extended(self, reports: Reports, x: Array, P: Array, progress: Progress) -> Estimate:
+    def _passed(self, row: ca.Function, reports: Reports, x: Array, P: Array, progress: Progress) -> Estimate:
         n, total = len(x), len(reports.t)
         blocks = []
         steps = np.diff(reports.t, prepend=reports.t[0])
@@ -255,9 +348,7 @@ class Observer:
             count = rows.stop - rows.start
             given = [u[rows].T, self.process.values, self.densities, reports.t[rows][None], steps[rows][None]]
             given += [y[rows].T, reports.variance, there[rows].T]
-            found = [
-                np.asarray(o) for o in _rolled(_row_of(self.process, self._compiled), count)(x, P, *given)
-            ]
+            found = [np.asarray(o) for o in _rolled(row, count)(x, P, *given)]
             blocks.append([_by_row(o, count) for o in found])
             x, P = blocks[-1][0][-1, :, 0], blocks[-1][1][-1]
             progress(rows.stop / total, "filtering")
@@ -275,105 +366,9 @@ class Observer:
             done[:, :, 2] > 0,
         )
 
-    # --- unscented ----------------------------------------------------------------------------
-    @cached_property
-    def _of_points(self) -> tuple[Evaluator, Evaluator, Evaluator]:
-        """States after a step and reports of all sigma points at once; the process noise of a step."""
-        f = self.process
-        q, dt, count = ca.SX.sym("q", len(f.driven)), ca.SX.sym("dt"), 2 * f.x.numel() + 1
-        given = [f.x, f.u, f.p, f.t]
-        step = ca.Function("step", [*given, dt], [ca.densify(propagate(f, f.x, f.u, f.p, f.t, dt)[0])])
-        see = ca.Function("see", given, [ca.densify(f.reports)])
-        added = discrete_noise(f, f.system(*given)[1], q, dt)
-        noise = ca.Function("noise", [*given, q, dt], [ca.densify(added)])
-        return Evaluator(step, count), Evaluator(see, count), Evaluator(noise)
-
-    def _unscented(self, reports: Reports, x: Array, P: Array, progress: Progress) -> Estimate:
-        n, m, total = len(x), len(self.process.channels), len(reports.t)
-        points = SigmaPoints.of(n)
-        step, see, noise = self._of_points
-        shapes = ((n,), (n, n), (n,), (n, n), (n, n), (m,), (m,), (m,))
-        out = [np.zeros((total, *shape)) for shape in shapes]
-        p, q = self.process.values, self.densities
-        for k in range(total):
-            dt = reports.t[k] - reports.t[max(k - 1, 0)]
-            u, now = reports.u[max(k - 1, 0)], reports.t[k]
-            before = points.around(x, P)
-            after = step(before, u, p, now - dt, dt)[0][:, :, 0]
-            x0 = points.mean @ after
-            P0 = points.covariance(after - x0, after - x0) + noise(x, u, p, now - dt, q, dt)[0][0]
-            cross = points.covariance(before - x, after - x0)
-            x, P = x0, P0
-            done = np.zeros((m, 3))
-            for i in map(int, np.flatnonzero(reports.there[k])):
-                spread = points.around(x, P)
-                seen = see(spread, u, p, now)[0][:, i, 0]
-                x, P, done[i] = self._believe(i, points, spread, seen, x, P, reports, k)
-            for place, value in zip(out, (x, P, x0, P0, cross, *done.T), strict=True):
-                place[k] = value
-            if k % SETTINGS.rows_per_call == 0:
-                progress(k / total, "filtering")
-        mean, after, x0, before, cross, error, variance, used = out
-        names = self.process.state_names
-        return Estimate(reports.t, names, mean, after, x0, before, cross, error, variance, used > 0)
-
-    def _believe(
-        self,
-        channel: int,
-        points: SigmaPoints,
-        spread: Array,
-        seen: Array,
-        x: Array,
-        P: Array,
-        reports: Reports,
-        row: int,
-    ) -> tuple[Array, Array, tuple[float, float, bool]]:
-        """State, covariance, and innovation, its variance and whether it was believed, after one report."""
-        centre = points.mean @ seen
-        off = (seen - centre)[:, None]
-        error = float(reports.y[row, channel] - centre)
-        error = remainder(error, 2 * pi) if self.process.angles[channel] else error
-        variance = float(points.covariance(off, off)[0, 0] + reports.variance[channel])
-        used = error**2 <= SETTINGS.gate * variance
-        gain = points.covariance(spread - x, off)[:, 0] / variance
-        if not used:
-            return x, P, (error, variance, False)
-        return x + gain * error, P - np.outer(gain, gain) * variance, (error, variance, True)
-
-
-@dataclass(frozen=True)
-class SigmaPoints:
-    """Points that have a mean and a covariance, and their weights, shape (2 n + 1,)."""
-
-    scale: float
-    mean: Array
-    spread: Array
-
-    @classmethod
-    def of(cls, n: int) -> SigmaPoints:
-        """Points for n states."""
-        s = SETTINGS
-        extra = s.alpha**2 * (n + s.kappa) - n
-        mean = np.full(2 * n + 1, 0.5 / (n + extra))
-        mean[0] = extra / (n + extra)
-        spread = mean.copy()
-        spread[0] += 1 - s.alpha**2 + s.beta
-        return cls(float(np.sqrt(n + extra)), mean, spread)
-
-    def around(self, x: Array, P: Array) -> Array:
-        """The points, shape (2 n + 1, n)."""
-        size = np.sqrt(np.maximum(np.diagonal(P), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(P / np.outer(size, size))
-        root = self.scale * (vectors * np.sqrt(np.maximum(values, 0.0))).T * size
-        return np.vstack([x, x + root, x - root])
-
-    def covariance(self, a: Array, b: Array) -> Array:
-        """Of deviations, shape (2 n + 1, k) each."""
-        return (a * self.spread[:, None]).T @ b
-
 
 @lru_cache(maxsize=8)
-def _row_of(process: Process, compiled: bool) -> ca.Function:
+def _row_of(process: Process, method: Method, compiled: bool) -> ca.Function:
     """From one row to the next: predict, then correct by every report that is there."""
     n, m, k = process.x.numel(), len(process.channels), len(process.driven)
     sizes = {"x": n, "u": process.u.numel(), "q": k, "p": process.p.numel(), "t": 1, "dt": 1}
@@ -381,11 +376,12 @@ def _row_of(process: Process, compiled: bool) -> ca.Function:
     full = ca.SX.sym("P", n, n)
     more = [ca.SX.sym(name, m) for name in ("y", "r", "there")]
     before = s["x"], full, s["u"], s["p"], s["q"], s["t"] - s["dt"], s["dt"]
-    x0, P0, cross = predicted(process, *before)
+    x0, P0, cross = predicted(process, *before, method)
     x, P, done = x0, P0, []
     for i in range(m):
         y, r, there = (v[i] for v in more)
-        got = corrected(process, i, x, P, s["u"], s["p"], s["t"], y, r, there, ca.SX(SETTINGS.gate))
+        gate = ca.SX(SETTINGS.gate)
+        got = corrected(process, i, x, P, s["u"], s["p"], s["t"], y, r, there, gate, method)
         x, P = got.x, got.P
         done.append(ca.horzcat(got.innovation, got.variance, got.used))
     inputs = [s["x"], full, s["u"], s["p"], s["q"], s["t"], s["dt"], *more]

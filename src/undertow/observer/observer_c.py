@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
+
 import numpy as np
 
 from undertow.codegen.manifest import Entry
-from undertow.codegen.spelling import Dialect, Part, comment, identifier, slug
+from undertow.codegen.spelling import Dialect, Part, comment, filled, identifier, slug
 from undertow.model.symbols import MOTION_UNITS
 
 from .design import Design
+from .filters import SETTINGS as FILTER
 from .process import AT_REST, longest_step
 
 _WORDS = """\
@@ -17,6 +20,22 @@ _WORDS = """\
    time on (a ring of as many as the delay has intervals), update the old x and P, and predict them to the
    present again. */
 """
+# Body of the update by one sensor.
+_UPDATES = {
+    "ekf": """\
+  @REAL@ nis;
+  @NAME@_with_@SENSOR@(x, P, u, p, t, y, x, P, &nis);
+  return nis;
+""",
+    "ukf": """\
+  @REAL@ s[@COUNT@ * @N@], z[@COUNT@];
+  @NAME@_points(x, P, s);
+  for (int k = 0; k < @COUNT@; k++) {
+    @NAME@_reported_@SENSOR@(&s[k * @N@], u, p, t, &z[k]);
+  }
+  return @NAME@_believe(x, P, s, z, y, p->noise_@SENSOR@ * p->noise_@SENSOR@, p->gate, @ANGLE@);
+""",
+}
 
 
 def observer_c(design: Design, c: Dialect) -> Part:
@@ -28,7 +47,8 @@ def observer_c(design: Design, c: Dialect) -> Part:
         If the model cannot be stated in C.
     """
     process = design.process
-    what = f"observer {comment(design.name)}, an extended Kalman filter"
+    kind = {"ekf": "extended", "ukf": "unscented"}[design.method]
+    what = f"observer {comment(design.name)}, an {kind} Kalman filter"
     notes = {
         "x, the state, and P, its covariance, row by row": [
             Entry(n, MOTION_UNITS.get(n, "")) for n in process.state_names
@@ -53,9 +73,12 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
     # What stands for a start is no number of the functions: the struct has it behind theirs.
     struct = c.struct(f"{name}_parameters", entries)
     given = {"p": struct}
-    updates = {f"{name}_update_{s}": (f"{name}_with_{s}", f) for s, f in numbered.updates.items()}
     u, v = name.upper(), f"const {struct.type} *p"
-    arguments = f"{real} *x, {real} *P, const {real} *u, {v}, {real} t, {real} y"
+    predict = (
+        f"void {name}_predict(const {real} *x, const {real} *P, const {real} *u, {v}, "
+        f"{real} t, {real} dt, {real} *xn, {real} *Pn)"
+    )
+    update = f"{real} {name}_update_{{}}({real} *x, {real} *P, const {real} *u, {v}, {real} t, {real} y)"
     start = f"void {name}_start({real} *x, {real} *P, {v})"
     declared = [
         _WORDS,
@@ -65,24 +88,33 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
         f"{start};\n",
         f"/* From t to t + dt, s; keep dt below {longest_step(process):.2g} s, by several calls if need be;\n"
         "   xn and Pn may be x and P. */",
-        c.head(numbered.predict, f"{name}_predict", given),
+        f"{predict};",
         "\n/* A report y, SI. Returned is the squared innovation over its variance: beyond p->gate y was\n"
         "   not believed. */",
-        *(f"{real} {update}({arguments});" for update in updates),
+        *(f"{update.format(sensor)};" for sensor in design.sensors),
         "",
     ]
-    defined = [
-        struct.defined,
-        _start(start, struct.members[-n:], c),
-        c.body(numbered.predict, f"{name}_predict", given),
-    ]
-    for update, (inner, function) in updates.items():
-        call = f"  {real} nis;\n  {inner}(x, P, u, p, t, y, x, P, &nis);\n  return nis;"
-        defined += [
-            c.body(function, inner, given, static=True),
-            f"{real} {update}({arguments}) {{\n{call}\n}}\n",
-        ]
+    bodies = [c.body(f, f"{name}_{k}", given, static=k != "predict") for k, f in numbered.functions.items()]
+    fields = _fields(name, n, c)
+    if design.method == "ukf":
+        template = (files("undertow.observer") / "unscented.c").read_text(encoding="utf-8")
+        bodies.append(filled(template, fields))
+    for sensor in design.sensors:
+        fields |= {"SENSOR": sensor, "ANGLE": int(process.angles[process.channels.index(sensor)])}
+        bodies.append(f"{update.format(sensor)} {{\n{filled(_UPDATES[design.method], fields)}}}\n")
+    defined = [struct.defined, _start(start, struct.members[-n:], c), *bodies]
     return declared, defined
+
+
+def _fields(name: str, n: int, c: Dialect) -> dict[str, object]:
+    """What the C of a filter of n states is filled with."""
+    centre, share, spread = FILTER.weights(n)
+    numbers = {
+        **{"ZERO": 0, "HALF": 0.5, "ONE": 1, "TURN": 2 * np.pi, "ROUNDING": FILTER.rounding},
+        **{"REACH": np.sqrt(FILTER.reach(n)), "SHARE": share, "CENTRE": centre, "SPREAD": spread},
+    }
+    words = {"NAME": name, "REAL": c.real, "CALL": c.call, "N": n, "COUNT": 2 * n + 1}
+    return words | {k: c.constant(v) for k, v in numbers.items()}
 
 
 def _name(design: Design, c: Dialect) -> str:

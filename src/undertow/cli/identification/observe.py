@@ -95,7 +95,7 @@ def observe(
     check_writable(*(path for pair in names for path in pair), inputs=[*logs, *options.files])
     write_files(
         *(pair for n, one, run in zip(names, found.each, runs, strict=True) for pair in _files(n, one, run)),
-        (save, lambda path: write_whole(path, observer_file(found, runs, path.stem))),
+        (save, lambda path: write_whole(path, observer_file(found, runs, path.stem, filter or "ekf"))),
     )
     if json:
         print_json(found.content())

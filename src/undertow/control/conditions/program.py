@@ -117,6 +117,7 @@ class Asked(Protocol):
     chosen: set[Key]  # corners that the programs so far were about
     centre: float  # heading in the middle of those of the set-point, rad
     every_reading: bool  # whether products of velocities may be read in every way
+    coupled: bool  # whether P may couple axes that are coupled by motion and heading alone
 
     def filled(self, values: Array) -> Array:
         """At least a share of the largest of a kind."""
@@ -173,7 +174,8 @@ class Program:
     @property
     def _apart(self) -> bool:
         """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
-        return self.search.problem.decoupled or self.loop.n > SETTINGS.most_full
+        own = self.search.problem.decoupled and not self.search.coupled
+        return own or self.loop.n > SETTINGS.most_full
 
     @cached_property
     def basis(self) -> Array:

@@ -49,7 +49,8 @@ class _Slopes:
 def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
     """A proved V whose level set holds every error up to `start` at rest, integrals at zero; None if none.
 
-    Products of velocities are read in one way first: where that does, it is several times as quick.
+    Products of velocities are read in one way first: where that does, it is several times as quick. Last
+    comes a full P where the heading alone couples the axes at rest: gains tell north from east.
 
     Raises
     ------
@@ -59,17 +60,32 @@ def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
     with suppress(UndertowError):
         if (found := Search(problem, start, every_reading=False).found()) is not None:
             return found
-    return Search(problem, start).found()
+    last = Search(problem, start)
+    if "psi" in last.loop.angles and problem.decoupled and last.loop.n <= SETTINGS.most_full:
+        with suppress(UndertowError):
+            if (found := last.found()) is not None:
+                return found
+        last = Search(problem, start, coupled=True)
+    return last.found()
 
 
 class Search:
     """The search for one start box.
 
     every_reading: whether products of velocities may be read in every way (`identities`).
+    coupled: whether P may couple axes that are coupled by motion and heading alone.
     """
 
-    def __init__(self, problem: Problem, start: Mapping[str, float], *, every_reading: bool = True) -> None:
-        self.problem, self.loop, self.every_reading = problem, Embedding(problem), every_reading
+    def __init__(
+        self,
+        problem: Problem,
+        start: Mapping[str, float],
+        *,
+        every_reading: bool = True,
+        coupled: bool = False,
+    ) -> None:
+        self.problem, self.loop = problem, Embedding(problem)
+        self.every_reading, self.coupled = every_reading, coupled
         self.commands = Commands(problem)
         self.forms = 0  # what the solver was given so far
         self.chosen: set[Key] = set()  # corners that the programs so far were about
