@@ -110,7 +110,9 @@ BODIES = {
         "Lamb",
     ),
     "box": Body("box 0.60 x 0.42 x 0.24 m", lambda: box_mesh(BOX), _push(60.48), 3, _BOX, "panels"),
-    "box-turning": Body("the same box", lambda: box_mesh(BOX), _push(60.48, ("yaw",)), 1, _BOX, "panels"),
+    "box-across": Body(
+        "the same box", lambda: box_mesh(BOX), _push(60.48, ("sway", "heave", "yaw")), 3, _BOX, "panels"
+    ),
     "box-free": Body(
         "the same box, pushed by a force",
         lambda: box_mesh(BOX),
@@ -142,7 +144,7 @@ BODIES = {
         "cylinder across, without ends",
         _cylinder,
         Orders(393.0, profiles=("push",), prescribed=True, span="y"),
-        1,
+        3,
         {"X_udot": 1000.0 * np.pi * RADIUS**2 * 2.0},
         "Lamb",
     ),

@@ -189,8 +189,10 @@ def _by_balance(
 
 
 def _length(tank: Tank, case: Case) -> float:
-    """Of the hull along a motion, m: steps of speed go so many of them."""
-    return case.end * case.speed / RULES.travel if case.prescribed and case.profile == "step" else tank.size
+    """Of the hull along a motion, m; of a turn, the angle in which its ends go as far as it is long, rad."""
+    if case.prescribed and case.profile == "step":
+        return case.end * case.peak / RULES.travel
+    return 2.0 if DOFS.index(case.motion) > 2 else tank.size
 
 
 def _settled(record: Record, length: float) -> Flags:
