@@ -308,6 +308,27 @@ def test_damping_of_a_turn_is_read_after_three_lengths_of_its_ends(tmp_path: Pat
     assert found["N_r"].value == pytest.approx(0.0, abs=0.01)
 
 
+def test_a_direction_in_which_a_hull_hardly_went_is_left_out(tmp_path: Path) -> None:
+    tank, hull = make_tank(_bent(), Orders(60.48, profiles=("paper",), grids=1), "hull.stl", "0" * 64)
+    ahead = tank.model_copy(update={"cases": tank.cases[:1]})
+    two = ahead.model_copy(update={"cases": (*ahead.cases, tank.cases[1].model_copy(update={"name": "b"}))})
+    write_tank(tmp_path, two, hull)
+    at = np.linspace(0.1, 30.0, 100)
+    u = np.sin(at / 9.5)  # ahead but for the last two samples
+    a = np.cos(at / 9.5) / 9.5
+    water = -20.0 * a - 40.0 * np.abs(u) * u
+    for case in two.cases:
+        write_record(log_of(tmp_path, case, 1), Record(at, at, at, u, a, water, 1, 9, 1.0), two, case)
+    found = coefficients(tmp_path, two)
+    assert {c.way for c in found} == {"forward"}
+    assert found[0].value == pytest.approx(20.0, rel=0.01)
+    still = Record(at, at, at, 0 * u, a, water, 1, 9, 1.0)
+    for case in two.cases:
+        write_record(log_of(tmp_path, case, 1), still, two, case)
+    with pytest.raises(UndertowError, match="0 samples are too few for damping"):
+        coefficients(tmp_path, two)
+
+
 @pytest.mark.usefixtures("solver")
 def test_a_direction_counts_when_its_own_cases_are_done(tmp_path: Path) -> None:
     tank, hull = make_tank(_bent(), PUSHED, "hull.stl", "0" * 64)

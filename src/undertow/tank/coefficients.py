@@ -23,6 +23,10 @@ from undertow.typing import Array, Flags
 from .settings import RULES, Case, Tank, log_of
 
 
+class TooShort(UndertowError):
+    """Logs in which a hull hardly moved in a direction."""
+
+
 @dataclass(frozen=True)
 class FitRules:
     """What of a log says how much."""
@@ -87,14 +91,21 @@ class Coefficient:
 def coefficients(root: Path, tank: Tank) -> list[Coefficient]:
     """Coefficients of every motion and direction that has logs.
 
-    A grid counts for a motion and a direction when all cases that say something of it are done on it.
+    A grid counts for a motion and a direction when all cases that say something of it are done on it. A
+    direction in which a hull hardly went is left out where others tell something.
     """
     found: list[Coefficient] = []
+    short: UndertowError | None = None
     for motion in dict.fromkeys(case.motion for case in tank.cases):
         cases = [case for case in tank.cases if case.motion == motion]
         two_sided = any(case.direction < 0 for case in cases)
         for direction in (1, -1) if two_sided else (0,):
-            found += _of_motion(root, tank, [c for c in cases if _tells(c, direction)], direction)
+            try:
+                found += _of_motion(root, tank, [c for c in cases if _tells(c, direction)], direction)
+            except TooShort as error:
+                short = error
+    if short and not found:
+        raise short
     if not found:
         raise UndertowError(f"{root}: no logs yet: undertow tank run {root} makes them")
     return found
@@ -178,9 +189,7 @@ def _by_balance(
         forces.append(-r.water[kept])
     table, force = np.concatenate(columns), np.concatenate(forces)
     if len(table) < _RULES.rows:
-        raise UndertowError(
-            f"{len(table)} samples are too few for damping: choose a longer profile such as step"
-        )
+        raise TooShort(f"{len(table)} samples are too few for damping: choose a longer profile such as step")
     if known:
         values, errors = least_squares(table[:, 1:], force - known[0] * table[:, 0], positive=True)
         return dict(zip("dq", zip(values.tolist(), errors.tolist(), strict=True), strict=True))
