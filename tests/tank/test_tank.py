@@ -415,7 +415,7 @@ def test_a_rotation_is_read_from_its_matrix(tmp_path: Path) -> None:
     c, s = np.cos(0.3), np.sin(0.3)
     (tmp_path / "log.pimpleFoam").write_text(
         "Time = 0.1\n    Centre of rotation: (0 0 0)\n"
-        f"    Orientation: ({c} {-s} 0 {s} {c} 0 0 0 1)\n    Linear velocity: (0 0 0)\n"
+        f"    Orientation: ({c} {s} 0 {-s} {c} 0 0 0 1)\n    Linear velocity: (0 0 0)\n"
         "    Angular velocity: (0 0 0.5)\n"
     )
     assert read_motion(tmp_path, 5)[:, 0] == pytest.approx([0.1, 0.3, 0.5])

@@ -289,9 +289,9 @@ def _state(found: dict[str, list[float]], place: int) -> tuple[float, float]:
     axis = place % 3
     if place < 3:
         return found["Centre of rotation"][axis], found["Linear velocity"][axis]
-    matrix = np.array(found["Orientation"]).reshape(3, 3)
+    matrix = np.array(found["Orientation"]).reshape(3, 3)  # from the axes of the water to those of the hull
     one, two = (axis + 1) % 3, (axis + 2) % 3
-    return float(np.arctan2(matrix[two, one], matrix[one, one])), found["Angular velocity"][axis]
+    return float(np.arctan2(matrix[one, two], matrix[one, one])), found["Angular velocity"][axis]
 
 
 def processor_seconds(folder: Path) -> float:
