@@ -101,6 +101,17 @@ BODIES = {
     "sphere": Body(
         "sphere, diameter 0.5 m", lambda: _spheroid(RADIUS, RADIUS), _push(65.3), 3, _SPHERE, "Lamb"
     ),
+    "sphere-shallow": Body(
+        "the same sphere, its centre one diameter below the surface",
+        lambda: _spheroid(RADIUS, RADIUS),
+        Orders(65.3, motions=("surge", "heave"), profiles=("push",), prescribed=True, depth=2 * RADIUS),
+        1,
+        {
+            "X_udot": 32.0,
+            "Z_wdot": 31.3,
+        },  # undertow added-mass mesh --depth 0.5 --panels 800, which says +- 0.6
+        "panels",
+    ),
     "spheroid": Body(
         "spheroid 0.6 x 0.2 m",
         lambda: _spheroid(0.3, 0.1),
@@ -110,7 +121,10 @@ BODIES = {
         "Lamb",
     ),
     "box": Body("box 0.60 x 0.42 x 0.24 m", lambda: box_mesh(BOX), _push(60.48), 3, _BOX, "panels"),
-    "box-turning": Body("the same box", lambda: box_mesh(BOX), _push(60.48, ("yaw",)), 1, _BOX, "panels"),
+    "box-across": Body(
+        "the same box", lambda: box_mesh(BOX), _push(60.48, ("sway", "heave")), 3, _BOX, "panels"
+    ),
+    "box-turning": Body("the same box", lambda: box_mesh(BOX), _push(60.48, ("yaw",)), 3, _BOX, "panels"),
     "box-free": Body(
         "the same box, pushed by a force",
         lambda: box_mesh(BOX),
@@ -142,7 +156,7 @@ BODIES = {
         "cylinder across, without ends",
         _cylinder,
         Orders(393.0, profiles=("push",), prescribed=True, span="y"),
-        1,
+        3,
         {"X_udot": 1000.0 * np.pi * RADIUS**2 * 2.0},
         "Lamb",
     ),

@@ -19,6 +19,8 @@ _UNITS = {"X": "kg", "Y": "kg", "Z": "kg", "K": "kg m²", "M": "kg m²", "N": "k
 def page(rows: Sequence[dict[str, Any]]) -> str:
     """The whole page; `rows` are those of results.json."""
     text = _TEXT.read_text(encoding="utf-8")
+    # What the paper's forces say of the AUV stands in the table of its chain.
+    rows = [r for r in rows if not r["body"].endswith("-paper")]
     hull = [r for r in rows if r["body"].startswith("auv")]
     added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps" and r not in hull]
     drag = [r for r in rows if r["name"] == "Cd"]

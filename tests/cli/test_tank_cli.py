@@ -28,7 +28,9 @@ def hull(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_from_a_hull_to_a_vehicle_file(hull: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     monkeypatch.setenv("PATH", f"{stand_ins(hull / 'bin', copies=4)}:/usr/bin:/bin")
     assert main(NEW) == 0
-    assert "then: undertow tank run tank" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "hull 0.6 x 0.42 x 0.24 m, displaces 60.48 kg, weighs 60.48 kg" in said
+    assert "then: undertow tank run tank" in said
     assert main(["tank", "run", "tank", "--grids", "2", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert len(answer["written"]) == 4

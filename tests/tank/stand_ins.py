@@ -28,6 +28,9 @@ with open(folder / "force.dat", "w") as out:
     for n, (now, f) in enumerate(zip(t[keep], water[keep])):
         if now <= begin:
             continue
+        if Path("fatal").exists():
+            print("--> FOAM FATAL IO ERROR:\\nEntry 'sigma' not found\\n\\nFOAM exiting")
+            sys.exit(1)
         print(f"Courant Number mean: 0.1 max: {{900 if Path('diverge').exists() and n > 5 else 0.5}}")
         print(f"Time = {{now:.10g}}\\n", flush=True)
         out.write(f"{{now:.10g}} ({{f:.12g}} 0 0) (0 0 0) (0 0 0)\\n")

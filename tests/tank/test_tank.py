@@ -20,7 +20,15 @@ from undertow.model.loading import load_vehicle
 from undertow.shape.bodies import prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, read_hull, stl_bytes
 from undertow.tank.case import Orders, case_files, make_tank, write_tank
-from undertow.tank.coefficients import coefficients, convergence, observed_order, read_record, tank_vehicle
+from undertow.tank.coefficients import (
+    Record,
+    coefficients,
+    convergence,
+    observed_order,
+    read_record,
+    tank_vehicle,
+    write_record,
+)
 from undertow.tank.pictures import picture, read_section
 from undertow.tank.run import read_forces, read_motion, run_tank
 from undertow.tank.settings import Tank, duration, folder_of, log_of, motion, read_signal, read_tank, signal
@@ -111,6 +119,36 @@ def test_a_hull_without_ends_has_walls_along_its_span() -> None:
         _tank(replace(PUSHED, motions=("sway",), span="y"), hull)
     with pytest.raises(UndertowError, match="--span q is not an axis"):
         _tank(replace(PUSHED, span="q"), hull)
+
+
+def test_the_surface_has_no_pressure_in_pushes_and_is_a_lid_else() -> None:
+    orders = replace(PUSHED, depth=0.3)
+    tank = _tank(orders)
+    assert [c.planes for c in tank.cases] == [("y",), ("y",)]  # a surface leaves no mirror of up and down
+    top, patches = "0 3 2 1", []
+    for case in tank.cases:
+        block = case_files(tank, case, 1)["system/blockMeshDict"]
+        heights = {v.split()[2] for v in re.findall(r"^    \(([^)]*)\)$", block, re.M)}
+        assert "-0.3" in heights  # z points down
+        found = dict(re.findall(r"(\w+) \{ type patch; faces \(([^;]*)\);", block))
+        patches.append(next(name for name, faces in found.items() if f"({top})" in faces))
+    assert patches == ["far", "cut"]
+    both = _tank(replace(orders, motions=("heave",), profiles=("push",)))
+    assert [c.direction for c in both.cases] == [1, -1]
+
+
+@pytest.mark.parametrize(
+    ("orders", "words"),
+    [
+        (Orders(60.48, depth=0.14), r"--depth 0.14 m: at least 0.15 m"),
+        (Orders(60.48, depth=0.2, speed=1.0), r"surge-step at 1 m/s makes waves .* below 0.7 m/s"),
+        (Orders(60.48, depth=0.3, motions=("heave",)), "longer heave than a push would leave the water"),
+        (Orders(60.48, depth=0.3, span="z"), "--span z would leave the water"),
+    ],
+)
+def test_hulls_that_leave_the_water_or_make_waves_are_refused(orders: Orders, words: str) -> None:
+    with pytest.raises(UndertowError, match=words):
+        _tank(orders)
 
 
 def test_a_free_hull_is_forced_as_asked() -> None:
@@ -247,6 +285,50 @@ def test_logs_and_coefficients(tmp_path: Path) -> None:
     assert vehicle.values["m"].value == pytest.approx(60.48)
 
 
+def test_damping_of_a_turn_is_read_after_three_lengths_of_its_ends(tmp_path: Path) -> None:
+    """Until the ends have gone three lengths (6 rad) the moment is not that of a steady turn."""
+    root, tank = _written(tmp_path, replace(PUSHED, motions=("yaw",), profiles=("step",), grids=1))
+    (case,) = tank.cases
+    at = np.linspace(0.0, case.end, 600)
+    psi, r, acceleration = motion(np.array(case.times), case.peak * np.array(case.signal), at)
+    turned = psi - np.where(at < 2 / 3 * case.end, 0.0, np.interp(2 / 3 * case.end, at, psi))
+    early = np.where(turned < 6.0, 1.5, 1.0)
+    water = -0.6 * acceleration - 0.9 * early * np.abs(r) * r
+    record = Record(at, np.zeros(600), psi, r, acceleration, water, 1, 1000, 1.0)
+    write_record(log_of(root, case, 1), record, tank, case)
+    write_record(
+        log_of(root, case.model_copy(update={"name": "yaw-push"}), 1),
+        Record(at, np.zeros(600), psi, r, acceleration, -0.6 * acceleration, 1, 1000, 1.0),
+        tank,
+        case,
+    )
+    push = case.model_copy(update={"name": "yaw-push", "profile": "push"})
+    found = {c.name: c for c in coefficients(root, tank.model_copy(update={"cases": (case, push)}))}
+    assert found["N_rabsr"].value == pytest.approx(0.9, rel=0.01)
+    assert found["N_r"].value == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_direction_in_which_a_hull_hardly_went_is_left_out(tmp_path: Path) -> None:
+    tank, hull = make_tank(_bent(), Orders(60.48, profiles=("paper",), grids=1), "hull.stl", "0" * 64)
+    ahead = tank.model_copy(update={"cases": tank.cases[:1]})
+    two = ahead.model_copy(update={"cases": (*ahead.cases, tank.cases[1].model_copy(update={"name": "b"}))})
+    write_tank(tmp_path, two, hull)
+    at = np.linspace(0.1, 30.0, 100)
+    u = np.sin(at / 9.5)  # ahead but for the last two samples
+    a = np.cos(at / 9.5) / 9.5
+    water = -20.0 * a - 40.0 * np.abs(u) * u
+    for case in two.cases:
+        write_record(log_of(tmp_path, case, 1), Record(at, at, at, u, a, water, 1, 9, 1.0), two, case)
+    found = coefficients(tmp_path, two)
+    assert {c.way for c in found} == {"forward"}
+    assert found[0].value == pytest.approx(20.0, rel=0.01)
+    still = Record(at, at, at, 0 * u, a, water, 1, 9, 1.0)
+    for case in two.cases:
+        write_record(log_of(tmp_path, case, 1), still, two, case)
+    with pytest.raises(UndertowError, match="0 samples are too few for damping"):
+        coefficients(tmp_path, two)
+
+
 @pytest.mark.usefixtures("solver")
 def test_a_direction_counts_when_its_own_cases_are_done(tmp_path: Path) -> None:
     tank, hull = make_tank(_bent(), PUSHED, "hull.stl", "0" * 64)
@@ -289,6 +371,14 @@ def test_what_diverges_is_refused_with_the_reason(tmp_path: Path) -> None:
     assert not list((root / "logs").iterdir())
 
 
+@pytest.mark.usefixtures("solver")
+def test_what_the_solver_refuses_is_not_called_diverged(tmp_path: Path) -> None:
+    root, tank = _written(tmp_path)
+    (folder_of(root, tank.cases[0], 1) / "fatal").touch()
+    with pytest.raises(UndertowError, match="pimpleFoam stopped: Entry 'sigma' not found"):
+        run_tank(root, tank)
+
+
 def test_without_openfoam_one_line_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -325,7 +415,7 @@ def test_a_rotation_is_read_from_its_matrix(tmp_path: Path) -> None:
     c, s = np.cos(0.3), np.sin(0.3)
     (tmp_path / "log.pimpleFoam").write_text(
         "Time = 0.1\n    Centre of rotation: (0 0 0)\n"
-        f"    Orientation: ({c} {-s} 0 {s} {c} 0 0 0 1)\n    Linear velocity: (0 0 0)\n"
+        f"    Orientation: ({c} {s} 0 {-s} {c} 0 0 0 1)\n    Linear velocity: (0 0 0)\n"
         "    Angular velocity: (0 0 0.5)\n"
     )
     assert read_motion(tmp_path, 5)[:, 0] == pytest.approx([0.1, 0.3, 0.5])
@@ -367,6 +457,20 @@ def test_added_mass_of_a_cylinder_without_ends(tmp_path: Path) -> None:
     run_tank(tmp_path, tank)
     (found,) = coefficients(tmp_path, tank)
     assert found.value == pytest.approx(1000 * np.pi * 0.25**2 * 2.0, rel=0.03)  # Lamb, of 2 m
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+def test_added_mass_of_a_sphere_below_the_surface(tmp_path: Path) -> None:
+    """31.3 kg by panels below a free surface at high frequency; 32.7 kg far from it."""
+    hull = spheroid_mesh(0.5, 0.5, 4)
+    orders = Orders(1000 * hull.volume, motions=("heave",), profiles=("push",), prescribed=True, depth=0.5)
+    tank, centred = make_tank(hull, replace(orders, grids=1), "sphere.stl", "0" * 64)
+    down = tank.model_copy(update={"cases": tank.cases[:1]})
+    write_tank(tmp_path, down, centred)
+    run_tank(tmp_path, down)
+    (found,) = coefficients(tmp_path, down)
+    assert found.value == pytest.approx(31.3, rel=0.03)
 
 
 @pytest.mark.slow
@@ -423,5 +527,7 @@ def test_the_page_says_what_was_measured() -> None:
         for r in rows
         if r["name"] == "Cd" and (k := known_drag(r))
     }
-    assert len(drag) >= 2
-    assert max(map(abs, drag.values())) < 0.05, drag
+    assert len(drag) == 4
+    for (body, speed), off in drag.items():
+        # Of the cylinder the page says that it misses the goal.
+        assert abs(off) < (0.1 if body == "cylinder-drag" else 0.05), (body, speed)

@@ -17,7 +17,7 @@ from undertow.errors import UndertowError
 from undertow.files import make_folder, together, write_whole
 from undertow.model.symbols import DOFS
 from undertow.shape.bodies import equivalent
-from undertow.shape.first import drag_of_hull
+from undertow.shape.first import GRAVITY, drag_of_hull
 from undertow.shape.mesh import Mesh, stl_bytes
 from undertow.typing import Array
 
@@ -70,6 +70,7 @@ class Orders:
     turbulence: str = "auto"  # laminar, k-omega-sst, or auto: by the Reynolds number
     grids: int = 3
     step: float = 1.0  # time steps, as a share of those of the rules
+    depth: float | None = None  # of the centre of volume below the surface, m; None: deeply submerged
     span: str | None = None  # x, y or z: the hull is taken for a piece of one without ends along it
 
 
@@ -80,6 +81,8 @@ def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank,
     rules = RULES
     sizes = _across(centred, orders)
     longest, cell = float(sizes.max()), _cell(sizes)
+    if orders.depth is not None:
+        _check_depth(orders, orders.depth, -float(centred.bounds[0][2]) + cell)
     level = max(1, int(np.floor(np.log2(longest / rules.background / cell) + 1e-9)))
     background = cell * 2**level
     reach = (
@@ -89,7 +92,8 @@ def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank,
     if orders.span is not None:
         half[_AXES.index(orders.span)] = background / 2
     x, y, z = (float(r) for r in half)
-    symmetric = _symmetries(centred)
+    # A surface leaves no symmetry of up and down.
+    symmetric = [i for i in _symmetries(centred) if orders.depth is None or i < 2]
     added = np.diag(equivalent(centred, orders.density).matrix)
     form = np.array([added, drag_of_hull(centred, orders.density).coefficients])
     cases = [
@@ -98,6 +102,8 @@ def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank,
         for profile in orders.profiles
         for case in _cases(centred, form, orders, motion_name, profile, symmetric)
     ]
+    if orders.depth is not None:
+        _check_waves(cases, orders.depth)
     tank = Tank(
         hull=name,
         sha256=sha256,
@@ -111,6 +117,7 @@ def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank,
         refinement=rules.refinement,
         grids=orders.grids,
         symmetric=tuple(_AXES[i] for i in symmetric),  # type: ignore[misc]
+        depth=orders.depth,
         span=orders.span,  # type: ignore[arg-type]
         share=1.0 if orders.span is None else background / float(centred.extents[_AXES.index(orders.span)]),
         cases=tuple(cases),
@@ -143,6 +150,29 @@ def _check(orders: Orders) -> None:
     if orders.prescribed and "paper" in orders.profiles:
         raise UndertowError(
             "profile paper is a series of forces: leave out --prescribed, or choose push, step or sine"
+        )
+
+
+def _check_depth(orders: Orders, depth: float, least: float) -> None:
+    """`least`: depth at which one cell of water is left above the hull, m."""
+    if not least <= depth < np.inf:
+        raise UndertowError(
+            f"--depth {depth:g} m: at least {least:.3g} m keep this hull and a cell above it under "
+            "water: for a hull at the surface use undertow vehicle new --floating"
+        )
+    rising = [m for m in orders.motions if m in ("heave", "roll", "pitch")]
+    if orders.span == "z" or (rising and set(orders.profiles) != {"push"}):
+        what = "--span z" if orders.span == "z" else f"longer {rising[0]} than a push"
+        raise UndertowError(f"--depth: {what} would leave the water: leave it out, or leave out --depth")
+
+
+def _check_waves(cases: Sequence[Case], depth: float) -> None:
+    slow = RULES.froude * float(np.sqrt(GRAVITY * depth))
+    quick = [c for c in cases if c.profile != "push" and c.speed > slow]
+    if quick:
+        raise UndertowError(
+            f"{quick[0].name} at {quick[0].speed:.3g} m/s makes waves at a depth of {depth:g} m, which the "
+            f"tank has not: stay below {slow:.3g} m/s (--speed), or give --profile push"
         )
 
 
@@ -341,6 +371,7 @@ def _block(tank: Tank, case: Case, grid: int) -> dict[str, str]:
     cut = [axis in case.planes for axis in _AXES]
     cell = tank.cell_of(grid) * 2**tank.level
     low = [0.0 if c else -h for c, h in zip(cut, tank.half, strict=True)]
+    low[2] = low[2] if tank.depth is None else -tank.depth
     corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
     points = [[(low[i], tank.half[i])[c[i]] for i in range(3)] for c in corners]
     counts = [max(1, round((h - lo) / cell)) for h, lo in zip(tank.half, low, strict=True)]
@@ -348,7 +379,9 @@ def _block(tank: Tank, case: Case, grid: int) -> dict[str, str]:
     sides = [("0 4 7 3", "1 2 6 5"), ("0 1 5 4", "3 7 6 2"), ("0 3 2 1", "4 5 6 7")]
     for i, (lower, upper) in enumerate(sides):
         between = _AXES[i] == tank.span  # walls at both ends
-        faces[cut[i] or between].append(f"({lower})")
+        # No pressure at the surface while a push is over before gravity acts; a lid where no waves rise.
+        lid = i == 2 and tank.depth is not None and case.profile != "push"
+        faces[cut[i] or between or lid].append(f"({lower})")
         faces[between].append(f"({upper})")
     inside = [h - (0.37 + 0.04 * i) * min(cell, h) for i, h in enumerate(tank.half)]
     return {

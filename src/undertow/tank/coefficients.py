@@ -23,6 +23,10 @@ from undertow.typing import Array, Flags
 from .settings import RULES, Case, Tank, log_of
 
 
+class TooShort(UndertowError):
+    """Logs in which a hull hardly moved in a direction."""
+
+
 @dataclass(frozen=True)
 class FitRules:
     """What of a log says how much."""
@@ -87,14 +91,21 @@ class Coefficient:
 def coefficients(root: Path, tank: Tank) -> list[Coefficient]:
     """Coefficients of every motion and direction that has logs.
 
-    A grid counts for a motion and a direction when all cases that say something of it are done on it.
+    A grid counts for a motion and a direction when all cases that say something of it are done on it. A
+    direction in which a hull hardly went is left out where others tell something.
     """
     found: list[Coefficient] = []
+    short: UndertowError | None = None
     for motion in dict.fromkeys(case.motion for case in tank.cases):
         cases = [case for case in tank.cases if case.motion == motion]
         two_sided = any(case.direction < 0 for case in cases)
         for direction in (1, -1) if two_sided else (0,):
-            found += _of_motion(root, tank, [c for c in cases if _tells(c, direction)], direction)
+            try:
+                found += _of_motion(root, tank, [c for c in cases if _tells(c, direction)], direction)
+            except TooShort as error:
+                short = error
+    if short and not found:
+        raise short
     if not found:
         raise UndertowError(f"{root}: no logs yet: undertow tank run {root} makes them")
     return found
@@ -178,9 +189,7 @@ def _by_balance(
         forces.append(-r.water[kept])
     table, force = np.concatenate(columns), np.concatenate(forces)
     if len(table) < _RULES.rows:
-        raise UndertowError(
-            f"{len(table)} samples are too few for damping: choose a longer profile such as step"
-        )
+        raise TooShort(f"{len(table)} samples are too few for damping: choose a longer profile such as step")
     if known:
         values, errors = least_squares(table[:, 1:], force - known[0] * table[:, 0], positive=True)
         return dict(zip("dq", zip(values.tolist(), errors.tolist(), strict=True), strict=True))
@@ -189,8 +198,10 @@ def _by_balance(
 
 
 def _length(tank: Tank, case: Case) -> float:
-    """Of the hull along a motion, m: steps of speed go so many of them."""
-    return case.end * case.speed / RULES.travel if case.prescribed and case.profile == "step" else tank.size
+    """Of the hull along a motion, m; of a turn, the angle in which its ends go as far as it is long, rad."""
+    if case.prescribed and case.profile == "step":
+        return case.end * case.peak / RULES.travel
+    return 2.0 if DOFS.index(case.motion) > 2 else tank.size
 
 
 def _settled(record: Record, length: float) -> Flags:

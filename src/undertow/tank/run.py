@@ -180,15 +180,22 @@ def _execute(folder: Path, command: list[str], watch: Watch) -> None:
 def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:
     """Why a program failed, in one line."""
     if name != "pimpleFoam":
-        words = [line.strip() for line in watch.tail if line.strip()]
-        fatal = [i for i, line in enumerate(words) if "FATAL" in line]
-        shown = " ".join(words[fatal[0] + 1 :][:3]) if fatal else f"exit code {code}"
-        return f"{folder}: {name} failed: {shown[:200]}: see {folder / f'log.{name}'}"
+        shown = _fatal(watch) or f"exit code {code}"
+        return f"{folder}: {name} failed: {shown}: see {folder / f'log.{name}'}"
+    if said := _fatal(watch):
+        return f"{folder}: {name} stopped: {said}: see {folder / f'log.{name}'}"
     what = watch.fatal or f"exit code {code}"
     return (
         f"{folder}: diverged at t = {watch.time:.4g} s ({what}): write the tank again with a smaller "
         "--time-step, a lower --speed or a larger --mass"
     )
+
+
+def _fatal(watch: Watch) -> str:
+    """What a program of OpenFOAM said when it gave up, or nothing."""
+    words = [line.strip() for line in watch.tail if line.strip()]
+    fatal = [i for i, line in enumerate(words) if "FATAL" in line]
+    return " ".join(words[fatal[0] + 1 :][:3])[:200] if fatal else ""
 
 
 def _grid(root: Path, tank: Tank, case: Case, folder: Path, report: Progress) -> int:
@@ -282,9 +289,9 @@ def _state(found: dict[str, list[float]], place: int) -> tuple[float, float]:
     axis = place % 3
     if place < 3:
         return found["Centre of rotation"][axis], found["Linear velocity"][axis]
-    matrix = np.array(found["Orientation"]).reshape(3, 3)
+    matrix = np.array(found["Orientation"]).reshape(3, 3)  # from the axes of the water to those of the hull
     one, two = (axis + 1) % 3, (axis + 2) % 3
-    return float(np.arctan2(matrix[two, one], matrix[one, one])), found["Angular velocity"][axis]
+    return float(np.arctan2(matrix[one, two], matrix[one, one])), found["Angular velocity"][axis]
 
 
 def processor_seconds(folder: Path) -> float:

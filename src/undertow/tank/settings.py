@@ -32,6 +32,8 @@ class TankRules:
     across: float = 8.0  # the same across the shortest side
     background: float = 5.0  # cells far away along the longest side, at least
     near: float = 0.1  # distance within which cells are as fine as at the surface
+    # highest speed over sqrt(g depth) at which the surface stays flat: waves fade with depth as exp(-2/F^2)
+    froude: float = 0.5
     around: float = 0.67  # distance within which they are twice as fine as far away
     refinement: float = 2**0.5  # ratio of cells, and of time steps, of one grid to the next finer one
     courant: float = 0.5  # surface cells that pass in one time step, at the speed asked for
@@ -111,6 +113,7 @@ class Tank(_Strict):
     symmetric: tuple[Axis, ...]  # axes along which the hull is its own mirror image
     span: Axis | None = None  # axis along which walls cut the hull: it is a piece of one without ends
     share: float = Field(default=1.0, gt=0, le=1)  # of the hull that is between these walls
+    depth: float | None = Field(default=None, gt=0)  # of the centre below the surface, m; None: no surface
     cases: tuple[Case, ...] = Field(min_length=1)
     rules: dict[str, float] = {}  # `TankRules` that it was made by, for the record
 

@@ -8,14 +8,14 @@
 
     undertow vehicle new --tank tank/ --out my.toml
 
-The hull moves in one degree of freedom at a time, deeply submerged in still water. A short push gives the
-added mass, steps of speed or force give the drag. `run` resumes where it was interrupted, and prints the
-coefficients with standard errors of the fit and of the grid. Its logs can be used like any others:
+The hull moves in one degree of freedom at a time in still water, deeply submerged or at a --depth. A short
+push gives the added mass, steps of speed or force give the drag. `run` resumes where it was interrupted, and
+prints the coefficients with standard errors of the fit and of the grid. Its logs can be used like any others:
 
-    undertow fit my.toml tank/logs/surge-step-grid1.csv --map tank/logs/surge-step-grid1.toml
+    undertow fit my.toml tank/logs/surge-*-grid1.csv
 
-There is no free surface (see `undertow vehicle new --floating` for hulls at the surface). OpenFOAM is a
-system package: apt-get install openfoam.
+There are no waves (see `undertow vehicle new --floating` for hulls at the surface). OpenFOAM is a system
+package: apt-get install openfoam.
 """
 
 from __future__ import annotations
@@ -57,6 +57,9 @@ _SPAN = typer.Option(
     metavar="x|y|z",
     help="Two-dimensional flow: the hull is a slice of an infinitely long one along this axis.",
 )
+_DEPTH = typer.Option(
+    metavar="M", help="Depth of the centre of volume below the surface.", show_default="deeply submerged"
+)
 _STEP = typer.Option(metavar="SHARE", help="Share of the usual time step; smaller if a run diverges.")
 _GRIDS = typer.Option(metavar="N", min=1, max=4, help="Number of grids to run, coarsest first.")
 _CASE = typer.Option(metavar="NAME", help="Draw one case only.", show_default="all that were run")
@@ -79,6 +82,7 @@ def new(
     density: Annotated[float, typer.Option(metavar="KG/M3", help="Of the water.")] = 1000.0,
     viscosity: Annotated[float, typer.Option(metavar="M2/S", help="Kinematic, of the water.")] = 1e-6,
     turbulence: Annotated[Literal["auto", "laminar", "k-omega-sst"], _TURBULENCE] = "auto",
+    depth: Annotated[float | None, _DEPTH] = None,
     span: Annotated[str | None, _SPAN] = None,
     grids: Annotated[int, typer.Option(metavar="N", help="Number of grids to write, 1 to 4.")] = 3,
     time_step: Annotated[float, _STEP] = 1.0,
@@ -109,12 +113,14 @@ def new(
         turbulence=turbulence,
         grids=grids,
         step=time_step,
+        depth=depth,
         span=span,
     )
     made, centred = make_tank(surface, orders, hull.name, sha256_of(hull))
     with progress("writing", None):
         write_tank(out, made, centred)
-    size = " x ".join(f"{2 * h:.3g}" for h in made.half)
+    high = made.half[2] + (made.half[2] if depth is None else depth)
+    size = " x ".join(f"{length:.3g}" for length in (2 * made.half[0], 2 * made.half[1], high))
     rows = [
         (
             c.name,
@@ -126,6 +132,8 @@ def new(
         for c in made.cases
     ]
     console().print(table(("case", "time", "steps, grid 1", "flow", "share of water"), rows, indent=0))
+    sides = " x ".join(f"{side:.3g}" for side in centred.extents)
+    say(f"hull {sides} m, displaces {density * centred.volume:.4g} kg, weighs {mass:g} kg")
     say(f"{size} m of water; cells of {made.cell:.3g} m at the hull")
     say(f"wrote {out}; then: undertow tank run {out}")
 
