@@ -448,9 +448,9 @@ def final_fit(
     estimated takes information from the parameters (standard errors over windows of a time constant are ten
     times those over a run of a minute). Where more is left, that is no noise of the sensors: starts that are
     free take up errors of the model, and a pose is the sum of all errors before. There velocities are
-    predicted from the measured starts, the error by which predictions are judged, over the first two
-    lengths; in longer ones disturbances add up that no parameter explains. What is returned is the last of
-    the fits whose `horizon_error` on validation data is no worse than the least of all.
+    predicted from the measured starts, the error by which predictions are judged, over all three lengths.
+    What is returned is the last of the fits whose `horizon_error` on validation data is no worse than the
+    least of all.
 
     Parameters
     ----------
@@ -465,26 +465,27 @@ def final_fit(
     fits: list[WeakFit | OutputErrorFit] = [weak]
     short, middle, longest = horizons(model.functions.vehicle, runs)
 
-    def continued(horizon: float | None, *, ahead: bool = False) -> OutputErrorFit | None:
+    def begun(at: Fitted, horizon: float | None, *, ahead: bool = False) -> OutputErrorFit | None:
         """The next fit; None where its simulation diverges, as that of a poor model may."""
-        progress(0.2 * len(fits), f"output error over {f'{horizon:.3g} s' if horizon else 'whole runs'}")
+        progress(0.12 * len(fits), f"output error over {f'{horizon:.3g} s' if horizon else 'whole runs'}")
         try:
-            return _descended(model, runs, horizon, fits[-1].values, loss, ahead=ahead)
+            return _descended(model, runs, horizon, at.values, loss, ahead=ahead)
         except UndertowError:
             return None
 
     for horizon in (short, middle, longest, _whole(runs)):
-        fit = continued(horizon)
+        fit = begun(fits[-1], horizon)
         if fit is None or (len(fits) > 3 and not _little_left(fit)):
             break
         fits.append(fit)
-        if not _little_left(fit):
+        if len(fits) > 2 and not _little_left(fit):
             break
-    # Over a time constant, or over less where more than noise shows there.
     if not _little_left(fits[min(2, len(fits) - 1)]):
-        for horizon in (short, middle):
-            fit = continued(horizon, ahead=True)
-            fits += [fit] if fit else []
+        begin = fits[min(1, len(fits) - 1)]
+        for horizon in (short, middle, longest):
+            if fit := begun(begin, horizon, ahead=True):
+                begin = fit
+                fits.append(fit)
     if len(fits) == 1:
         return weak
     errors = horizon_error(fits, validation)
