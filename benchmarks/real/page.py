@@ -281,11 +281,11 @@ both names are right.
 """
 PREDICTION = """\
 The same windows of the same runs for all, fitted to the same training runs. Ours in the last columns is the
-model with all that the diagnosis found to help predictions, named or not. Effects are chosen on the runs that
-judge, parameters and peers are not. Grey boxes: least squares on smoothed
-accelerations with linear thrusters, the best delay of the commands and products of two velocities; the
-polynomial of Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees, and a
-linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**
+model with all that the diagnosis found to help predictions, named or not. Effects, and the windows that ours
+is fitted over, are chosen on the runs that judge, parameters and peers are not. Grey boxes: least squares on
+smoothed accelerations with linear thrusters, the best delay of the commands and products of two velocities;
+the polynomial of Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees, and
+a linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**
 marks where ours is not below 0.95 of the best grey box.
 """
 FAILURES = """\

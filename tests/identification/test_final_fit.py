@@ -17,7 +17,12 @@ from undertow.identification.api import Estimator
 from undertow.identification.diagnosis.addition import add_effect, set_up_addition
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import held_by_size, notes, unknown_scales
-from undertow.identification.estimation.output_error import final_fit, horizon_error
+from undertow.identification.estimation.output_error import (
+    OutputErrorFit,
+    final_fit,
+    fit_output_error,
+    horizon_error,
+)
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.model.vehicle import Vehicle
 
@@ -142,6 +147,23 @@ def test_output_error_is_kept_where_it_predicts_no_worse() -> None:
     assert after <= 1.01 * before
     default = Estimator().fit(vehicle, train, validation=[test])
     assert default.values == pytest.approx(final.values)
+
+
+def test_where_more_than_noise_is_left_the_error_of_predictions_is_what_is_fitted() -> None:
+    case = make_case("usv", ("thruster_lag",), 4, duration=60.0)
+    vehicle, train = vehicle_of(case), runs_of(case)[:-1]
+    weak = fit_weak(vehicle, prepare(train, vehicle))
+    final = final_fit(weak, train, train)
+    assert isinstance(final, OutputErrorFit)
+    free = fit_output_error(vehicle, train, horizon=final.windows.horizon, start=weak.values)
+    known, taken = (
+        float(np.sqrt(np.nanmean(((fit.starts - fit.windows.measured[:, 0]) / fit.windows.sigma) ** 2)))
+        for fit in (final, free)
+    )
+    # Starts that are free take up what the model lacks, and its parameters predict worse.
+    assert known < 2.0 < 5.0 < taken
+    predicted, otherwise = horizon_error([final, free], train)
+    assert predicted < 0.99 * otherwise
 
 
 def test_where_only_noise_is_left_the_end_is_sharper_than_the_weak_form_and_right() -> None:

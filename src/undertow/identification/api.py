@@ -64,8 +64,9 @@ _FAMILIES = {"default": test_functions, "weak": test_functions, "integral": boxe
 class Estimator:
     """How parameters are estimated.
 
-    `method` is "default" (the weak form, then output error over windows from the vehicle's own time
-    constants, as far as that predicts validation data no worse), "weak", "integral" (the weak form with
+    `method` is "default" (the weak form, then output error, or where more than noise is left the error of
+    predictions, over windows from the vehicle's own time constants, as far as that predicts validation data
+    no worse), "weak", "integral" (the weak form with
     boxes for test functions), "instrumental" (the weak form with simulated regressors), "output-error" or
     "prediction-error" (output error with a disturbance). `horizon` is the length of the windows that output
     error and instrumental variables simulate, s; None for whole stretches. `loss` is "gaussian", or "huber"

@@ -128,7 +128,13 @@ class State:
 
 
 class Descent:
-    """Levenberg-Marquardt on the parameters, with the best starts for every step."""
+    """Levenberg-Marquardt on the parameters, with the best starts for every step.
+
+    With `ahead` the error is that of velocities predicted from the measured motion at the start of a window,
+    as predictions are judged: the start of each window is known as well as its sensors know it, and whatever
+    the model leaves comes after it. Of the pose only the start counts, for its errors are those of the
+    velocities once more, summed up; velocities that were derived from it count like others.
+    """
 
     def __init__(
         self,
@@ -136,9 +142,11 @@ class Descent:
         windows: Windows,
         compiled: bool | None = None,
         progress: Progress = lambda done, words: None,
+        *,
+        ahead: bool = False,
     ) -> None:
-        self.model, self.windows = model, windows
-        self._weight = channel_weights(windows)
+        self.model, self.windows, self._ahead = model, windows, ahead
+        self._weight = channel_weights(windows, derived=ahead)
         self._shooting = Shooting(
             model.functions, windows, model.free, self._weight, compiled=compiled, values=model.values
         )
@@ -152,24 +160,41 @@ class Descent:
         The first weights are those of the start. By the noise of the sensors alone, a channel that the start
         fits well would give way to one that no parameters fit, and weigh little ever after.
         """
-        starts = self._shooting.fitted_starts(p)
-        state, dispersion = self._at(p, starts), np.ones(len(self.windows.names))
+        dispersion = np.ones(len(self.windows.names))
+        self._weigh(dispersion)
+        starts = self._first_starts(p)
+        state = self._at(p, starts)
         for round_ in range(SETTINGS.rounds):
             self._progress(round_ / SETTINGS.rounds, "output error")
             found = np.maximum(1.0, np.nan_to_num(_mean_square(state.at, starts, dispersion), nan=1.0))
             if round_ and np.max(np.abs(np.log(found / dispersion))) < SETTINGS.converged:
                 break
             dispersion = found
-            self._shooting.weight = self._weight / np.sqrt(dispersion)
+            self._weigh(dispersion)
             state = self._roughly(state.p, state.starts)
         state = self._minimised(state, _negligible_fall)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
         )
 
+    def _first_starts(self, p: Array) -> Array:
+        """Where the search for the starts of the windows begins."""
+        return self._shooting.measured_starts(p) if self._ahead else self._shooting.fitted_starts(p)
+
+    def _weigh(self, dispersion: Array, trust: Array | float = 1.0) -> None:
+        """Weight channels by what a model leaves, and samples by `trust` (b, k, 2n), which are no start."""
+        self._shooting.weight = self._weight / np.sqrt(dispersion)
+        self._shooting.trust = None if isinstance(trust, float) else trust
+        if self._ahead:
+            each = np.ones((*self.windows.t.shape, len(dispersion))) * trust
+            each[:, 1:, : len(dispersion) // 2] = 0.0
+            each[:, 0] = dispersion
+            self._shooting.trust = each
+
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Minimise with weights for each sample by its error, until the parameters converge."""
-        starts = self._shooting.fitted_starts(p)
+        self._weigh(np.ones(len(self.windows.names)))
+        starts = self._first_starts(p)
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         for round_ in range(SETTINGS.robust_rounds):
             self._progress(round_ / SETTINGS.robust_rounds, "output error, outliers down-weighted")
@@ -185,8 +210,7 @@ class Descent:
         errors = self._shooting.errors(state.p, state.starts)
         scale = np.array([robust_scale(e[np.isfinite(e)]) for e in np.moveaxis(errors, 2, 0)])
         scale = np.where(scale > 0, scale, 1.0)
-        self._shooting.weight = self._weight / scale
-        self._shooting.trust = loss.weight(np.nan_to_num(errors / scale))
+        self._weigh(scale**2, loss.weight(np.nan_to_num(errors / scale)))
         return scale
 
     def _moved(self, state: State, before: Array) -> float:
@@ -276,13 +300,13 @@ def _damped(at: Reduced, damping: float) -> Linearised:
     return Linearised(r, J, np.zeros((len(r), 0)))
 
 
-def channel_weights(windows: Windows) -> Array:
-    """One over the noise of each channel; zero for what is not measured, or derived from what is."""
+def channel_weights(windows: Windows, *, derived: bool = False) -> Array:
+    """One over the noise of each channel; zero for what is not measured, or, unless it counts, derived."""
     with_data = np.isfinite(windows.measured)
     count = with_data.sum(axis=(0, 1))
     size = np.sqrt(np.nansum(windows.measured**2, axis=(0, 1)) / np.maximum(count, 1))
-    derived = {name for run in windows.runs for name in run.derived}
-    used = (count > 0) & np.array([name not in derived for name in windows.names])
+    left_out = set() if derived else {name for run in windows.runs for name in run.derived}
+    used = (count > 0) & np.array([name not in left_out for name in windows.names])
     noise = np.maximum(windows.sigma, SETTINGS.least_noise * size)
     return np.where(used & (noise > 0), 1.0 / np.where(noise > 0, noise, 1.0), 0.0)
 
@@ -399,9 +423,11 @@ def _descended(
     loss: LossName = "gaussian",
     compiled: bool | None = None,
     progress: Progress = lambda done, words: None,
+    *,
+    ahead: bool = False,
 ) -> OutputErrorFit:
     windows = cut(runs, model.functions.vehicle, horizon)
-    descent = Descent(model, windows, compiled, progress)
+    descent = Descent(model, windows, compiled, progress, ahead=ahead)
     p = started(model, start)
     return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
 
@@ -418,11 +444,13 @@ def final_fit(
 
     Windows are a quarter of the slowest time constant at first, then one (see `horizons`): a fit over long
     windows alone, begun far away, ends in a local minimum. Where little more than noise is left the longest
-    ones come last, and then whole stretches without gaps if they, too, leave little: each start that is
+    ones follow, and then whole stretches without gaps if they, too, leave little: each start that is
     estimated takes information from the parameters (standard errors over windows of a time constant are ten
-    times those over a run of a minute). Where more is left, disturbances add up in them that no parameter
-    explains. What is returned is the last of the fits whose `horizon_error` on validation data is no worse
-    than the least of all.
+    times those over a run of a minute). Where more is left, that is no noise of the sensors: starts that are
+    free take up errors of the model, and a pose is the sum of all errors before. There velocities are
+    predicted from the measured starts, the error by which predictions are judged, over all three lengths.
+    What is returned is the last of the fits whose `horizon_error` on validation data is no worse than the
+    least of all.
 
     Parameters
     ----------
@@ -435,19 +463,29 @@ def final_fit(
     """
     model = weak.model
     fits: list[WeakFit | OutputErrorFit] = [weak]
-    *shorter, longest = horizons(model.functions.vehicle, runs)
-    for i, horizon in enumerate((*shorter, longest, _whole(runs))):
-        if i >= len(shorter) and not _little_left(fits[-1]):
-            break
-        words = f"{horizon:.3g} s" if horizon else "whole runs"
-        progress(0.2 * len(fits), f"output error over {words}")
+    short, middle, longest = horizons(model.functions.vehicle, runs)
+
+    def begun(at: Fitted, horizon: float | None, *, ahead: bool = False) -> OutputErrorFit | None:
+        """The next fit; None where its simulation diverges, as that of a poor model may."""
+        progress(0.12 * len(fits), f"output error over {f'{horizon:.3g} s' if horizon else 'whole runs'}")
         try:
-            fit = _descended(model, runs, horizon, fits[-1].values, loss)
-        except UndertowError:  # the simulation of a poor model may diverge
-            break
-        if i > len(shorter) and not _little_left(fit):
+            return _descended(model, runs, horizon, at.values, loss, ahead=ahead)
+        except UndertowError:
+            return None
+
+    for horizon in (short, middle, longest, _whole(runs)):
+        fit = begun(fits[-1], horizon)
+        if fit is None or (len(fits) > 3 and not _little_left(fit)):
             break
         fits.append(fit)
+        if len(fits) > 2 and not _little_left(fit):
+            break
+    if not _little_left(fits[min(2, len(fits) - 1)]):
+        begin = fits[min(1, len(fits) - 1)]
+        for horizon in (short, middle, longest):
+            if fit := begun(begin, horizon, ahead=True):
+                begin = fit
+                fits.append(fit)
     if len(fits) == 1:
         return weak
     errors = horizon_error(fits, validation)
