@@ -165,8 +165,10 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
     helping = listed(diagnosis.helps)
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
+    use = "; the rest is a disturbance, which no model of these signals predicts"
+    use = use if diagnosis.predictable else ", and can be used as it is"
     sentences: dict[str, str] = {
-        "adequate": f"Nothing is missing that these logs could show: {left}, and can be used as it is.",
+        "adequate": f"Nothing is missing that these logs could show: {left}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
         "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same or much of it: record the "
         "run that tells them apart before one of them is taken for the cause.",
