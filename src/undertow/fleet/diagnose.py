@@ -179,7 +179,7 @@ _DAMAGED = (
     ValueError,
     KeyError,
     EOFError,
-    RuntimeError,  # "encrypted", or NotImplementedError
+    RuntimeError,  # of a zip file that is encrypted, or packed in a way that Python does not read
     zipfile.BadZipFile,
     zlib.error,
 )

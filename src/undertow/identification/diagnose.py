@@ -123,7 +123,7 @@ class ResultBuilder:
 
     def worth(self) -> list[Worth]:
         """What every effect that was added does to predictions, between the fits of the result."""
-        ahead = [self.validator.squares_ahead(fit, pose=True) for fit in self.fits]
+        ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
         steps = zip(pairwise(ahead), self.found.effect_set.findings, strict=True)
         return [gained(before, after, [f], self.validator) for (before, after), f in steps]
 

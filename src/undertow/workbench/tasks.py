@@ -119,6 +119,10 @@ class Job:
         train, test = training_and_validation(given, *self.to_fit, trust_log=self.trust)
         return SimulationValidator(given, train, test, prepare(train, given).sigma)
 
+    def ahead(self, force: float, model: Fitted | Vehicle) -> dict[str, float]:
+        """Errors of a model by measure, that of its force given; without predictions that diverge."""
+        return {FORCE: force, **_finite(self.validator.ahead(model)[0])}
+
     def errors(self, *models: Fitted | Vehicle) -> list[dict[str, float]]:
         """Errors of models on validation data by measure; the noise of the force is that of the last one."""
         validator = self.validator
@@ -126,7 +130,7 @@ class Job:
             force = force_errors(models, validator.test, self.vehicle_of(0), validator.sigma)
         except UndertowError:  # runs that can be simulated may be too short for test functions
             force = [math.nan] * len(models)
-        return [_finite({FORCE: f, **validator.ahead(m)[0]}) for f, m in zip(force, models, strict=True)]
+        return [_finite(self.ahead(f, m)) for f, m in zip(force, models, strict=True)]
 
 
 def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list[Run]:
@@ -213,7 +217,7 @@ def diagnose(job: Job) -> Result:
     for i, name in enumerate(best):
         job.report(0.8 + 0.2 * i / len(best), f"simulating it with {name}")
         candidates.append(_candidate(job, found, name, with_force=i < SETTINGS.supplied))
-    without = {FORCE: found.diagnosis.steps[0].error, **_finite(job.validator.ahead(found.before)[0])}
+    without = job.ahead(found.diagnosis.steps[0].error, found.before)
     shown = [c for c in candidates if _does_something(c, without)]
     return {
         "diagnosis": found.diagnosis.model_dump(mode="json"),
@@ -249,7 +253,7 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
         "equations": [f"{e.left} = {e.plain}" for e in equations],
         "typeset": [e.latex for e in equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],
-        "errors": {FORCE: ranked.error_after, **_finite(job.validator.ahead(fit)[0])},
+        "errors": job.ahead(ranked.error_after, fit),
         "explained": ranked.explained,
         "chance": ranked.p_value,
         "sure": ranked.sure,
@@ -289,9 +293,9 @@ def add(job: Job) -> Result:
     )
     job.report(0.9, "predicting validation data")
     ahead = {
-        "given": {FORCE: done.given.error, **_finite(job.validator.ahead(job.vehicle)[0])},
-        "refitted": {FORCE: done.before.error, **_finite(job.validator.ahead(setup.bench.base)[0])},
-        "errors": {FORCE: done.after.error, **_finite(job.validator.ahead(done.fit)[0])},
+        "given": job.ahead(done.given.error, job.vehicle),
+        "refitted": job.ahead(done.before.error, setup.bench.base),
+        "errors": job.ahead(done.after.error, done.fit),
     }
     result = {"sentence": addition_sentence(done), "helps": done.helps, "effect": effect, **ahead}
     if not (done.helps or force):

@@ -166,8 +166,8 @@ def possible(
     fitting = [c for c in known.values() if not (c.built_in or c.of_shape or vehicle.lacks(c))]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
     made = (Candidate(c, vehicle, runs) for c in fitting)
-    reported = (replace(c, redundant=_of_no_sensor(c, derived)) for c in made)
-    return [c for c in reported if c.parameters or not c.redundant]
+    marked = (replace(c, redundant=_of_no_sensor(c, derived)) for c in made)
+    return [c for c in marked if c.parameters or not c.redundant]
 
 
 def _of_no_sensor(candidate: Candidate, derived: Collection[str]) -> tuple[str, ...]:

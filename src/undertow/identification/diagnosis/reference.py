@@ -116,7 +116,7 @@ def _forces(
     return forces, _other_values(fit, [force.learned for force in forces])
 
 
-def is_disturbance(found: Sequence[Predictability], noisy: Container[str] = ()) -> bool:
+def is_disturbance(found: Sequence[Predictability], noisy: Container[str]) -> bool:
     """Whether the signals predict nothing, and these logs are long enough to say so.
 
     noisy: degrees of freedom in which the noise of the sensors explains all: nothing can hide there.

@@ -152,7 +152,7 @@ def compared(
     What is wrong about a sensor may show in nothing but the contradiction between pose and velocity: with an
     effect of the sensors among them, those of the pose, too.
 
-    squares: as of `SimulationValidator.squares_ahead` with the pose.
+    squares: as of `SimulationValidator.squares_ahead`.
     """
     return squares if any(f.of_sensors for f in findings) else validator.velocities(squares)
 
@@ -382,10 +382,10 @@ class _Selector:
         if worthy and doubtful:
             best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
             return Graded(best, [], worth[best.id], doubt)
-        forces = {f.id: self._shows_in_forces(f, before, ahead[f.id]) for f in (*leading, *near)}
-        doubts = (
-            {f.id: self._doubt(f, bench, forces=forces[f.id]) for f in (*leading, *near)} if worthy else {}
-        )
+        doubts = {}
+        for f in (*leading, *near) if worthy else ():
+            forces = self._shows_in_forces(f, before, ahead[f.id])
+            doubts[f.id] = self._doubt(f, bench, forces=forces)
         doubts |= self._dominated(worthy, doubts, ahead, bench)
         if not graded:
             self._worth |= worth
@@ -450,7 +450,7 @@ class _Selector:
         most = self._settings.simulated
         if len(found) <= most:
             return found
-        work = mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit, pose=True), len(found))
+        work = mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit), len(found))
         squares = [_error_ahead(compared(each, found, self._validator)) for each in work]
         by_simulation = np.argsort(np.argsort(squares, kind="stable"))
         turn = np.minimum(2 * by_simulation, 2 * np.arange(len(found)) + 1)  # they come in order of residual
@@ -460,7 +460,7 @@ class _Selector:
         """How models predict velocities and pose once each is fitted as the result will be, on all cores."""
         validator, most = self._validator, len(fits)
         new = [f for f in fits if id(f) not in self._predicted]
-        work = mapped(lambda i: validator.squares_ahead(validator.final(new[i])[0], pose=True), len(new))
+        work = mapped(lambda i: validator.squares_ahead(validator.final(new[i])[0]), len(new))
         for i, squares in enumerate(work):
             self._predicted[id(new[i])] = new[i], squares  # kept: its identity is the key
             if most > 1:  # else one of many pairs
@@ -500,10 +500,10 @@ class _Selector:
         self, finding: FoundEffect, before: Mapping[float, Array], after: Mapping[float, Array]
     ) -> bool:
         """Whether an effect changes predicted velocities, and not only the pose that belongs to them."""
+        if not finding.of_sensors:
+            return True
         without, with_it = (self._validator.velocities(s) for s in (before, after))
-        return not finding.of_sensors or Worth.of(without, with_it, self._settings).something(
-            self._settings.worth
-        )
+        return Worth.of(without, with_it, self._settings).something(self._settings.worth)
 
     def _doubt(self, finding: FoundEffect, bench: Bench, *, forces: bool) -> str:
         """Why an effect is not established as the cause of what it explains; empty where it is.
@@ -537,7 +537,7 @@ class _Selector:
         vehicle = bench.base.model.functions.vehicle
         known = {n: replace(vehicle.values[n], value=before.values[n], estimate=False) for n in names}
         held = self._validator.final(fitted(vehicle.with_values(known), [finding], bench).fit)[0]
-        base, with_it = (self._validator.squares_ahead(f, pose=True) for f in (before, held))
+        base, with_it = (self._validator.squares_ahead(f) for f in (before, held))
         return without_inertia(names, gained(base, with_it, [finding], self._validator), self._settings)
 
 

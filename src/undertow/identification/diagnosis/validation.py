@@ -288,18 +288,16 @@ class SimulationValidator:
             return [adapted(model, run)[0] for run in self.test]
         return in_runs(model, self.test)[0]
 
-    def squares_ahead(self, fit: Fitted, *, pose: bool = False) -> dict[float, Array]:
-        """Mean square of the error of predictions by horizon, window and velocity, (b, n).
+    def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
+        """Mean square of the error of predictions by horizon, window and channel, (b, n + m).
 
-        In units of the mean square of the velocity in all windows; very large where a simulation diverged.
-
-        pose: whether the measured channels of the pose follow, (b, n + m).
+        The velocities come first, then the measured channels of the pose, each in units of the mean square of
+        its motion in all windows (`relative_squares`); very large where a simulation diverged.
         """
-        all_of_it = self._once("ahead", fit, self._squares_ahead)
-        return all_of_it if pose else self.velocities(all_of_it)
+        return self._once("ahead", fit, self._squares_ahead)
 
     def velocities(self, squares: Mapping[float, Array]) -> dict[float, Array]:
-        """The columns of the velocities, (b, n), of squares with the pose behind them."""
+        """The columns of the velocities, (b, n), of `squares_ahead`."""
         count = len(self._vehicle.velocity_names)
         return {horizon: each[:, :count] for horizon, each in squares.items()}
 

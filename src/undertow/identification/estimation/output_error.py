@@ -181,15 +181,14 @@ class Descent:
         """Where the search for the starts of the windows begins."""
         return self._shooting.measured_starts(p) if self._ahead else self._shooting.fitted_starts(p)
 
-    def _weigh(self, dispersion: Array, trust: Array | float = 1.0) -> None:
+    def _weigh(self, dispersion: Array, trust: Array | None = None) -> None:
         """Weight channels by what a model leaves, and samples by `trust` (b, k, 2n), which are no start."""
         self._shooting.weight = self._weight / np.sqrt(dispersion)
-        self._shooting.trust = None if isinstance(trust, float) else trust
         if self._ahead:
-            each = np.ones((*self.windows.t.shape, len(dispersion))) * trust
-            each[:, 1:, : len(dispersion) // 2] = 0.0
-            each[:, 0] = dispersion
-            self._shooting.trust = each
+            trust = np.ones((*self.windows.t.shape, len(dispersion))) if trust is None else trust.copy()
+            trust[:, 1:, : len(dispersion) // 2] = 0.0
+            trust[:, 0] = dispersion
+        self._shooting.trust = trust
 
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Minimise with weights for each sample by its error, until the parameters converge."""
@@ -480,8 +479,9 @@ def final_fit(
         fits.append(fit)
         if len(fits) > 2 and not _little_left(fit):
             break
-    if not _little_left(fits[min(2, len(fits) - 1)]):
-        begin = fits[min(1, len(fits) - 1)]
+    # Over a time constant, or over less where that diverges.
+    if not _little_left(fits[:3][-1]):
+        begin = fits[:2][-1]
         for horizon in (short, middle, longest):
             if fit := begun(begin, horizon, ahead=True):
                 begin = fit

@@ -90,18 +90,18 @@ def step_changes(before: Step, after: Step) -> str:
     Of the position it is said where that gains most: what is wrong about a sensor may show in nothing else.
     """
     said = [changes(before.ahead, after.ahead)]
-    gained = _fall(before.position, after.position)
-    if gained >= max(DEFAULT.worth, _fall(before.ahead, after.ahead)):
-        horizon = [h for h in _horizons([before.position]) if h in after.position][-1]
+    of_velocities, _ = _longest_fall(before.ahead, after.ahead)
+    gained, horizon = _longest_fall(before.position, after.position)
+    if gained >= max(DEFAULT.worth, of_velocities):
         sizes = " to ".join(f"{step.position[horizon]:.2g}" for step in (before, after))
         said.append(f"brings that of the position over {horizon} from {sizes} m")
     return listed([part for part in said if part])
 
 
-def _fall(before: Mapping[str, float], after: Mapping[str, float]) -> float:
-    """Fall of the error over the longest horizon that both have, as a share of it."""
+def _longest_fall(before: Mapping[str, float], after: Mapping[str, float]) -> tuple[float, str]:
+    """Fall of the error over the longest horizon that both have, as a share of it, and that horizon."""
     both = [h for h in _horizons([before]) if h in after and before[h] > 0.0]
-    return 1.0 - after[both[-1]] / before[both[-1]] if both else 0.0
+    return (1.0 - after[both[-1]] / before[both[-1]], both[-1]) if both else (0.0, "")
 
 
 def useless(relative: Mapping[str, float | None]) -> str:
@@ -165,8 +165,8 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
     helping = listed(diagnosis.helps)
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
-    use = "; the rest is a disturbance, which no model of these signals predicts"
-    use = use if diagnosis.predictable else ", and can be used as it is"
+    disturbance = "; the rest is a disturbance, which no model of these signals predicts"
+    use = disturbance if diagnosis.predictable else ", and can be used as it is"
     sentences: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",

@@ -188,9 +188,9 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
 
 def _is_down(topic: Topic) -> bool:
     """Whether the axes of a topic point down."""
-    reported = [topic.frame, topic.child]
-    return any(_said(name, "ned", "frd") for name in reported) and not any(
-        _said(n, "enu", "flu") for n in reported
+    frames = [topic.frame, topic.child]
+    return any(_said(name, "ned", "frd") for name in frames) and not any(
+        _said(n, "enu", "flu") for n in frames
     )
 
 

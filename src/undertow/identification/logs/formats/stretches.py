@@ -99,13 +99,13 @@ def _within(t: float, stretches: Iterable[Stretch]) -> bool:
 def _left_out(span: Stretch, used: Sequence[Stretch], armed: Sequence[Stretch]) -> list[str]:
     """One line on the parts of a span that are not used."""
     edges = [span[0], *(edge for stretch in used for edge in stretch), span[1]]
-    reported = []
+    said = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         switched = [edge for stretch in armed for edge in stretch if first < edge < last]
         for a, b in pairwise([first, *switched, last]):
             why = "motors at rest, or estimator without aid" if _within((a + b) / 2, armed) else "disarmed"
-            reported += [f"{a:.1f} to {b:.1f} s ({why})"] if b - a >= SETTINGS.reported else []
-    return [f"left out: {', '.join(reported)}"] if reported else []
+            said += [f"{a:.1f} to {b:.1f} s ({why})"] if b - a >= SETTINGS.reported else []
+    return [f"left out: {', '.join(said)}"] if said else []
 
 
 def _times(moments: Sequence[float]) -> str:
