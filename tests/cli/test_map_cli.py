@@ -195,6 +195,15 @@ TANK = {
 }
 
 
+def test_a_clock_that_stands_still_is_named_with_its_row(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (case / "own.csv").write_text("t,u,v\n998,1,2\n1000,0,1\n1000,1,1\n1010,1,0\n")
+    assert main(["map", "new", "own.csv", "--out", "log.toml"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "column 't' does not rise in 1 of 4 rows, first from 1000 to 1000 in row 3" in said
+
+
 @pytest.mark.parametrize(("unit", "scale"), [("rev/s", None), ("rpm", 60.0), ("rad/s", 2 * np.pi)])
 def test_what_a_vehicle_has_is_looked_for_and_nothing_else(
     unit: str, scale: float | None, tmp_path: Path

@@ -10,6 +10,8 @@ from scipy.interpolate import PchipInterpolator
 
 import undertow as ut
 from undertow.codegen.functions import Functions
+from undertow.identification.logs.mapping import Channel, Column, LogMapping
+from undertow.identification.logs.reading import read_logs
 from undertow.model.hardware import Curve, Propeller
 from undertow.model.loading import load_vehicle
 from undertow.model.saving import save_vehicle
@@ -72,6 +74,37 @@ def test_thrust_follows_revolutions_and_advance(tmp_path: Path, rpm: float, u: f
     np.testing.assert_allclose(found, [thrust, 0.0, -0.2 * thrust], rtol=1e-9, atol=1e-9)
     assert vehicle.command_units == {"prop": "rpm"}
     assert "thrust_prop" not in vehicle.parameter_names
+
+
+def _with_revolutions(folder: Path, unit: str) -> tuple[Vehicle, Path]:
+    """The craft with its command in a unit, and a log with 600 revolutions a minute in column n."""
+    log = folder / "run.csv"
+    log.write_text("t,x,y,psi,u,v,r,n\n" + "".join(f"{k / 10},0,0,0,{k % 3},1,0,600\n" for k in range(20)))
+    return _load(folder, PROPELLER.replace('"rpm"', f'"{unit}"')), log
+
+
+@pytest.mark.parametrize(("unit", "speed"), [("rpm", 600.0), ("rev/s", 10.0), ("rad/s", 20 * np.pi)])
+def test_a_speed_with_its_unit_becomes_what_the_vehicle_counts(
+    tmp_path: Path, unit: str, speed: float
+) -> None:
+    vehicle, log = _with_revolutions(tmp_path, unit)
+    for columns, channels in (
+        ({"n": Column(channel="prop", unit="rpm")}, {}),
+        ({}, {"prop": Channel(expression="n / 60", unit="rev/s")}),
+    ):
+        mapping = LogMapping(columns=columns, channels=channels)
+        (run,) = read_logs([log], vehicle, mapping)
+        np.testing.assert_allclose(run.channels["prop"], speed, rtol=1e-12)
+
+
+def test_a_speed_in_newtons_or_read_without_the_vehicle_is_refused(tmp_path: Path) -> None:
+    vehicle, log = _with_revolutions(tmp_path, "rev/s")
+    wrong = LogMapping(columns={"n": Column(channel="prop", unit="N")})
+    with pytest.raises(ut.UndertowError, match="unit 'N' of 'n', speed of a propeller"):
+        read_logs([log], vehicle, wrong)
+    alone = ut.read_log(log, LogMapping(columns={"n": Column(channel="prop", unit="rpm")}), commands=["prop"])
+    with pytest.raises(ut.UndertowError, match=r"'n' was read in rad/s.* command 'prop' in rev/s"):
+        ut.fit(vehicle, [alone])
 
 
 def test_a_fitted_thrust_coefficient_goes_back_into_its_table(tmp_path: Path) -> None:

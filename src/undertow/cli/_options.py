@@ -171,7 +171,7 @@ class ReadOptions:
                 rewritten(model, vehicle, out)
         opened: FieldLogs = {}
         paths = [*logs, *(holdout or ())]
-        meanings = [self.meaning(path) for path in paths]
+        meanings = [self.meaning(path, model) for path in paths]
         if budget is not None and not any(m.held for m in meanings if m is not None):
             taken = self._of_any_length(
                 model, logs, holdout or (), budget, opened, to_fit=to_fit, in_any_order=in_any_order
@@ -252,7 +252,7 @@ class ReadOptions:
             report(done, f"reading {path.name}")
             found += long_logs(
                 path,
-                self.meaning(path),
+                self.meaning(path, model),
                 model.command_names,
                 (self.since, self.until),
                 self.fill,
@@ -263,11 +263,11 @@ class ReadOptions:
             return found
         return [replace(log, mapping=dropping_disorder(log.mapping)) for log in found]
 
-    def meaning(self, path: Path) -> LogMapping | None:
+    def meaning(self, path: Path, model: Vehicle) -> LogMapping | None:
         """What the columns of a log mean: by --map, or by the mapping file of its name beside it."""
         from undertow.identification.logs.reading import mapping_for
 
-        return mapping_for(path, self.mapping, self.rig)
+        return mapping_for(path, self.mapping, model, self.rig)
 
     @property
     def rig(self) -> Held:

@@ -585,7 +585,7 @@ def plan(
     """
     if runs:
         runs = with_velocities(vehicle, runs)
-        check_fit(runs, (), vehicle.velocity_names)
+        check_fit(runs, (), vehicle)
     if not between and diagnosis is None:
         return plan_parameters(vehicle, runs, request, only, trust_log=trust_log)
     effects = catalogue() if known is None else known

@@ -35,6 +35,7 @@ def registry() -> UnitRegistry:
     units: UnitRegistry = pint.UnitRegistry()
     # What a command is measured in is the thruster's own affair: it cancels only against itself.
     units.define("command = [command]")
+    units.define("@alias revolution = rev")  # rev/s, as vehicle files spell it
     return units
 
 

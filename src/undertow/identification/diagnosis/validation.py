@@ -553,7 +553,7 @@ def training_and_validation(
     Velocities that a run lacks are taken from its pose.
     """
     runs, validation = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
-    check_fit(runs, validation, vehicle.velocity_names)
+    check_fit(runs, validation, vehicle)
     refuse_impossible(vehicle, [*runs, *validation], trust_log=trust_log)
     train, test = (list(runs), list(validation)) if validation else split_into_pieces(runs, settings)
     check_excitation(vehicle, train, settings)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.model.actuators import TURNS
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 
@@ -185,7 +187,21 @@ def refuse_too_many(samples: int, log: str | Path) -> None:
         )
 
 
-def check_fit(runs: Sequence[Run], validation: Sequence[Run], velocities: Sequence[str]) -> None:
+def refuse_other_speeds(run: Run, vehicle: Vehicle) -> None:
+    """Refuse speeds of propellers that were read in rad/s where the vehicle counts them otherwise."""
+    counted = {t.name: t.unit for t in vehicle.thrusters if t.unit in TURNS and t.unit != "rad/s"}
+    columns = run.mapping.columns.items() if run.mapping is not None else ()
+    for name, column in columns:
+        if column.channel in counted and column.unit is not None:
+            raise UndertowError(
+                f"log {run.source or run.name}: column {name!r} was read in rad/s, since its mapping states "
+                f"the unit {column.unit!r}, and the vehicle counts command {column.channel!r} in "
+                f'{counted[column.channel]}: write revolutions = "rad/s" into the vehicle file, or a scale '
+                "in place of the unit into the mapping"
+            )
+
+
+def check_fit(runs: Sequence[Run], validation: Sequence[Run], vehicle: Vehicle) -> None:
     """Refuse logs that nothing can be fitted to: given twice, too long, with a velocity that never changes.
 
     Such a velocity would be explained by parameters that make the vehicle heavy or stiff.
@@ -194,8 +210,9 @@ def check_fit(runs: Sequence[Run], validation: Sequence[Run], velocities: Sequen
     for run in (*runs, *validation):
         total += len(run.t)
         refuse_too_many(total, run.source or run.name)
+        refuse_other_speeds(run, vehicle)
     refuse_twins([*runs, *validation])
-    dead = [constant_channels(run, velocities) for run in runs]
+    dead = [constant_channels(run, vehicle.velocity_names) for run in runs]
     if dead:
         refuse_constant(runs[0], [name for name in dead[0] if all(name in found for found in dead)])
 

@@ -361,10 +361,7 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     named = [n for n in table.columns if set(Name.of(n).words) & _TIMES and (n in rising or n not in data)]
     found = next(iter([*named, *rising]), None)
     if found is None:
-        raise UndertowError(
-            f"{where}: no column counts the time, none rises from row to row: its columns are "
-            f"{', '.join(table.columns)}"
-        )
+        raise UndertowError(f"{where}: {_no_time(data)}: its columns are {', '.join(table.columns)}")
     if found not in data:
         return Guess(found, {"column": found, "unit": "iso"})
     sampled = _sampled(data, found)
@@ -380,6 +377,20 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     if rate > SETTINGS.fast and np.all(sampled):
         said += f"{' ' if said else ''}{rate:.3g} rows a second: every = {round(rate / 20)} would do at first"
     return Guess(found, {"column": found, "unit": unit}, said)
+
+
+def _no_time(data: Mapping[str, Array]) -> str:
+    """Why no column is the time, and what to do where one of its name is too coarse, or jumps back."""
+    for name, column in data.items():
+        still = np.flatnonzero(np.diff(column) <= 0.0)
+        if set(Name.of(name).words) & _TIMES and len(still):
+            row = int(still[0])
+            return (
+                f"column {name!r} does not rise in {len(still)} of {len(column)} rows, first from "
+                f"{column[row]:.9g} to {column[row + 1]:.9g} in row {row + 2}: write the times with more "
+                "digits, or row number times sampling interval, into a column that rises"
+            )
+    return "no column counts the time, none rises from row to row"
 
 
 def _sampled(data: Mapping[str, Array], time: str) -> Flags:

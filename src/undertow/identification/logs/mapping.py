@@ -62,6 +62,12 @@ class Column(_Strict):
         values = scale * size + offset
         return values if self.off is None else np.where(cells == self.off, 0.0, values)
 
+    def in_units_of(self, factor: float) -> Column:
+        """The column with one unit as so many of another, in which its channel is wanted as it is."""
+        return self.model_copy(
+            update={"unit": None, "scale": factor * self.scale, "offset": factor * self.offset}
+        )
+
 
 class Channel(_Strict):
     """A channel that is a formula in columns: its value is in `unit`, converted to SI."""
@@ -69,6 +75,10 @@ class Channel(_Strict):
     expression: str  # arithmetic in the cells of columns, see `Formula`
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
     delay: str | float = 0.0  # as that of a column
+
+    def in_units_of(self, factor: float) -> Channel:
+        """The formula with one unit as so many of another, in which its channel is wanted as it is."""
+        return self.model_copy(update={"unit": None, "expression": f"{factor!r} * ({self.expression})"})
 
     @field_validator("expression")
     @classmethod

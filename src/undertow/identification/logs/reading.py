@@ -28,6 +28,7 @@ from undertow.identification.logs.table import (
     numbers,
     seconds,
 )
+from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.units import magnitude, scale_offset, si_unit
@@ -156,7 +157,7 @@ def read_logs(
     runs: list[Run] = []
     for done, path in enumerate(paths):
         progress(done, f"reading {path.name}")
-        meaning = mapping_for(path, mapping, held)
+        meaning = mapping_for(path, mapping, vehicle, held)
         part = one_motion or bool(meaning and meaning.held)
         needed, also = ((), vehicle.command_names) if part else (vehicle.command_names, ())
         limits, time = WHOLE, (meaning or LogMapping()).time
@@ -172,10 +173,35 @@ def read_logs(
     return checks.with_distinct_names(runs)
 
 
-def mapping_for(path: Path, mapping: LogMapping | None, held: Held = ()) -> LogMapping | None:
-    """The mapping that is given, or that of the file beside a log, with the motions that a rig holds."""
+def mapping_for(
+    path: Path, mapping: LogMapping | None, vehicle: Vehicle, held: Held = ()
+) -> LogMapping | None:
+    """The mapping that is given, or that of the file beside a log, with the motions that a rig holds.
+
+    Speeds of propellers become what the vehicle counts them in.
+    """
     meaning = mapping or mapping_beside(path)
+    if meaning is not None:
+        meaning = _counted_as_the_vehicle(meaning, vehicle, f"log {path}")
     return (meaning or LogMapping()).model_copy(update={"held": held}) if held else meaning
+
+
+def _counted_as_the_vehicle(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMapping:
+    """The mapping with speeds of propellers in `revolutions` of the vehicle file, not in rad/s as others."""
+    counted = {t.name: TURNS[t.unit] for t in vehicle.thrusters if t.unit in TURNS}
+
+    def factor(name: str, command: str, unit: str) -> float:
+        of = f"{where}: unit {unit!r} of {name!r}, speed of a propeller,"
+        return scale_offset(unit, "rad/s", of=of)[0] * TURNS["rad/s"] / counted[command]
+
+    columns, channels = dict(mapping.columns), dict(mapping.channels)
+    for name, column in columns.items():
+        if column.channel in counted and column.unit is not None:
+            columns[name] = column.in_units_of(factor(name, column.channel, column.unit))
+    for name, channel in channels.items():
+        if name in counted and channel.unit is not None:
+            channels[name] = channel.in_units_of(factor(name, name, channel.unit))
+    return mapping.model_copy(update={"columns": columns, "channels": channels})
 
 
 def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
