@@ -1,6 +1,6 @@
 """Lift and drag of rudders, fins and planes."""
 
-from math import inf
+from math import inf, pi
 
 import sympy as sm
 
@@ -33,7 +33,12 @@ class ControlSurfaces(Wrench):
     built_in = True
     shares = ("thrusters", "propellers")
 
-    C_N = PerSurface("1", "force across the chord: coefficient per sine of the angle of attack", (0, inf))
+    C_N = PerSurface(
+        "1",
+        "force across the chord: coefficient per sine of the angle of attack",
+        (0, inf),
+        within=2 * pi,  # that of a thin wing without ends; beyond it a rudder stands in for the hull's lift
+    )
     C_D = PerSurface("1", "drag coefficient at zero angle", (0, inf))
     wake = PerSurface(
         "1", "share of the speed ahead that the wake takes", (-1, 1), linear=False, default=0.0, neutral=None
