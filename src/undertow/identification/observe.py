@@ -1,4 +1,4 @@
-"""States of a log: a run through an observer and its smoother, with what tells whether to believe them."""
+"""States of a log: a run through an observer and its smoother, with the tests of its consistency."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Observed:
     white: tuple[Whiteness, ...]
     # smoothed value at the end of each estimated parameter, and its standard deviation
     parameters: dict[str, tuple[float, float]]
-    disbelieved: dict[str, int]  # reports beyond the gate by channel
+    rejected: dict[str, int]  # reports beyond the gate by channel
 
     @property
     def honest(self) -> bool:
@@ -72,7 +72,7 @@ class Observed:
             "disturbance": self.disturbance,
             "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in self.parameters.items()},
             **_tests(self.nis, self.white),
-            "disbelieved": self.disbelieved,
+            "rejected": self.rejected,
         }
 
 
@@ -113,10 +113,10 @@ class ObservedLogs:
         return _root_mean_squares([one.disturbance for one in self.each])
 
     @property
-    def disbelieved(self) -> dict[str, int]:
+    def rejected(self) -> dict[str, int]:
         """Reports beyond the gate by channel, of all logs."""
-        names = dict.fromkeys(n for one in self.each for n in one.disbelieved)
-        return {n: sum(one.disbelieved.get(n, 0) for one in self.each) for n in names}
+        names = dict.fromkeys(n for one in self.each for n in one.rejected)
+        return {n: sum(one.rejected.get(n, 0) for one in self.each) for n in names}
 
     def content(self) -> dict[str, object]:
         """The numbers, for JSON: those of the log where it is one, else by log and over all."""
@@ -128,7 +128,7 @@ class ObservedLogs:
             "noise": self.noise,
             "disturbance": self.disturbance,
             **_tests(self.nis, self.white),
-            "disbelieved": self.disbelieved,
+            "rejected": self.rejected,
         }
 
 

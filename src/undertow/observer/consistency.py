@@ -71,7 +71,7 @@ def _normalised(name: str, squares: Array) -> Normalised:
 
 
 def innovations(found: Estimate, channel: int) -> Array:
-    """Normalised innovations of the believed reports of a channel, in order of time, without the first."""
+    """Normalised innovations of the accepted reports of a channel, in order of time, without the first."""
     used = found.used[:, channel]
     e, s = found.innovation[used, channel], found.variance[used, channel]
     return (e / np.sqrt(s))[SETTINGS.burn_in :]

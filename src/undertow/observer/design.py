@@ -22,7 +22,7 @@ from undertow.typing import Array
 
 from .filters import SETTINGS as FILTER
 from .filters import (
-    Believed,
+    Updated,
     Method,
     Observer,
     added_noise,
@@ -138,13 +138,13 @@ class Design:
         return _function("predict", {"x": x, "P": P, "u": u, "p": p, "t": t, "dt": dt}, outputs, ["xn", "Pn"])
 
     def update(self, sensor: int) -> ca.Function:
-        """`(x, P, nis) = update(x, P, u, t, y)` with a report; nis beyond the gate was not believed."""
+        """`(x, P, nis) = update(x, P, u, t, y)` with a report; nis beyond the gate was rejected."""
         return self._updating(sensor, self._numbers, ca.SX(0, 1))
 
     def _updating(self, sensor: int, numbers: Numbers, p: ca.SX) -> ca.Function:
         x, P, u, t = self._symbols
         y = ca.SX.sym("y")
-        got = self._believed(sensor, x, P, u, t, y, ca.SX(1), numbers)
+        got = self._updated(sensor, x, P, u, t, y, ca.SX(1), numbers)
         outputs = [ca.densify(o) for o in ca.cse([got.x, got.P, got.innovation**2 / got.variance])]
         given = {"x": x, "P": P, "u": u, "p": p, "t": t, "y": y}
         return _function("update", given, outputs, ["xn", "Pn", "nis"])
@@ -187,7 +187,7 @@ class Design:
             "noise": _function("noise", timed, [ca.densify(ca.cse(added))], ["Pn"]),
         } | reports
 
-    def _believed(
+    def _updated(
         self,
         sensor: int,
         x: ca.SX,
@@ -197,7 +197,7 @@ class Design:
         y: ca.SX,
         there: ca.SX,
         numbers: Numbers | None = None,
-    ) -> Believed:
+    ) -> Updated:
         own, channel = numbers or self._numbers, self.channels[sensor]
         r = own.variance[sensor]
         given = x, P, u, own.vehicle, t, y, r, there, own.gate
@@ -237,7 +237,7 @@ class Design:
         ages = []
         for k in range(len(self.channels)):
             due = age[k] >= float(self.period[k]) - dt / 2
-            got = self._believed(k, x, P, zero, ca.SX(0), y[k], due)
+            got = self._updated(k, x, P, zero, ca.SX(0), y[k], due)
             x, P = got.x, got.P
             ages.append(age[k] + dt - due * float(self.period[k]))
         return x, P, ca.vertcat(*ages)

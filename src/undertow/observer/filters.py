@@ -28,7 +28,7 @@ class FilterSettings:
 
     # Terms of the series of the discrete process noise: with five, chains of three integrators are exact.
     terms: int = 5
-    # Squared innovation over its variance beyond which a report is not believed: one in a million.
+    # Squared innovation over its variance beyond which the gate rejects a report: one in a million.
     gate: float = 23.9
     # Sigma points (Wan and van der Merwe 2000): as wide as the square root of the number of states, beta for
     # a Gaussian. The centre has then no weight in the mean, and covariances stay positive.
@@ -99,7 +99,7 @@ class Estimate:
     # channels, and its variance, so that normalised innovations are independent; NaN where there is no report
     innovation: Array
     variance: Array
-    used: Flags  # (n, m): reports that were believed
+    used: Flags  # (n, m): reports that the gate accepted
 
     @property
     def deviation(self) -> Array:
@@ -112,7 +112,7 @@ class Estimate:
 
     @property
     def log_likelihood(self) -> float:
-        """Log of the density of the reports; one that is not believed counts as at the gate."""
+        """Log of the density of the reports; one that is rejected counts as at the gate."""
         there = np.isfinite(self.innovation)
         square = np.minimum(self.innovation[there] ** 2 / self.variance[there], SETTINGS.gate)
         return float(-0.5 * np.sum(square + np.log(2 * pi * self.variance[there])))
@@ -177,8 +177,8 @@ def predicted(
 
 
 @dataclass(frozen=True)
-class Believed:
-    """State after a report, its innovation and variance, and whether it was believed."""
+class Updated:
+    """State after a report, its innovation and variance, and whether the gate accepted it."""
 
     x: ca.SX
     P: ca.SX
@@ -200,7 +200,7 @@ def corrected(
     there: ca.SX,
     gate: ca.SX,
     method: Method = "ekf",
-) -> Believed:
+) -> Updated:
     """State after one report, by an extended filter in Joseph's form, which keeps a covariance positive."""
     if method == "ukf":
         points = sigma_points(x, P)
@@ -216,7 +216,7 @@ def corrected(
     used = there * (error**2 <= gate * variance)
     gain = used * along / variance
     rest = ca.SX.eye(x.numel()) - gain @ h
-    return Believed(
+    return Updated(
         x + gain * error, _symmetric(rest @ P @ rest.T + gain @ gain.T * r), error, variance, used
     )
 
@@ -271,7 +271,7 @@ def reported_point(process: Process, channel: int) -> ca.Function:
 
 def weighed(
     x: ca.SX, points: ca.SX, seen: ca.SX, y: ca.SX, r: ca.SX, there: ca.SX, gate: ca.SX, *, wraps: bool
-) -> Believed:
+) -> Updated:
     """State after one report (an angle if it wraps), given the sigma points and what is seen at them."""
     centre, off = gathered(seen)
     error = wrapped(y - centre) if wraps else y - centre
@@ -282,7 +282,7 @@ def weighed(
     # As in Joseph's form: P less what was learnt is a difference of large numbers, lost in single precision.
     rest = apart - off @ gain.T
     P = _symmetric(covariance(rest, rest) + gain @ gain.T * r)
-    return Believed(x + gain * error, P, error, variance, used)
+    return Updated(x + gain * error, P, error, variance, used)
 
 
 # --- filters --------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ _UPDATES = {
   for (int k = 0; k < @COUNT@; k++) {
     @NAME@_reported_@SENSOR@(&s[k * @N@], u, p, t, &z[k]);
   }
-  return @NAME@_believe(x, P, s, z, y, p->noise_@SENSOR@ * p->noise_@SENSOR@, p->gate, @ANGLE@);
+  return @NAME@_update_by(x, P, s, z, y, p->noise_@SENSOR@ * p->noise_@SENSOR@, p->gate, @ANGLE@);
 """,
 }
 
@@ -90,7 +90,7 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
         "   xn and Pn may be x and P. */",
         f"{predict};",
         "\n/* A report y, SI. Returned is the squared innovation over its variance: beyond p->gate y was\n"
-        "   not believed. */",
+        "   rejected. */",
         *(f"{update.format(sensor)};" for sensor in design.sensors),
         "",
     ]

@@ -63,7 +63,7 @@ void @NAME@_predict(const @REAL@ *x, const @REAL@ *P, const @REAL@ *u, const @NA
 }
 
 /* State after a report y of variance r, given the points and what is reported at each. */
-static @REAL@ @NAME@_believe(@REAL@ *x, @REAL@ *P, @REAL@ *s, @REAL@ *z, @REAL@ y, @REAL@ r, @REAL@ gate,
+static @REAL@ @NAME@_update_by(@REAL@ *x, @REAL@ *P, @REAL@ *s, @REAL@ *z, @REAL@ y, @REAL@ r, @REAL@ gate,
                              int angle) {
   @REAL@ gain[@N@];
   const @REAL@ error = y - @NAME@_centred(z, 1);

@@ -173,10 +173,10 @@ def innovations(title: str, found: Observed | ObservedLogs) -> None:
     rows = []
     for one in found.nis[:-1]:
         p = f"{white[one.name].p_value:.2g}" if one.name in white else ""
-        gone = found.disbelieved.get(one.name, 0)
+        gone = found.rejected.get(one.name, 0)
         numbers = (f"{found.noise[one.name]:.3g}", str(one.count), f"{gone or ''}", f"{one.mean:.3f}")
         rows.append((one.name, *numbers, f"{one.low:.3f} to {one.high:.3f}", p))
-    head = ("sensor", "noise", "reports", "disbelieved", "NIS", "95 %", "white, p")
+    head = ("sensor", "noise", "reports", "rejected", "NIS", "95 %", "white, p")
     section(title, table(head, rows))
 
 
