@@ -76,6 +76,18 @@ def _mass(functions: Functions) -> np.ndarray:
     )
 
 
+@pytest.mark.parametrize("size", [1e200, np.inf, np.nan])
+def test_along_what_grows_without_bound_there_is_no_step(size: float) -> None:
+    model = WeakModel(Functions(sway_yaw(10.0, 2.0, 0.5)), ("Y_rdot", "Y_v", "N_r"))
+    J = np.random.default_rng(3).standard_normal((40, 3))
+    J[7, 1] = size  # squared, beyond the largest number
+    at = Linearised(np.ones(40), J, np.zeros((40, 0)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = limited_step(model, at, np.array(model.functions.values()), bounds_of(model), NOTHING)
+    assert np.isfinite(step).all()
+    assert step[1] == 0.0
+
+
 # --- the mass matrix --------------------------------------------------------------------------------------
 
 

@@ -216,9 +216,7 @@ def corrected(
     used = there * (error**2 <= gate * variance)
     gain = used * along / variance
     rest = ca.SX.eye(x.numel()) - gain @ h
-    return Updated(
-        x + gain * error, _symmetric(rest @ P @ rest.T + gain @ gain.T * r), error, variance, used
-    )
+    return Updated(x + gain * error, _symmetric(rest @ P @ rest.T + gain @ gain.T * r), error, variance, used)
 
 
 # --- sigma points ---------------------------------------------------------------------------------

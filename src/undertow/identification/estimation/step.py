@@ -294,6 +294,8 @@ def _step(
     cuts: Sequence[Cut],
 ) -> Array:
     gram, slope = normal_equations(at, now, prior)
+    if not (np.isfinite(gram).all() and np.isfinite(slope).all()):
+        return np.zeros(len(now))  # states that grow without bound have no slope to follow
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
     factor = np.linalg.cholesky(scaled).T
