@@ -22,9 +22,9 @@ from undertow.typing import Array
 
 from .filters import SETTINGS as FILTER
 from .filters import (
-    Updated,
     Method,
     Observer,
+    Updated,
     added_noise,
     corrected,
     moved_point,
