@@ -33,6 +33,9 @@ zigzags of the tanker, which nobody may hand on: to make the folder, clone the r
 DATA/kvlcc2-hsva/README.md names, run `python DATA/kvlcc2-hsva/convert.py CLONE FOLDER`, copy vehicle.toml and
 log.toml from DATA/kvlcc2-hsva into it, and delete the runs that are kept for judging (named there); without
 it these cases are left out"""
+FREE_RUNS = """\
+free runs of a ship in a pond: folder data of a clone of NAOE-5thLab/FRT-DS-ESSO (CC BY-NC 4.0, not part of
+this project); without it these cases are left out"""
 EXAMPLES = """\
 examples:
   # all cases on two cores; the same command goes on where it was cut off
@@ -92,6 +95,7 @@ def _add_data(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", type=Path, default=Path("../shared/data"), help="folder of the logs (default %(default)s)")
     add("--kvlcc2", type=Path, metavar="FOLDER", help=ZIGZAGS)
+    add("--esso", type=Path, metavar="FOLDER", help=FREE_RUNS)
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -102,7 +106,7 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
 
 
 def _sets(options: argparse.Namespace) -> dict[str, LogSet]:
-    sets = log_sets(options.kvlcc2)
+    sets = log_sets(options.kvlcc2, options.esso)
     for logs in sets.values():
         if not (options.data / logs.folder).is_dir():
             raise ValueError(f"{options.data / logs.folder} is not there: give the folder with --data")
@@ -112,7 +116,7 @@ def _sets(options: argparse.Namespace) -> dict[str, LogSet]:
 def _planned(options: argparse.Namespace) -> list[Case]:
     wanted = [
         case
-        for case in plan(log_sets(options.kvlcc2))
+        for case in plan(log_sets(options.kvlcc2, options.esso))
         if (not options.kind or case.kind in options.kind)
         and (not options.only or any(word in case.id for word in options.only))
     ]

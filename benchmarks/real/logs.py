@@ -26,6 +26,21 @@ _SHIP_TERMS = ("rigid_body_coriolis", "added_mass", "linear_damping", "quadratic
 #: The zigzags with which the model of the tanker is fitted, and those that it is judged by.
 TANKER = ("Z_20_10_S.csv", "Z_10_10_P.csv", "Z_15_05.csv", "Z_30_05.csv"), ("Z_20_10_P.csv", "Z_25_05.csv")
 
+#: Free runs of the ship in a pond: steered by hand at random, zigzags and a turn; the same of other days.
+ESSO = (
+    (
+        "random/random_31-Jul-2020_12_48_39.csv",
+        "zigzag/zigzag_31-Jul-2020_13_42_53.csv",
+        "zigzag/zigzag_31-Jul-2020_14_03_39.csv",
+        "turning/turn_14-Oct-2020_14_29_49.csv",
+    ),
+    (
+        "random/random_31-Jul-2020_14_52_18.csv",
+        "zigzag/zigzag_31-Jul-2020_13_50_28.csv",
+        "zigzag/zigzag_31-Jul-2020_13_57_45.csv",
+    ),
+)
+
 
 @dataclass(frozen=True)
 class LogSet:
@@ -153,6 +168,21 @@ def tanker(folder: Path) -> LogSet:
     )  # fmt: skip
 
 
-def log_sets(zigzags: Path | None) -> dict[str, LogSet]:
-    """All sets, with the tanker's where its folder is given."""
-    return SETS if zigzags is None else {**SETS, "tanker": tanker(zigzags)}
+def pond(folder: Path) -> LogSet:
+    """Free runs of a 3 m ship in a pond, with the wind as it was measured aboard."""
+    files = (str(Path(__file__).parent / "esso" / name) for name in ("vehicle.toml", "log.toml"))
+    train, test = ESSO
+    return LogSet(
+        Judged("Esso Osaka, wind measured", *files, train, test),
+        str(folder.resolve()),
+        (15.0, 60.0, 100.0),
+        {"speed": 0.17, "rate": 0.024, "length": 3.0, "command": 0.35, "time": 1.0},
+        ("current", "compass", "lever-arm", "misalignment", "bias", "scale", "sensor-delay", "mass"),
+        ("lift", "crossflow_drag", "quadratic_damping", "added_mass"),
+    )
+
+
+def log_sets(zigzags: Path | None, free_runs: Path | None = None) -> dict[str, LogSet]:
+    """All sets, with those of the tanker and of the ship in a pond where their folders are given."""
+    more = {"tanker": (tanker, zigzags), "esso": (pond, free_runs)}
+    return SETS | {name: made(folder) for name, (made, folder) in more.items() if folder is not None}

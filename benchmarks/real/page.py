@@ -297,11 +297,12 @@ it is. One command repeats a case with all that is known of it:
 MAKING = """\
 ## How it was made
 
-    python -m benchmarks.real run --data ../shared/data --kvlcc2 FOLDER --jobs 2
+    python -m benchmarks.real run --data ../shared/data --kvlcc2 FOLDER --esso FREE_RUNS --jobs 2
     python -m benchmarks.real page --out docs/real.md
 
 `FOLDER` has the zigzags of the KVLCC2 tanker (HSVA, SIMMAN 2008; repository
 martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), whose licence is not stated: they are
-not part of this project, only the numbers are here. Cases that ran side by side had one core each, and the
+not part of this project, only the numbers are here. `FREE_RUNS` is the folder data of a clone of
+NAOE-5thLab/FRT-DS-ESSO (Esso Osaka, 3 m, in a pond; CC BY-NC 4.0). Cases that ran side by side had one core each, and the
 machine had other work: seconds are upper limits.
 """

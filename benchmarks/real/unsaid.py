@@ -117,7 +117,8 @@ while something speaks against it as the cause; the reason stands with it.
 MAKING = """\
 ## How this page was made
 
-    python -m benchmarks.real run --kind baseline --data ../shared/data --kvlcc2 FOLDER
+    python -m benchmarks.real run --kind baseline --data ../shared/data --kvlcc2 FOLDER \\
+        --esso FREE_RUNS
     python -m benchmarks.real unsaid --out docs/what-it-could-not-say.md \\
         --before benchmarks/results/real-before.jsonl
 
