@@ -152,6 +152,11 @@ class Dynamics:
         fit = self.refitted(undo=mistake.undo)
         return fit is not None and self.gain(with_reestimated_noise(fit)).explained
 
+    def no_worse(self, mistake: Mistake) -> bool:
+        """Whether the refitted model explains the motion as well or better once a mistake is undone."""
+        fit = self.refitted(undo=mistake.undo)
+        return fit is None or self.gain(fit).overall >= 1.0
+
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""
         return Gain(

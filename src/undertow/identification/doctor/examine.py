@@ -263,7 +263,8 @@ class _Examiner:
         found = dynamic_mistakes(*known)
         if found is not None and at.explained_by(found.mistake):
             return found
-        return by_signs(self.vehicle, self.runs, found, lambda: wirings(*known))
+        signs = by_signs(self.vehicle, self.runs, found, lambda: wirings(*known))
+        return signs if found is not None or signs is None or at.no_worse(signs.mistake) else None
 
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""

@@ -39,6 +39,10 @@ class SignSettings:
     # Share of it that positive gains must leave beyond free ones to count: thrusters that are weaker astern
     # and the like do less.
     matters: float = 0.05
+    # Gain beyond which, either way, it is no sign of a command that is read wrongly, but of something that the
+    # stated force is too small to tell from what the model lacks: of units of a command degrees make 57, and
+    # these are found by themselves; a fit of a good model to a good log has shown 0.08 and 3.
+    strongest: float = 10.0
     # Standard errors by which logs must contradict a reading: what a model lacks makes a few of them.
     sure: float = 10.0
     shows: float = 3.0  # the same from which a run takes part in the count
@@ -87,7 +91,8 @@ class _Row:
         columns, whole = self.given / size, float(self.force @ self.force)
         free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(SETTINGS.distinct))
         left = float(np.sum((self.force - columns @ free) ** 2))
-        _, positive = nnls(columns, self.force)
+        wild = np.abs(free / size) > SETTINGS.strongest
+        _, positive = nnls(np.hstack([columns, -columns[:, wild]]), self.force)
         scale = max(np.sqrt(left / len(self.force)), 1e-6 * np.sqrt(whole / len(self.force)))
         gain, error = clustered_least_squares(
             columns / scale, self.force / scale, SETTINGS.cluster, SETTINGS.distinct
@@ -194,7 +199,8 @@ class Signs:
             values = np.array([of[dof, command] for of in self.given.gains if (dof, command) in of])
             gain, error = _mean(*values.T)
             sure = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
-            if gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values):
+            wild = np.median(np.abs(values[:, 0])) > SETTINGS.strongest
+            if not wild and (gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values)):
                 runs = f" ({sure} of {len(values)} runs show it)" if len(values) > 1 else ""
                 parts.append(f"{dof} answers {command} by {gain:.2g} ± {error:.1g}{runs}")
                 evidence |= {f"{dof}_{command}": gain, f"{dof}_{command}_error": error}
