@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from undertow.codegen.engine import call, mapped
+from undertow.codegen.engine import carried, mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
@@ -114,10 +114,13 @@ class PropagatedState:
 
     def states(self, start: Array, columns: list[Array], p: Array, t: Array, dt: Array) -> Array:
         """States at the samples and after the last interval, shape (N + 1, n)."""
-        count = len(t)
-        fixed = np.tile(p, (count, 1))
-        (flat,) = call(_accumulated(self._step, count), [start, *columns, t, dt, fixed])
-        return np.vstack([start, flat.reshape(count, -1)])
+        inside = [column[:, None] for column in (*columns, t, dt)]
+        return self.side_by_side(start[None], inside, p)[:, 0]
+
+    def side_by_side(self, start: Array, inside: list[Array], p: Array) -> Array:
+        """The same of S logs, (N + 1, S, n): columns as (N, S, k), then t and dt, (N, S), where they differ."""
+        *columns, t, dt = inside
+        return carried(self._step, start, [*columns, t[..., None], dt[..., None], p], len(t))
 
     def along(
         self, start: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
@@ -167,11 +170,6 @@ def _integrated(rate: At, output: At, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
-
-
-@lru_cache(maxsize=64)
-def _accumulated(function: ca.Function, count: int) -> ca.Function:
-    return function.mapaccum("accumulated", count)
 
 
 @dataclass(frozen=True)
