@@ -287,13 +287,15 @@ class ActuatorStates:
             return driven
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         seconds = float(delay[0, 0])
-        value = shifted_mean(t, driven.value, seconds)
-        moved, start = (
+        felt, late = self._dependent, np.flatnonzero(slope)
+        by_felt, start = (
             shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape)
-            for s in (driven.slope, driven.start)
+            for s in (driven.slope[:, :, felt], driven.start)
         )
-        per_second = -shift_rate(t, driven.value, seconds)
-        return DrivenSignal(value, moved + per_second[:, :, None] * slope.ravel(), start)
+        moved = np.zeros_like(driven.slope)
+        moved[:, :, felt] = by_felt
+        moved[:, :, late] -= shift_rate(t, driven.value, seconds)[:, :, None] * slope[0, late]
+        return DrivenSignal(shifted_mean(t, driven.value, seconds), moved, start)
 
     def seconds_late(self, p: Array) -> float:
         """Dead time between commands and what they bring about, s."""
@@ -312,12 +314,14 @@ class ActuatorStates:
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         share, per_second = share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
-        value, by_free, by_start = (change(a) for a in (driven.value, driven.slope, driven.start))
+        late = np.flatnonzero(slope)
+        felt, moved = sorted({*self._dependent, *late.tolist()}), driven.slope.copy()
+        value, by_felt, by_start = (change(a) for a in (driven.value, moved[:, :, felt], driven.start))
         turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
+        moved[:, :, felt] -= weight[:, None, None] * by_felt
+        moved[:, :, late] += turned[:, :, None] * slope[0, late]
         return DrivenSignal(
-            driven.value - weight[:, None] * value,
-            driven.slope - weight[:, None, None] * by_free + turned[:, :, None] * slope.ravel(),
-            driven.start - weight[:, None, None] * by_start,
+            driven.value - weight[:, None] * value, moved, driven.start - weight[:, None, None] * by_start
         )
 
 

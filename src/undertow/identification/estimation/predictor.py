@@ -11,7 +11,7 @@ from functools import cached_property, partial
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.engine import mapped
+from undertow.codegen.engine import at_samples, mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.logs.run import Run
@@ -36,6 +36,7 @@ class StartSettings:
     motion: float = 3.0
     least_noise: float = 1e-6  # of a channel, relative to its rms
     rounds: int = 12
+    steps_close_by: int = 2  # to the best start from that of parameters close by: the second adds a hundredth
     secant: float = 1e-6
     shares: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.0)  # of a step that are tried together
     least_fall: float = 1e-3  # of the sum of squares, as a share of the first one, with which the search ends
@@ -72,17 +73,12 @@ class OwnStates:
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(
-        self,
-        windows: Windows,
-        motion: Array,
-        delay: float,
-        p: Array,
-        near: Origin | None = None,
+        self, windows: Windows, motion: Array, delay: float, p: Array, near: Origin | None = None
     ) -> tuple[Array, Origin | None]:
         """Memory and actuator states at the start of every window, (b, size), and where the stretches begin.
 
         `motion` (b, 2n) is the true one at the starts; commands arrive `delay` s late. From what was found at
-        parameters close by, `near`, it is a step or two.
+        parameters close by, `near`, it is a few steps.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
@@ -95,21 +91,26 @@ class OwnStates:
         drives = [shifted_mean(run.t, u, delay) if delay else u for run, u in sent]
         rest = self._at_rest(drive.u[:, 0], look.t[:, 0], p)
         along = partial(self._along, windows, stretches, drives, p)
-        if near is None:
-            near = Origin(np.column_stack([motion[first], rest]), self._scale(along(rest)))
-        state = self._best_starts(
-            look, np.column_stack([motion[first], rest]), drive, near, _noise(windows), p
-        )
+        scale, found = (self._scale(along(rest)), None) if near is None else (near.scale, near.state)
+        noise = _noise(windows)
+        width = np.concatenate([SETTINGS.motion * noise, scale])
+        start = np.column_stack([motion[first], rest])
+
+        def report(trials: Array) -> Array:
+            rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
+            return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
+
+        measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
+        state = best_start(report, measured, start, width, found)
         for rows, states in zip(stretches, along(state[:, -self.size :]), strict=True):
             own[rows] = states[windows.first[rows] - windows.first[rows[0]]]
-        return own, replace(near, state=state)
+        return own, Origin(state, scale)
 
     # --- along the log ------------------------------------------------------------------------
     def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
         """Memory without a past, actuators as if the first command had been held for long, by stretch."""
-        rest = self._functions.rest
-        actuator = [np.asarray(rest(commands, p, now)).ravel() for commands, now in zip(u, t, strict=True)]
-        return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), np.array(actuator)])
+        (actuator,) = at_samples(self._functions.rest, [u, p, t[:, None]], len(t))
+        return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), actuator])
 
     @staticmethod
     def _scale(along: list[Array]) -> Array:
@@ -169,20 +170,6 @@ class OwnStates:
         own = ca.vertcat(f.memory, f.actuator_states)
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
 
-    # --- at its beginning ---------------------------------------------------------------------
-    def _best_starts(
-        self, look: Windows, start: Array, drive: Drive, near: Origin, noise: Array, p: Array
-    ) -> Array:
-        """States at the beginning of every stretch, sought from those of `near`."""
-
-        def report(trials: Array) -> Array:
-            rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
-            return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
-
-        measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
-        width = np.concatenate([SETTINGS.motion * noise, near.scale])
-        return best_start(report, measured, start, width, near.state)
-
 
 def _side_by_side(signals: Sequence[Array]) -> Array:
     """Signals (N, ...) of several logs as (longest N, logs, ...), zeros after the end of each.
@@ -233,7 +220,8 @@ def best_start(
 
     `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
     (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
-    deviation of the prior; the search begins at `first` (b, m), where given.
+    deviation of the prior. From `first` (b, m), where it is given, which is best at parameters close by, a few
+    steps are taken: between searches that end by themselves, where they end would differ, too.
     """
     used = np.isfinite(measured)[:, None]
     known = np.where(used, measured[:, None], 0.0)
@@ -244,7 +232,12 @@ def best_start(
         y = report((start[:, None] + moved * width).reshape(b * r, m))
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
-    moved = np.zeros_like(start) if first is None else (first - start) / width
+    if first is not None:
+        moved = (first - start) / width
+        for _ in range(SETTINGS.steps_close_by):
+            moved = moved + _gauss_newton(residual, moved)
+        return start + moved * width
+    moved = np.zeros_like(start)
     falls: list[Array] = []
     for _ in range(SETTINGS.rounds):
         step = _gauss_newton(residual, moved)

@@ -98,7 +98,9 @@ class Windows:
         """Some of the windows, each with its first `most` samples."""
         chosen = {name: getattr(self, name)[rows] for name in ("run", "first", "segment", "start")}
         kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
-        return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
+        some = replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
+        vars(some)["held"] = self.held  # it is of the same runs
+        return some
 
     def of_run(self, run: int) -> tuple[Index, Windows]:
         """Places of the windows of one run, and these windows."""
