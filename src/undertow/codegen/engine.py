@@ -129,7 +129,7 @@ class Blockwise:
         return results
 
     def carry(self, state: Array, arguments: Sequence[Array]) -> None:
-        """Fill in a state (steps + 1, chains, n) from its first row; arguments are (steps, chains, k) each."""
+        """Fill in a state (steps + 1, chains, n) from its first row; arguments are (steps, chains, k)."""
         whole = ((a, a.shape[2] < 2 or a.strides[2] == a.itemsize) for a in (state[:-1], *arguments))
         inputs = [a if together else a.copy() for a, together in whole]
         strides = [[a.strides[axis] // a.itemsize for a in inputs] for axis in (1, 0)]

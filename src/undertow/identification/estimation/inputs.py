@@ -118,7 +118,7 @@ class PropagatedState:
         return self.side_by_side(start[None], inside, p)[:, 0]
 
     def side_by_side(self, start: Array, inside: list[Array], p: Array) -> Array:
-        """The same of S logs, (N + 1, S, n): columns as (N, S, k), then t and dt, (N, S), where they differ."""
+        """The same of S logs, (N + 1, S, n): columns, (N, S, k), then t and dt, (N, S)."""
         *columns, t, dt = inside
         return carried(self._step, start, [*columns, t[..., None], dt[..., None], p], len(t))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import casadi as ca
@@ -127,9 +127,7 @@ class OwnStates:
         states = self._propagated.side_by_side(start, columns, p)
         return [states[: len(t) + 1, i] for i, (*_, t, _) in enumerate(inside)]
 
-    def _between(
-        self, windows: Windows, rows: Index, drives: list[Array], p: Array
-    ) -> tuple[Array, ...]:
+    def _between(self, windows: Windows, rows: Index, drives: list[Array], p: Array) -> tuple[Array, ...]:
         """Motion before and after every interval between the starts of a stretch, commands, time, length."""
         run, first = int(windows.run[rows[0]]), int(windows.first[rows[0]])
         piece = slice(first, int(windows.first[rows[-1]]) + 1)
@@ -220,8 +218,8 @@ def best_start(
 
     `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
     (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
-    deviation of the prior. From `first` (b, m), where it is given, which is best at parameters close by, a few
-    steps are taken: between searches that end by themselves, where they end would differ, too.
+    deviation of the prior. From `first` (b, m), where it is given, which is best at parameters close by, a
+    few steps are taken: between searches that end by themselves, where they end would differ, too.
     """
     used = np.isfinite(measured)[:, None]
     known = np.where(used, measured[:, None], 0.0)
