@@ -269,10 +269,12 @@ class Descent:
             p = self._space.moved(state.p, step)
             starts = state.starts + state.at.start_slope @ step
             further = starts + state.at.start_step
-            # Most steps help: to simulate with derivatives at once is cheaper than to look first.
             if by_window:
                 further, squares = self._shooting.better_starts(p, starts, further)
-            if not by_window or self._space.cost(p, squares) < before:
+            else:
+                squares = self._shooting.cost(p, further)
+            # Derivatives cost many simulations, and nearly half of the steps do not help.
+            if self._space.cost(p, squares) < before:
                 at = self._shooting.linearise(p, further)
                 after = self._space.cost(p, at.cost)
                 if after < before:

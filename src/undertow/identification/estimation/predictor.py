@@ -36,7 +36,6 @@ class StartSettings:
     motion: float = 3.0
     least_noise: float = 1e-6  # of a channel, relative to its rms
     rounds: int = 12
-    steps_close_by: int = 2  # to the best start from that of parameters close by: the second adds a hundredth
     secant: float = 1e-6
     shares: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03, 0.0)  # of a step that are tried together
     least_fall: float = 1e-3  # of the sum of squares, as a share of the first one, with which the search ends
@@ -78,7 +77,7 @@ class OwnStates:
         """Memory and actuator states at the start of every window, (b, size), and where the stretches begin.
 
         `motion` (b, 2n) is the true one at the starts; commands arrive `delay` s late. From what was found at
-        parameters close by, `near`, it is a few steps.
+        parameters close by, `near`, it is a step or two.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
@@ -218,8 +217,7 @@ def best_start(
 
     `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
     (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
-    deviation of the prior. From `first` (b, m), where it is given, which is best at parameters close by, a
-    few steps are taken: between searches that end by themselves, where they end would differ, too.
+    deviation of the prior; the search begins at `first` (b, m), where given.
     """
     used = np.isfinite(measured)[:, None]
     known = np.where(used, measured[:, None], 0.0)
@@ -230,12 +228,7 @@ def best_start(
         y = report((start[:, None] + moved * width).reshape(b * r, m))
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
-    if first is not None:
-        moved = (first - start) / width
-        for _ in range(SETTINGS.steps_close_by):
-            moved = moved + _gauss_newton(residual, moved)
-        return start + moved * width
-    moved = np.zeros_like(start)
+    moved = np.zeros_like(start) if first is None else (first - start) / width
     falls: list[Array] = []
     for _ in range(SETTINGS.rounds):
         step = _gauss_newton(residual, moved)
