@@ -187,7 +187,7 @@ def carried(function: ca.Function, start: Array, arguments: Sequence[Array], ste
     if run is not None:
         run.carry(state, every)
         return state
-    for i, begin in enumerate(start):
+    for i, begin in enumerate(start if steps else ()):
         (flat,) = call(_accumulated(function, steps), [begin, *(a[:, i] for a in every)])
         state[1:, i] = flat.reshape(steps, -1)
     return state
