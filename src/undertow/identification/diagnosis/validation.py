@@ -303,13 +303,9 @@ class SimulationValidator:
         return {horizon: each[:, :count] for horizon, each in squares.items()}
 
     def _squares_ahead(self, fit: Fitted) -> dict[float, Array]:
-        vehicles, predictor = in_runs(fit, self.test)[0], Predictor(fit.vehicle, compiled=False)
-        found = {}
-        for h, windows in self._ahead.items():
-            if h is not None:
-                squares = relative_squares(predict_each(vehicles, windows, predictor))
-                found[h] = _as_the_rest(fit, squares, windows)
-        return found
+        found = self._predicted(fit, [self._ahead[h] for h in self.horizons])
+        squares = (_as_the_rest(fit, relative_squares(p), p.windows) for p in found)
+        return dict(zip(self.horizons, squares, strict=True))
 
     def contender(self, effect_set: EffectSet) -> Contender:
         """A effect_set fitted by output error from where the weak form left it, and judged."""

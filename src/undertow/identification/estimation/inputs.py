@@ -114,29 +114,40 @@ class PropagatedState:
 
     def states(self, start: Array, columns: list[Array], p: Array, t: Array, dt: Array) -> Array:
         """States at the samples and after the last interval, shape (N + 1, n)."""
-        inside = [column[:, None] for column in (*columns, t, dt)]
-        return self.side_by_side(start[None], inside, p)[:, 0]
+        return self.side_by_side(start[None], [(*columns, t, dt)], p)[0]
 
-    def side_by_side(self, start: Array, inside: list[Array], p: Array) -> Array:
-        """The same of S logs, (N + 1, S, n): columns, (N, S, k), then t and dt, (N, S)."""
-        *columns, t, dt = inside
-        return carried(self._step, start, [*columns, t[..., None], dt[..., None], p], len(t))
+    def side_by_side(self, start: Array, logs: Sequence[tuple[Array, ...]], p: Array) -> list[Array]:
+        """The same of S logs, each with its columns, t and dt, from starts (S, n); p may be (S, n_p)."""
+        *columns, t, dt = map(_abreast, zip(*logs, strict=True))
+        states = carried(self._step, start, [*columns, t[..., None], dt[..., None], p], len(dt))
+        return [states[: len(log[-1]) + 1, i] for i, log in enumerate(logs)]
 
     def along(
-        self, start: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """States (N + 1, n) and means over the intervals (N, k), each with its derivatives.
+        self, states: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
+    ) -> tuple[Array, Array, Array]:
+        """Derivatives of the states (N + 1, n), and means over the intervals (N, k) with theirs.
 
         Derivatives are those in the free parameters, then in the first states: shapes (N + 1, n, m + n) and
         (N, k, m + n); `slope`, (n, m), has those of the first states in the free parameters.
         """
-        states = self.states(start, columns, p, t, dt)
         inside = [states[:-1], *columns, dt[:, None]]
         by_state, free, mean_by_state, mean_free, mean = mapped(self._slopes, inside, p, t)
-        first = np.hstack([slope, np.eye(len(start))])
-        slopes = _propagated_slopes(first, by_state, _with_start(free, len(start)))
-        means = mean_by_state @ slopes[:-1] + _with_start(mean_free, len(start))
-        return states, slopes, mean[:, :, 0], means
+        size = states.shape[1]
+        first = np.hstack([slope, np.eye(size)])
+        slopes = _propagated_slopes(first, by_state, _with_start(free, size))
+        means = mean_by_state @ slopes[:-1] + _with_start(mean_free, size)
+        return slopes, mean[:, :, 0], means
+
+
+def _abreast(signals: Sequence[Array]) -> Array:
+    """Signals (N, ...) of several logs as (longest N, logs, ...), zeros after the end of each.
+
+    Where an interval has no length, no state changes.
+    """
+    found = np.zeros((len(signals), max(map(len, signals)), *signals[0].shape[1:]))
+    for whole, signal in zip(found, signals, strict=True):
+        whole[: len(signal)] = signal
+    return np.swapaxes(found, 0, 1)
 
 
 def _with_start(direct: Array, states: int) -> Array:
@@ -207,13 +218,19 @@ class ActuatorStates:
 
     def along(self, t: Array, u: Array, p: Array) -> Actuation:
         """Mean actuation over [t_i, t_i+1) for commands held between samples, u of shape (N, n_commands)."""
-        size, count = self.functions.actuation.shape[0], len(t)
-        if size == 0:
-            nothing = _nothing(count, len(self.free))
-            return Actuation.of(nothing, nothing)
-        mean = self._propagate(t, u, p) if self._has_states else self._static(t, u, p)
-        late = self._delayed(t, mean, p)
-        return Actuation.of(late, late if self._has_states else self._before(t, late, p))
+        return self.along_each([(t, u, p)])[0]
+
+    def along_each(self, logs: Sequence[tuple[Array, Array, Array]]) -> list[Actuation]:
+        """The same along several logs (t, u, p)."""
+        if self.functions.actuation.shape[0] == 0:
+            nothing = [_nothing(len(t), len(self.free)) for t, _, _ in logs]
+            return [Actuation.of(none, none) for none in nothing]
+        means = self._propagate(logs) if self._has_states else [self._static(*log) for log in logs]
+        found = []
+        for (t, _, p), mean in zip(logs, means, strict=True):
+            late = self._delayed(t, mean, p)
+            found.append(Actuation.of(late, late if self._has_states else self._before(t, late, p)))
+        return found
 
     @property
     def _has_states(self) -> bool:
@@ -225,11 +242,16 @@ class ActuatorStates:
         composition = self.functions.vehicle.composition
         return self._has_states or bool(self._dependent) or composition.dead_time != 0
 
-    def _propagate(self, t: Array, u: Array, p: Array) -> DrivenSignal:
-        step = np.append(np.diff(t), 0.0)
-        start, slope = (np.asarray(v) for v in self._rest(u[0], p, t[0]))
-        _, _, mean, slopes = self._propagated.along(start[:, 0], slope, [u], p, t, step)
-        return _driven(mean, slopes, self._dependent, len(self.free))
+    def _propagate(self, logs: Sequence[tuple[Array, Array, Array]]) -> list[DrivenSignal]:
+        inside = [(u, t, np.append(np.diff(t), 0.0)) for t, u, _ in logs]
+        rest = [[np.asarray(v) for v in self._rest(u[0], p, t[0])] for t, u, p in logs]
+        first, parameters = np.array([start[:, 0] for start, _ in rest]), np.array([p for *_, p in logs])
+        every = self._propagated.side_by_side(first, inside, parameters)
+        found = []
+        for states, (_, slope), (u, t, step), p in zip(every, rest, inside, parameters, strict=True):
+            _, mean, slopes = self._propagated.along(states, slope, [u], p, t, step)
+            found.append(_driven(mean, slopes, self._dependent, len(self.free)))
+        return found
 
     def _static(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         """A chain without states: its output in the middle of every interval."""
@@ -341,7 +363,9 @@ class Memory:
             return _nothing(count, len(self.free))
         columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
         start, slope = np.zeros(size), np.zeros((size, len(self._dependent)))
-        states, slopes, _, _ = self._propagated.along(start, slope, columns, p, t[:-1], np.diff(t))
+        inside = columns, p, t[:-1], np.diff(t)
+        states = self._propagated.states(start, *inside)
+        slopes, _, _ = self._propagated.along(states, slope, *inside)
         return _driven(states, slopes, self._dependent, len(self.free))
 
     @cached_property

@@ -122,9 +122,7 @@ class OwnStates:
     ) -> list[Array]:
         """States from the first to the last start in every stretch, shape (N, size) each."""
         inside = [self._between(windows, rows, drives, p) for rows in stretches]
-        columns = [_side_by_side(same) for same in zip(*inside, strict=True)]
-        states = self._propagated.side_by_side(start, columns, p)
-        return [states[: len(t) + 1, i] for i, (*_, t, _) in enumerate(inside)]
+        return self._propagated.side_by_side(start, inside, p)
 
     def _between(self, windows: Windows, rows: Index, drives: list[Array], p: Array) -> tuple[Array, ...]:
         """Motion before and after every interval between the starts of a stretch, commands, time, length."""
@@ -166,18 +164,6 @@ class OwnStates:
         )
         own = ca.vertcat(f.memory, f.actuator_states)
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
-
-
-def _side_by_side(signals: Sequence[Array]) -> Array:
-    """Signals (N, ...) of several logs as (longest N, logs, ...), zeros after the end of each.
-
-    Where an interval has no length, nothing changes.
-    """
-    longest = max(map(len, signals))
-    found = np.zeros((len(signals), longest, *signals[0].shape[1:]))
-    for whole, signal in zip(found, signals, strict=True):
-        whole[: len(signal)] = signal
-    return np.swapaxes(found, 0, 1)
 
 
 def _first_windows(windows: Windows, first: Index) -> Windows:

@@ -282,7 +282,7 @@ class WeakModel:
 
     def _driven(self, data: WeakData, own: list[Array]) -> list[Actuation]:
         each = zip(data.runs, data.held, own, strict=True)
-        return [self._chain.along(r.t, u, q) for r, u, q in each]
+        return self._chain.along_each([(r.t, u, q) for r, u, q in each])
 
     def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
