@@ -11,7 +11,7 @@ from undertow.codegen import Functions
 from undertow.codegen.compiler import Compiler
 
 # Private: the size of a block and its code have edges that the result hides.
-from undertow.codegen.engine import Blockwise, blockwise, engine
+from undertow.codegen.engine import Blockwise, blockwise, carried, engine
 from undertow.model.loading import bundled_vehicles, load_vehicle
 
 from .test_plain import OPERATIONS, A, B
@@ -69,6 +69,32 @@ def test_the_dynamics_of_every_bundled_vehicle(name: str, c_compiler: Compiler) 
     (found,) = Blockwise(function, engine())(arguments, count)
     (wanted,) = _one_by_one(function, arguments, count)
     np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("chains", [1, 2, 16, 19])
+@pytest.mark.parametrize("compiler", [True, False])
+def test_states_carried_on_side_by_side_are_those_of_one_step_after_the_other(
+    chains: int, compiler: bool, c_compiler: Compiler, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    z, u, dt, p = (ca.SX.sym(n, k) for n, k in (("z", 2), ("u", 3), ("dt", 1), ("p", 2)))
+    rate = ca.vertcat(ca.sin(z[1]) - p[0] * z[0] + u[0], u[1] * u[2] - p[1] * z[1])
+    step = ca.Function("step", [z, u, dt, p], [z + dt * rate])
+    if not compiler:
+        monkeypatch.setattr("undertow.codegen.engine.blockwise", lambda function: None)
+    random = np.random.default_rng(5)
+    start, commands, p_all = (random.normal(size=k) for k in ((chains, 2), (7, chains, 3), 2))
+    length = random.uniform(0.0, 0.2, (7, chains, 1))
+    # A view whose last axis is not whole in memory, and commands that all chains share.
+    for columns in (commands[:, :, ::-1], commands[:, :1]):
+        found = carried(step, start, [columns, length, p_all], 7)
+        each = np.broadcast_to(columns, commands.shape)
+        for i in range(chains):
+            state = start[i]
+            for k in range(7):
+                np.testing.assert_array_equal(found[k, i], state)
+                state = np.array(step(state, each[k, i], length[k, i], p_all)).ravel()
+            np.testing.assert_array_equal(found[7, i], state)
+    assert carried(step, start, [commands[:0], length[:0], p_all], 0).shape == (1, chains, 2)
 
 
 def test_what_c_lacks_is_refused_and_matrices_are_left_alone(

@@ -211,7 +211,7 @@ def test_late_commands_arrive_between_samples_that_are_not_regular() -> None:
     u = np.arange(6.0)[:, None]
     run = Run("run", t, {"x": t, "u": t, "f1": u[:, 0]})
     windows = cut([run], _with_thruster({"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]}), None)
-    drive = arriving(windows, [u], 0.1)
+    drive = arriving(windows, 0.1)
     np.testing.assert_allclose(drive.t[0], [0, 0.1, 0.15, 0.2, 0.25, 0.4, 0.5, 0.6, 0.62])
     np.testing.assert_allclose(drive.held[0, :, 0], [0, 0, 0, 1, 2, 2, 3, 4, 4])
     np.testing.assert_allclose(drive.at_samples(drive.t)[0], t)

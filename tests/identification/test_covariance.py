@@ -105,6 +105,16 @@ def test_a_first_order_lag_is_carried_as_it_is_solved() -> None:
     np.testing.assert_allclose(states[:, 0], exact, atol=1e-8)
 
 
+def test_logs_side_by_side_are_carried_as_each_by_itself() -> None:
+    rng = np.random.default_rng(6)
+    lengths, starts, p = (40, 0, 17), rng.standard_normal((3, 2)), rng.uniform(0.5, 1.0, (3, 2))
+    logs = [(rng.standard_normal((n, 1)), np.arange(n) / 20, rng.uniform(0.02, 0.05, n)) for n in lengths]
+    for found, start, (u, t, dt), own in zip(
+        _lag().side_by_side(starts, logs, p), starts, logs, p, strict=True
+    ):
+        assert np.array_equal(found, _lag().states(start, [u], own, t, dt))
+
+
 def test_carried_derivatives_are_those_of_finite_differences() -> None:
     rng = np.random.default_rng(5)
     dt, u = rng.uniform(0.02, 0.05, 40), rng.standard_normal((40, 1))
@@ -113,11 +123,11 @@ def test_carried_derivatives_are_those_of_finite_differences() -> None:
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         moved = start + start_slope @ (x[:2] - p) + x[2:]
-        states, _, mean, _ = carried.along(moved, start_slope, [u], x[:2], t, dt)
-        return states, mean
+        states = carried.states(moved, [u], x[:2], t, dt)
+        return states, carried.along(states, start_slope, [u], x[:2], t, dt)[1]
 
     x = np.concatenate([p, np.zeros(2)])
-    _, slopes, _, means = carried.along(start, start_slope, [u], p, t, dt)
+    slopes, _, means = carried.along(carried.states(start, [u], p, t, dt), start_slope, [u], p, t, dt)
     for k, step in enumerate(1e-6 * np.eye(4)):
         for found, high, low in zip((slopes, means), at(x + step), at(x - step), strict=True):
             np.testing.assert_allclose(found[:, :, k], (high - low) / 2e-6, atol=1e-8)

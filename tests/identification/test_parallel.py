@@ -7,12 +7,18 @@ import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
+from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.parallel import in_background, jobs, mapped
+from undertow.identification.diagnosis.validation import SimulationValidator
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.output_error import OutputErrorFit
+from undertow.identification.estimation.weak_form import fit_weak, free_parameters
 from undertow.identification.logs.reading import read_log
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -86,3 +92,28 @@ def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
         )
     assert answers[0] == answers[1]
     assert answers[0]["effects"] == ["lift"]
+
+
+@shared_memory
+def test_final_fits_of_other_processes_are_those_of_this_one(
+    two: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = make_case("usv", ("thruster_lag",), 4, duration=30.0)
+    vehicle, (*train, test) = vehicle_of(case), runs_of(case)
+    data, heard = prepare(train, vehicle), list[tuple[int, int]]()
+    weak = [fit_weak(vehicle, data, names) for names in (None, free_parameters(vehicle)[:-1])]
+    there, here = (SimulationValidator(vehicle, train, [test], data.sigma) for _ in range(2))
+    there.finish(weak, lambda *done: heard.append(done))
+    assert heard == [(1, 2), (2, 2)]
+    with monkeypatch.context() as context:  # none is made again
+        context.setattr("undertow.identification.diagnosis.validation.final_fit", None)
+        sent = [there.final(w) for w in weak]
+    for (fit, squares), begun in zip(sent, weak, strict=True):
+        own, its = here.final(begun)
+        assert isinstance(fit, OutputErrorFit)
+        assert fit.model is begun.model
+        np.testing.assert_array_equal(fit.p, own.p)
+        np.testing.assert_array_equal(squares, its)
+        np.testing.assert_array_equal(fit.covariance, own.covariance)
+        for horizon, ahead in here.squares_ahead(own).items():
+            np.testing.assert_array_equal(there.squares_ahead(fit)[horizon], ahead)

@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .cache import library_for
-from .compiler import Bound, Compiler, compiled_or_virtual, loaded
+from .compiler import Bound, Compiler, compiled_or_virtual, loaded, pointer
 from .source import INSTRUCTIONS, engine_file, engine_source
 
 # Making a map costs time in proportion to its length; one of this length serves any number of samples.
@@ -69,6 +69,7 @@ class Engine:
 
     def __init__(self, library: ctypes.CDLL, prefix: str) -> None:
         self.at_samples: Callable[..., int] = _entry(library, f"{prefix}at_samples", ctypes.c_int)
+        self.carry: Callable[..., int] = _entry(library, f"{prefix}carry", ctypes.c_int)
         self.simulate: Callable[..., int] = _entry(library, f"{prefix}simulate", ctypes.c_int64)
 
 
@@ -109,7 +110,7 @@ class Blockwise:
     """A CasADi function of scalars, run over blocks of samples: several times as fast as sample by sample."""
 
     def __init__(self, function: ca.Function, run: Engine) -> None:
-        self._run, self._tape = run.at_samples, Tape(function)
+        self._engine, self._tape = run, Tape(function)
         self._outputs = [function.nnz_out(i) for i in range(function.n_out())]
 
     def __call__(self, arguments: Sequence[Array], count: int) -> list[Array]:
@@ -118,17 +119,36 @@ class Blockwise:
         assert all(a.ndim == 1 or len(a) == count for a in inputs)
         results = [np.zeros((count, size)) for size in self._outputs]
         strides = [a.shape[1] if a.ndim > 1 else 0 for a in inputs]
-        failed = self._run(
+        failed = self._engine.at_samples(
             ctypes.c_int64(count),
             ctypes.byref(self._tape.data),
             *_table(inputs, strides),
             *_table(results, self._outputs),
         )
+        self._check(failed)
+        return results
+
+    def carry(self, state: Array, arguments: Sequence[Array]) -> None:
+        """Fill in a state (steps + 1, chains, n) from its first row; arguments are (steps, chains, k)."""
+        whole = ((a, a.shape[2] < 2 or a.strides[2] == a.itemsize) for a in (state[:-1], *arguments))
+        inputs = [a if together else a.copy() for a, together in whole]
+        strides = [[a.strides[axis] // a.itemsize for a in inputs] for axis in (1, 0)]
+        failed = self._engine.carry(
+            *map(ctypes.c_int64, arguments[0].shape[:2]),
+            ctypes.byref(self._tape.data),
+            ctypes.c_int64(len(inputs)),
+            *_table(inputs, strides[0]),
+            (ctypes.c_int64 * len(inputs))(*strides[1]),
+            pointer(state),
+            ctypes.c_int64(state.shape[2]),
+        )
+        self._check(failed)
+
+    def _check(self, failed: int) -> None:
         if failed:
             raise UndertowError(
                 f"no memory for {self._tape.slots} registers of a block of samples: close other programs"
             )
-        return results
 
 
 def _table(arrays: Sequence[Array], strides: Sequence[int]) -> tuple[ctypes.Array, ctypes.Array]:
@@ -153,6 +173,29 @@ def at_samples(function: ca.Function, arguments: Sequence[Array], count: int) ->
     """
     run = blockwise(function)
     return _in_chunks(function, arguments, count) if run is None else run(arguments, count)
+
+
+def carried(function: ca.Function, start: Array, arguments: Sequence[Array], steps: int) -> Array:
+    """All states of `state = function(state, *arguments)` from a start (chains, n), (steps + 1, chains, n).
+
+    Arguments are as (steps, chains, k), where they are not the same in all steps or chains.
+    """
+    state = np.empty((steps + 1, *start.shape))
+    state[0] = start
+    every = [np.broadcast_to(np.asarray(a, dtype=float), (steps, len(start), a.shape[-1])) for a in arguments]
+    run = blockwise(function)
+    if run is not None:
+        run.carry(state, every)
+        return state
+    for i, begin in enumerate(start if steps else ()):
+        (flat,) = call(_accumulated(function, steps), [begin, *(a[:, i] for a in every)])
+        state[1:, i] = flat.reshape(steps, -1)
+    return state
+
+
+@lru_cache(maxsize=64)
+def _accumulated(function: ca.Function, steps: int) -> ca.Function:
+    return function.mapaccum("accumulated", steps)
 
 
 def mapped(function: ca.Function, columns: Sequence[Array], p: Array, t: Array) -> list[Array]:

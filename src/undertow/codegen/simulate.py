@@ -16,7 +16,7 @@ from undertow.notebook import html
 from undertow.typing import Array, Flags, Integers
 
 from .compiler import Compiler, Evaluator, compiled_or_virtual
-from .engine import engine
+from .engine import engine, mapped
 from .functions import Functions
 from .trajectories import (
     CompiledRollout,
@@ -202,9 +202,10 @@ class Simulator:
         given = zip((start, u[:, 0], p, t[:, :1]), self._quickened_by, strict=True)
         at_first = [a if felt and a.strides[0] else a[:1] for a, felt in given]
         batch = max(map(len, at_first))
-        columns = [np.broadcast_to(a.T, (a.shape[1], batch)) for a in at_first]
-        slopes = np.asarray(self._functions.quickest.map(batch)(*columns))
-        return _longest(slopes.reshape(len(slopes), batch, -1).transpose(1, 0, 2), max_step)[:, None]
+        state, inputs, parameters, now = (a if len(a) == batch else a[0] for a in at_first)
+        when = np.broadcast_to(now.ravel(), batch)
+        (slopes,) = mapped(self._functions.quickest, [state, inputs], parameters, when)
+        return _longest(slopes, max_step)[:, None]
 
 
 def longest_step(functions: Functions, max_step: float) -> float:

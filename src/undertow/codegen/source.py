@@ -119,7 +119,7 @@ def engine_source() -> tuple[str, str]:
     ]
     text = "\n".join(parts)
     prefix = f"undertow_{digest(text)[:16]}_"
-    entries = [f"#define {name.upper()} {prefix}{name}" for name in ("at_samples", "simulate")]
+    entries = [f"#define {name.upper()} {prefix}{name}" for name in ("at_samples", "carry", "simulate")]
     return "\n".join([*entries, text]), prefix
 
 

@@ -82,3 +82,29 @@ int AT_SAMPLES(int64_t samples, const Tape *tape, const double *const *in, const
   free(registers);
   return 0;
 }
+
+/* --- a state from step to step ----------------------------------------------------------------------- */
+
+#define CHAINS 16 /* side by side: enough that what an instruction is takes less time than to do it */
+
+EXPORTED int CARRY(int64_t steps, int64_t chains, const Tape *tape, int64_t arguments, const double *const *in,
+                   const int64_t *in_stride, const int64_t *in_step, double *state, int64_t size);
+
+/* Every step takes the states of all chains, the first argument, to those after it: state is (steps + 1, chains, size),
+   and of the arguments in_stride leads from chain to chain, in_step from step to step. Returns 1 if there is no memory. */
+int CARRY(int64_t steps, int64_t chains, const Tape *tape, int64_t arguments, const double *const *in,
+          const int64_t *in_stride, const int64_t *in_step, double *state, int64_t size) {
+  double *registers = malloc(sizeof(double) * (size_t)(tape->slots * CHAINS) + sizeof(*in) * (size_t)arguments);
+  if (!registers) return 1;
+  const double **now = (const double **)(registers + tape->slots * CHAINS);
+  for (int64_t k = 0; k < steps; k++) {
+    double *after = state + (k + 1) * chains * size;
+    const Tables tables = {now, in_stride, &after, &size};
+    for (int64_t a = 0; a < arguments; a++) now[a] = in[a] + k * in_step[a];
+    if (chains == 1) run_block(tape, &tables, registers, 0, 1, 1);
+    for (int64_t from = 0; chains > 1 && from < chains; from += CHAINS)
+      run_block(tape, &tables, registers, from, chains - from < CHAINS ? chains - from : CHAINS, CHAINS);
+  }
+  free(registers);
+  return 0;
+}

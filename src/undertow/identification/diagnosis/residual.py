@@ -13,7 +13,7 @@ from scipy.sparse import bsr_array, csr_array, diags_array
 from undertow.codegen.engine import mapped
 from undertow.identification.estimation.data import Segment, WeakData, Whitening, banded, overlap
 from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
+from undertow.identification.estimation.inputs import ActuatorStates
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
 from undertow.identification.estimation.step import prior_of, squared
@@ -204,11 +204,7 @@ class ForceRows:
         model, data = self._fit.model, self.data
         own = [model.values.own(self._fit.p, run) for run in data.runs]
         actuators, motion = ActuatorStates(model.functions, ()), self._motion
-        late, commands = (
-            SensorDelay(model.functions),
-            [without_gaps(r.matrix(data.commands)) for r in data.runs],
-        )
-        each = zip(data.runs, commands, own, strict=True)
+        late, each = SensorDelay(model.functions), zip(data.runs, data.held, own, strict=True)
         driven = [actuators.along(r.t, u, p).value for r, u, p in each]
         found = []
         for s in (late.in_time(s, own[s.run]) for s in data.segments):

@@ -172,14 +172,21 @@ def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Benc
         leader = finalists[0]
         # What a parameter that was left out would explain must not count as noise here: all are in.
         bench = bench.sharpened(leader.full)
-        again = []
-        for i, trial in enumerate(finalists):
-            report(0.8 + 0.2 * i / len(finalists), f"judging {trial.id}")
-            again.append(_again(trial, bench, leader))
+        _log.info("under the noise model of %s: error so far %.3f", leader.id, bench.base_score.error)
+        again = _all_again(finalists, bench, leader, report)
         finalists = sorted(again, key=lambda t: t.score.error)
         if finalists[0].id == leader.id:
             break
     return bench, finalists
+
+
+def _all_again(finalists: list[Trial], sharp: Bench, best: Trial, report: Progress) -> list[Trial]:
+    work = mapped(lambda i: packed(_again(finalists[i], sharp, best), sharp), len(finalists))
+    again = []
+    for i, (trial, found) in enumerate(zip(finalists, work, strict=True)):
+        report(0.8 + 0.2 * (i + 1) / len(finalists), f"judged {trial.id}")
+        again.append(unpacked(found, trial.candidate, sharp))
+    return again
 
 
 def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:

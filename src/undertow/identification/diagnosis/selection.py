@@ -295,7 +295,6 @@ class _Selector:
         self._reasons: dict[str, str] = {}
         self._worth: dict[str, Worth] = {}
         self._rounds = list(found.rounds)
-        self._predicted: dict[int, tuple[WeakFit, dict[float, Array]]] = {}
         self._later: list[FoundEffect] = []
 
     def run(self) -> Selection:
@@ -458,15 +457,14 @@ class _Selector:
 
     def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
         """How models predict velocities and pose once each is fitted as the result will be, on all cores."""
-        validator, most = self._validator, len(fits)
-        new = [f for f in fits if id(f) not in self._predicted]
-        work = mapped(lambda i: validator.squares_ahead(validator.final(new[i])[0]), len(new))
-        for i, squares in enumerate(work):
-            self._predicted[id(new[i])] = new[i], squares  # kept: its identity is the key
-            if most > 1:  # else one of many pairs
-                share = _TRYING + (1.0 - _TRYING) * (i + 1) / len(new)
-                self._report(share, f"refitted and simulated candidates: {i + 1} of {len(new)}")
-        return [self._predicted[id(f)][1] for f in fits]
+
+        def done(count: int, of: int) -> None:
+            if len(fits) > 1:  # else one of many pairs
+                share = _TRYING + (1.0 - _TRYING) * count / of
+                self._report(share, f"refitted and simulated candidates: {count} of {of}")
+
+        self._validator.finish(fits, done)
+        return [self._validator.squares_ahead(self._validator.final(f)[0]) for f in fits]
 
     def _leading(
         self, findings: list[FoundEffect], ahead: Mapping[str, dict[float, Array]], bench: Bench

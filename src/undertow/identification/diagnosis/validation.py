@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -47,6 +47,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .evidence import EffectSet
+from .parallel import mapped
 from .settings import DEFAULT, Settings
 from .trial import only_noise
 
@@ -302,13 +303,9 @@ class SimulationValidator:
         return {horizon: each[:, :count] for horizon, each in squares.items()}
 
     def _squares_ahead(self, fit: Fitted) -> dict[float, Array]:
-        vehicles, predictor = in_runs(fit, self.test)[0], Predictor(fit.vehicle, compiled=False)
-        found = {}
-        for h, windows in self._ahead.items():
-            if h is not None:
-                squares = relative_squares(predict_each(vehicles, windows, predictor))
-                found[h] = _as_the_rest(fit, squares, windows)
-        return found
+        found = self._predicted(fit, [self._ahead[h] for h in self.horizons])
+        squares = (_as_the_rest(fit, relative_squares(p), p.windows) for p in found)
+        return dict(zip(self.horizons, squares, strict=True))
 
     def contender(self, effect_set: EffectSet) -> Contender:
         """A effect_set fitted by output error from where the weak form left it, and judged."""
@@ -318,6 +315,25 @@ class SimulationValidator:
         """A model as `fit` ends with it, and how it simulates."""
         fit = self._once("final", weak, lambda fit: final_fit(fit, self.train, self.test))
         return fit, self.squares(fit)
+
+    def finish(self, models: Sequence[WeakFit], done: Callable[[int, int], None]) -> None:
+        """Work out `final` of models, and how each predicts, on all cores; `done` hears how many of how many.
+
+        A fit comes back without its model, which cannot be sent: that is the one it began with.
+        """
+        new = [weak for weak in models if ("final", id(weak)) not in self._known]
+
+        def work(i: int) -> tuple[dict[str, Any], Array, dict[float, Array]]:
+            fit, squares = self.final(new[i])
+            own = fields(fit) if isinstance(fit, OutputErrorFit) else ()
+            parts = {f.name: getattr(fit, f.name) for f in own if f.name != "model"}
+            return parts, squares, self.squares_ahead(fit)
+
+        for i, (parts, squares, ahead) in enumerate(mapped(work, len(new))):
+            fit = OutputErrorFit(new[i].model, **parts) if parts else new[i]
+            for what, of, found in (("final", new[i], fit), ("squares", fit, squares), ("ahead", fit, ahead)):
+                self._known[what, id(of)] = of, found
+            done(i + 1, len(new))
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
         """A model fitted by output error, and how it simulates; by the weak form where that does better.

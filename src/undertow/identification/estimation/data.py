@@ -19,6 +19,7 @@ from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
+from .inputs import without_gaps
 from .test_functions import (
     Entries,
     Supports,
@@ -423,6 +424,11 @@ class WeakData:
     def derived_names(self) -> tuple[str, ...]:
         """Velocities that were taken from the pose: no sensor measured them."""
         return tuple(self.names[i] for i in self.derived)
+
+    @cached_property
+    def held(self) -> list[Array]:
+        """Commands in every run, (N, n_commands), with the last known value where one is missing."""
+        return [without_gaps(run.matrix(self.commands)) for run in self.runs]
 
     @cached_property
     def equation(self) -> Index:

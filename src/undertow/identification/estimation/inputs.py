@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from undertow.codegen.engine import call, mapped
+from undertow.codegen.engine import carried, mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
@@ -114,26 +114,40 @@ class PropagatedState:
 
     def states(self, start: Array, columns: list[Array], p: Array, t: Array, dt: Array) -> Array:
         """States at the samples and after the last interval, shape (N + 1, n)."""
-        count = len(t)
-        fixed = np.tile(p, (count, 1))
-        (flat,) = call(_accumulated(self._step, count), [start, *columns, t, dt, fixed])
-        return np.vstack([start, flat.reshape(count, -1)])
+        return self.side_by_side(start[None], [(*columns, t, dt)], p)[0]
+
+    def side_by_side(self, start: Array, logs: Sequence[tuple[Array, ...]], p: Array) -> list[Array]:
+        """The same of S logs, each with its columns, t and dt, from starts (S, n); p may be (S, n_p)."""
+        *columns, t, dt = map(_abreast, zip(*logs, strict=True))
+        states = carried(self._step, start, [*columns, t[..., None], dt[..., None], p], len(dt))
+        return [states[: len(log[-1]) + 1, i] for i, log in enumerate(logs)]
 
     def along(
-        self, start: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """States (N + 1, n) and means over the intervals (N, k), each with its derivatives.
+        self, states: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
+    ) -> tuple[Array, Array, Array]:
+        """Derivatives of the states (N + 1, n), and means over the intervals (N, k) with theirs.
 
         Derivatives are those in the free parameters, then in the first states: shapes (N + 1, n, m + n) and
         (N, k, m + n); `slope`, (n, m), has those of the first states in the free parameters.
         """
-        states = self.states(start, columns, p, t, dt)
         inside = [states[:-1], *columns, dt[:, None]]
         by_state, free, mean_by_state, mean_free, mean = mapped(self._slopes, inside, p, t)
-        first = np.hstack([slope, np.eye(len(start))])
-        slopes = _propagated_slopes(first, by_state, _with_start(free, len(start)))
-        means = mean_by_state @ slopes[:-1] + _with_start(mean_free, len(start))
-        return states, slopes, mean[:, :, 0], means
+        size = states.shape[1]
+        first = np.hstack([slope, np.eye(size)])
+        slopes = _propagated_slopes(first, by_state, _with_start(free, size))
+        means = mean_by_state @ slopes[:-1] + _with_start(mean_free, size)
+        return slopes, mean[:, :, 0], means
+
+
+def _abreast(signals: Sequence[Array]) -> Array:
+    """Signals (N, ...) of several logs as (longest N, logs, ...), zeros after the end of each.
+
+    Where an interval has no length, no state changes.
+    """
+    found = np.zeros((len(signals), max(map(len, signals)), *signals[0].shape[1:]))
+    for whole, signal in zip(found, signals, strict=True):
+        whole[: len(signal)] = signal
+    return np.swapaxes(found, 0, 1)
 
 
 def _with_start(direct: Array, states: int) -> Array:
@@ -167,11 +181,6 @@ def _integrated(rate: At, output: At, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
-
-
-@lru_cache(maxsize=64)
-def _accumulated(function: ca.Function, count: int) -> ca.Function:
-    return function.mapaccum("accumulated", count)
 
 
 @dataclass(frozen=True)
@@ -209,13 +218,19 @@ class ActuatorStates:
 
     def along(self, t: Array, u: Array, p: Array) -> Actuation:
         """Mean actuation over [t_i, t_i+1) for commands held between samples, u of shape (N, n_commands)."""
-        size, count = self.functions.actuation.shape[0], len(t)
-        if size == 0:
-            nothing = _nothing(count, len(self.free))
-            return Actuation.of(nothing, nothing)
-        mean = self._propagate(t, u, p) if self._has_states else self._static(t, u, p)
-        late = self._delayed(t, mean, p)
-        return Actuation.of(late, late if self._has_states else self._before(t, late, p))
+        return self.along_each([(t, u, p)])[0]
+
+    def along_each(self, logs: Sequence[tuple[Array, Array, Array]]) -> list[Actuation]:
+        """The same along several logs (t, u, p)."""
+        if self.functions.actuation.shape[0] == 0:
+            nothing = [_nothing(len(t), len(self.free)) for t, _, _ in logs]
+            return [Actuation.of(none, none) for none in nothing]
+        means = self._propagate(logs) if self._has_states else [self._static(*log) for log in logs]
+        found = []
+        for (t, _, p), mean in zip(logs, means, strict=True):
+            late = self._delayed(t, mean, p)
+            found.append(Actuation.of(late, late if self._has_states else self._before(t, late, p)))
+        return found
 
     @property
     def _has_states(self) -> bool:
@@ -227,11 +242,16 @@ class ActuatorStates:
         composition = self.functions.vehicle.composition
         return self._has_states or bool(self._dependent) or composition.dead_time != 0
 
-    def _propagate(self, t: Array, u: Array, p: Array) -> DrivenSignal:
-        step = np.append(np.diff(t), 0.0)
-        start, slope = (np.asarray(v) for v in self._rest(u[0], p, t[0]))
-        _, _, mean, slopes = self._propagated.along(start[:, 0], slope, [u], p, t, step)
-        return _driven(mean, slopes, self._dependent, len(self.free))
+    def _propagate(self, logs: Sequence[tuple[Array, Array, Array]]) -> list[DrivenSignal]:
+        inside = [(u, t, np.append(np.diff(t), 0.0)) for t, u, _ in logs]
+        rest = [[np.asarray(v) for v in self._rest(u[0], p, t[0])] for t, u, p in logs]
+        first, parameters = np.array([start[:, 0] for start, _ in rest]), np.array([p for *_, p in logs])
+        every = self._propagated.side_by_side(first, inside, parameters)
+        found = []
+        for states, (_, slope), (u, t, step), p in zip(every, rest, inside, parameters, strict=True):
+            _, mean, slopes = self._propagated.along(states, slope, [u], p, t, step)
+            found.append(_driven(mean, slopes, self._dependent, len(self.free)))
+        return found
 
     def _static(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         """A chain without states: its output in the middle of every interval."""
@@ -289,13 +309,15 @@ class ActuatorStates:
             return driven
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         seconds = float(delay[0, 0])
-        value = shifted_mean(t, driven.value, seconds)
-        moved, start = (
+        felt, late = self._dependent, np.flatnonzero(slope)
+        by_felt, start = (
             shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape)
-            for s in (driven.slope, driven.start)
+            for s in (driven.slope[:, :, felt], driven.start)
         )
-        per_second = -shift_rate(t, driven.value, seconds)
-        return DrivenSignal(value, moved + per_second[:, :, None] * slope.ravel(), start)
+        moved = np.zeros_like(driven.slope)
+        moved[:, :, felt] = by_felt
+        moved[:, :, late] -= shift_rate(t, driven.value, seconds)[:, :, None] * slope[0, late]
+        return DrivenSignal(shifted_mean(t, driven.value, seconds), moved, start)
 
     def seconds_late(self, p: Array) -> float:
         """Dead time between commands and what they bring about, s."""
@@ -314,12 +336,14 @@ class ActuatorStates:
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         share, per_second = share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
-        value, by_free, by_start = (change(a) for a in (driven.value, driven.slope, driven.start))
+        late = np.flatnonzero(slope)
+        felt, moved = sorted({*self._dependent, *late.tolist()}), driven.slope.copy()
+        value, by_felt, by_start = (change(a) for a in (driven.value, moved[:, :, felt], driven.start))
         turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
+        moved[:, :, felt] -= weight[:, None, None] * by_felt
+        moved[:, :, late] += turned[:, :, None] * slope[0, late]
         return DrivenSignal(
-            driven.value - weight[:, None] * value,
-            driven.slope - weight[:, None, None] * by_free + turned[:, :, None] * slope.ravel(),
-            driven.start - weight[:, None, None] * by_start,
+            driven.value - weight[:, None] * value, moved, driven.start - weight[:, None, None] * by_start
         )
 
 
@@ -339,7 +363,9 @@ class Memory:
             return _nothing(count, len(self.free))
         columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
         start, slope = np.zeros(size), np.zeros((size, len(self._dependent)))
-        states, slopes, _, _ = self._propagated.along(start, slope, columns, p, t[:-1], np.diff(t))
+        inside = columns, p, t[:-1], np.diff(t)
+        states = self._propagated.states(start, *inside)
+        slopes, _, _ = self._propagated.along(states, slope, *inside)
         return _driven(states, slopes, self._dependent, len(self.free))
 
     @cached_property

@@ -269,12 +269,16 @@ class Descent:
             p = self._space.moved(state.p, step)
             starts = state.starts + state.at.start_slope @ step
             further = starts + state.at.start_step
-            # Most steps help: to simulate with derivatives at once is cheaper than to look first.
-            starts = self._shooting.better_starts(p, starts, further) if by_window else further
-            at = self._shooting.linearise(p, starts)
-            after = self._space.cost(p, at.cost)
-            if after < before:
-                return State(p, starts, at, max(damping / 10, SETTINGS.least_damping)), before - after
+            if by_window:
+                further, squares = self._shooting.better_starts(p, starts, further)
+            else:
+                squares = self._shooting.cost(p, further)
+            # Derivatives cost many simulations, and nearly half of the steps do not help.
+            if self._space.cost(p, squares) < before:
+                at = self._shooting.linearise(p, further)
+                after = self._space.cost(p, at.cost)
+                if after < before:
+                    return State(p, further, at, max(damping / 10, SETTINGS.least_damping)), before - after
             promised = self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
             if before - promised < _negligible_fall(state.at):
                 break

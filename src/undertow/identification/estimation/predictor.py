@@ -5,13 +5,13 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.engine import mapped
+from undertow.codegen.engine import at_samples, mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.logs.run import Run
@@ -19,7 +19,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
 from .data import numbered
-from .inputs import Inputs, PropagatedState, shifted_mean, without_gaps
+from .inputs import Inputs, PropagatedState, shifted_mean
 from .pointwise import Pointwise
 from .residual import SensorDelay
 from .windows import Drive, Prediction, Windows, arriving, cut
@@ -72,18 +72,12 @@ class OwnStates:
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(
-        self,
-        windows: Windows,
-        motion: Array,
-        held: Sequence[Array],
-        delay: float,
-        p: Array,
-        near: Origin | None = None,
+        self, windows: Windows, motion: Array, delay: float, p: Array, near: Origin | None = None
     ) -> tuple[Array, Origin | None]:
         """Memory and actuator states at the start of every window, (b, size), and where the stretches begin.
 
-        `motion` (b, 2n) is the true one at the starts; commands `held`, (N, n_commands) for each run, arrive
-        `delay` s late. From what was found at parameters close by, `near`, it is a step or two.
+        `motion` (b, 2n) is the true one at the starts; commands arrive `delay` s late. From what was found at
+        parameters close by, `near`, it is a step or two.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
@@ -91,28 +85,31 @@ class OwnStates:
         stretches = _stretches(windows)
         first = np.array([rows[0] for rows in stretches])
         look = _first_windows(windows, first)
-        drive = arriving(look, held, delay)
-        drives = [
-            shifted_mean(run.t, u, delay) if delay else u for run, u in zip(windows.runs, held, strict=True)
-        ]
+        drive = arriving(look, delay)
+        sent = zip(windows.runs, windows.held, strict=True)
+        drives = [shifted_mean(run.t, u, delay) if delay else u for run, u in sent]
         rest = self._at_rest(drive.u[:, 0], look.t[:, 0], p)
-        if near is None:
-            from_rest = [self._along(windows, rows, drives, rest[i], p) for i, rows in enumerate(stretches)]
-            near = Origin(np.column_stack([motion[first], rest]), self._scale(from_rest))
-        state = self._best_starts(
-            look, np.column_stack([motion[first], rest]), drive, near, _noise(windows), p
-        )
-        for rows, begin in zip(stretches, state[:, -self.size :], strict=True):
-            along = self._along(windows, rows, drives, begin, p)
-            own[rows] = along[windows.first[rows] - windows.first[rows[0]]]
-        return own, replace(near, state=state)
+        along = partial(self._along, windows, stretches, drives, p)
+        scale, found = (self._scale(along(rest)), None) if near is None else (near.scale, near.state)
+        noise = _noise(windows)
+        width = np.concatenate([SETTINGS.motion * noise, scale])
+        start = np.column_stack([motion[first], rest])
+
+        def report(trials: Array) -> Array:
+            rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
+            return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
+
+        measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
+        state = best_start(report, measured, start, width, found)
+        for rows, states in zip(stretches, along(state[:, -self.size :]), strict=True):
+            own[rows] = states[windows.first[rows] - windows.first[rows[0]]]
+        return own, Origin(state, scale)
 
     # --- along the log ------------------------------------------------------------------------
     def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
         """Memory without a past, actuators as if the first command had been held for long, by stretch."""
-        rest = self._functions.rest
-        actuator = [np.asarray(rest(commands, p, now)).ravel() for commands, now in zip(u, t, strict=True)]
-        return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), np.array(actuator)])
+        (actuator,) = at_samples(self._functions.rest, [u, p, t[:, None]], len(t))
+        return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), actuator])
 
     @staticmethod
     def _scale(along: list[Array]) -> Array:
@@ -120,19 +117,21 @@ class OwnStates:
         largest = np.max([np.max(np.abs(a), axis=0) for a in along], axis=0)
         return np.where(largest > 0, largest, 1.0)
 
-    def _along(self, windows: Windows, rows: Index, drives: list[Array], start: Array, p: Array) -> Array:
-        """States from the first to the last start in a stretch, shape (N, size)."""
+    def _along(
+        self, windows: Windows, stretches: list[Index], drives: list[Array], p: Array, start: Array
+    ) -> list[Array]:
+        """States from the first to the last start in every stretch, shape (N, size) each."""
+        inside = [self._between(windows, rows, drives, p) for rows in stretches]
+        return self._propagated.side_by_side(start, inside, p)
+
+    def _between(self, windows: Windows, rows: Index, drives: list[Array], p: Array) -> tuple[Array, ...]:
+        """Motion before and after every interval between the starts of a stretch, commands, time, length."""
         run, first = int(windows.run[rows[0]]), int(windows.first[rows[0]])
         piece = slice(first, int(windows.first[rows[-1]]) + 1)
-        log = windows.runs[run]
-        t, u = log.t[piece], drives[run][piece]
-        count = len(t) - 1
-        if count == 0:
-            return start[None]
+        t, u = windows.runs[run].t[piece], drives[run][piece]
         reach = slice(first, piece.stop - 1 + int(windows.count[rows[-1]]))
-        measured = self._measured(windows, run, reach, p)[: count + 1]
-        columns = [measured[:-1], measured[1:], u[:-1]]
-        return self._propagated.states(start, columns, p, t[:-1], np.diff(t))
+        measured = self._measured(windows, run, reach, p)[: len(t)]
+        return measured[:-1], measured[1:], u[:-1], t[:-1], np.diff(t)
 
     def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
         """Pose and velocity as reported in part of a run, each at the time that it was true."""
@@ -165,20 +164,6 @@ class OwnStates:
         )
         own = ca.vertcat(f.memory, f.actuator_states)
         return ca.Function("rates", [own, points.measured, f.u, f.p, f.t], [ca.densify(rates)])
-
-    # --- at its beginning ---------------------------------------------------------------------
-    def _best_starts(
-        self, look: Windows, start: Array, drive: Drive, near: Origin, noise: Array, p: Array
-    ) -> Array:
-        """States at the beginning of every stretch, sought from those of `near`."""
-
-        def report(trials: Array) -> Array:
-            rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
-            return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
-
-        measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
-        width = np.concatenate([SETTINGS.motion * noise, near.scale])
-        return best_start(report, measured, start, width, near.state)
 
 
 def _first_windows(windows: Windows, first: Index) -> Windows:
@@ -319,22 +304,16 @@ class Predictor:
         self, windows: Windows, p: Array, motion: Array | None = None, near: Array | None = None
     ) -> tuple[Array, Drive]:
         """States at the start of every window, (b, nx), and the commands in it, as for `reports`."""
-        arrival = self._drive(windows, p)
-        found = self._found(windows, p, near, arrival)
-        return np.column_stack([found.motion if motion is None else motion, found.own]), arrival[0]
+        drive = arriving(windows, self._delay(p))
+        found = self._found(windows, p, near, drive)
+        return np.column_stack([found.motion if motion is None else motion, found.own]), drive
 
-    def _drive(self, windows: Windows, p: Array) -> tuple[Drive, list[Array], float]:
-        """Commands as they arrive in every window, as they were sent in every run, and their delay."""
-        held = [without_gaps(run.matrix(windows.commands)) for run in windows.runs]
-        delay = float(self.functions.dead_time(p))
-        return arriving(windows, held, delay), held, delay
+    def _delay(self, p: Array) -> float:
+        """How late commands arrive, s."""
+        return float(self.functions.dead_time(p))
 
     def _found(
-        self,
-        windows: Windows,
-        p: Array,
-        near: Array | None = None,
-        arrival: tuple[Drive, list[Array], float] | None = None,
+        self, windows: Windows, p: Array, near: Array | None = None, drive: Drive | None = None
     ) -> _Found:
         """Measured motion and own states at the starts, kept for the next calls with the same parameters.
 
@@ -347,9 +326,9 @@ class Predictor:
         key = p.tobytes() + (b"" if near is None else near.tobytes())
         if key not in recent:
             origin = None if near is None else self._found(windows, near).origin
-            drive, held, delay = arrival or self._drive(windows, p)
-            motion = self.measured_motion(windows, drive.u, p)
-            own, origin = self._own_states.at_starts(windows, motion, held, delay, p, origin)
+            delay = self._delay(p)
+            motion = self.measured_motion(windows, (drive or arriving(windows, delay)).u, p)
+            own, origin = self._own_states.at_starts(windows, motion, delay, p, origin)
             if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
             recent[key] = _Found(motion, own, origin)

@@ -19,7 +19,7 @@ from undertow.typing import Array, Flags, Index
 
 from .by_run import LimitsByRun, RunValues
 from .data import Segment, WeakData, Whitening, overlap, residual_covariance
-from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory, without_gaps
+from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory
 from .pointwise import Limits, Pointwise
 from .scales import largest_values
 from .test_functions import Entries, kink_delay, meeting, tested
@@ -281,8 +281,8 @@ class WeakModel:
         return found
 
     def _driven(self, data: WeakData, own: list[Array]) -> list[Actuation]:
-        pairs = zip(data.runs, own, strict=True)
-        return [self._chain.along(r.t, without_gaps(r.matrix(data.commands)), q) for r, q in pairs]
+        each = zip(data.runs, data.held, own, strict=True)
+        return self._chain.along_each([(r.t, u, q) for r, u, q in each])
 
     def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)

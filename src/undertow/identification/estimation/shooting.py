@@ -236,10 +236,11 @@ class Shooting:
             starts[wrong] = np.where((after < squares[wrong])[:, None], opened, starts[wrong])
         return starts
 
-    def better_starts(self, p: Array, first: Array, second: Array) -> Array:
-        """Of two starts of every window, (b, 2n) each, those that fit better."""
-        better = self.mean_squares(p, second) < self.mean_squares(p, first)
-        return np.where(better[:, None], second, first)
+    def better_starts(self, p: Array, first: Array, second: Array) -> tuple[Array, float]:
+        """Of two starts of every window, (b, 2n) each, those that fit better, and their sum of squares."""
+        squares, others = self.squares(p, first), self.squares(p, second)
+        better = others < squares
+        return np.where(better[:, None], second, first), float(np.where(better, others, squares).sum())
 
     def _fitted_progressively(self, rows: Index, p: Array, starts: Array) -> tuple[Array, Array]:
         """Starts of some windows, fitted to more and more of each, and the mean square of each with them."""

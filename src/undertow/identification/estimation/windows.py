@@ -20,6 +20,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
 from .data import around, channel_noise, local_polynomial
+from .inputs import without_gaps
 
 _ANGLES = ("phi", "psi")
 
@@ -80,6 +81,16 @@ class Windows:
         """Which samples are not padding, shape (b, k)."""
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
+    @cached_property
+    def held(self) -> list[Array]:
+        """Commands in every run, (N, n_commands), with the last known value where one is missing."""
+        return [without_gaps(run.matrix(self.commands)) for run in self.runs]
+
+    @cached_property
+    def prompt(self) -> Drive:
+        """The commands of the windows, which arrive at once."""
+        return Drive.at_once(self.t, _along(self, self.held, self.samples))
+
     def __len__(self) -> int:
         return len(self.run)
 
@@ -87,7 +98,9 @@ class Windows:
         """Some of the windows, each with its first `most` samples."""
         chosen = {name: getattr(self, name)[rows] for name in ("run", "first", "segment", "start")}
         kept = {name: getattr(self, name)[rows][:, :most] for name in ("t", "measured")}
-        return replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
+        some = replace(self, count=np.minimum(self.count[rows], most), **chosen, **kept)
+        vars(some)["held"] = self.held  # it is of the same runs
+        return some
 
     def of_run(self, run: int) -> tuple[Index, Windows]:
         """Places of the windows of one run, and these windows."""
@@ -376,15 +389,15 @@ class Drive:
         return found
 
 
-def arriving(windows: Windows, held: Sequence[Array], delay: float) -> Drive:
+def arriving(windows: Windows, delay: float) -> Drive:
     """Commands of windows that arrive `delay` s late; before a run, its first ones."""
     if delay == 0.0:
-        return Drive.at_once(windows.t, _along(windows, held, windows.samples))
+        return windows.prompt
     instants, places, arrived = zip(*(_instants(run.t, delay) for run in windows.runs), strict=True)
     samples = _along(windows, places, windows.samples)
     first, last = samples[:, :1], samples[:, -1:]
     steps = np.minimum(first + np.arange(np.max(last - first) + 1), last)
-    late = _along(windows, [u[i] for u, i in zip(held, arrived, strict=True)], steps)
+    late = _along(windows, [u[i] for u, i in zip(windows.held, arrived, strict=True)], steps)
     samples = samples - first
     u = np.take_along_axis(late, samples[:, :, None], axis=1)
     return Drive(u, _along(windows, instants, steps), late, samples)
