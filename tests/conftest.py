@@ -1,4 +1,4 @@
-"""What holds for every test: repeatable random examples, no window, caches inside the checkout, little garbage."""
+"""What holds for every test: repeatable examples, no window, caches in the checkout, little garbage."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["XDG_CACHE_HOME"] = str(cache)
 
 
-# What is imported, and what the tests of a file have worked out and kept, stays until the process ends. To look for
-# garbage in it again and again takes a tenth of the time of all tests, and most of that of those of NiceGUI, which
-# collects garbage twice in each.
+# What is imported, and what the tests of a file have worked out and kept, stays until the process ends. To
+# look for garbage in it again and again takes a tenth of the time of all tests, and most of that of the pages
+# of NiceGUI, which collects garbage twice in each test.
 def _keep_what_is_there() -> None:
     gc.collect()
     gc.freeze()
