@@ -95,8 +95,8 @@ NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
     first_quick(
         [
             ("audit-tables", {"sympy", "numpy", "pint", *NO_NUMBERS}),
-            ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
             (f"compare {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
+            ("gains mini-auv paper-pd", {"plotly", "polars", "undertow.identification"}),
             ("effects", {"numpy", "scipy", "pint", *NO_NUMBERS}),
             ("simulate mini-auv paper-pd --to -1,1,1 --for 0.1", NO_NUMBERS - {"casadi"}),
             ("vehicles", {"numpy", "scipy", "pint", *NO_NUMBERS}),
@@ -108,7 +108,7 @@ NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
             (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
             ("linearize mini-auv", {"polars", "plotly", "undertow.identification"}),
         ],
-        3,
+        2,
     ),
 )
 def test_a_command_spares_what_it_does_not_need(words: str, spared: set[str], tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ from undertow.cli.main import main
 
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Positions and headings of thirty seconds."""
-    run, _, _ = log(auv(), 30.0, 1, {"x": 1, "y": 1, "z": 1, "psi": 1})
+    """Positions and headings of fifteen seconds."""
+    run, _, _ = log(auv(), 15.0, 1, {"x": 1, "y": 1, "z": 1, "psi": 1})
     path = tmp_path_factory.mktemp("dive") / "dive.csv"
     pl.DataFrame({"t": run.t, **run.channels}).write_csv(path)
     return path

@@ -1,4 +1,4 @@
-"""A small fleet on disk, and one cluster of processes for all tests."""
+"""A small fleet on disk, and one cluster of processes for the tests of a file."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskEngine]:
-    """Two processes."""
+    """Two processes; they cost time, idle too, so they end with the tests that need them."""
     pytest.importorskip("distributed", reason="Dask is not installed: pip install undertow[fleet]")
     with chdir(tmp_path_factory.mktemp("dask")), engine(workers=2, patience=120.0) as doing:
         assert isinstance(doing, DaskEngine)

@@ -54,7 +54,7 @@ def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, 
 def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
     vehicle: str, effect: str, seed: int, known: Catalogue | None, tmp_path: Path
 ) -> None:
-    _, model, runs = _loaded(tmp_path, vehicle, (effect,), seed, duration=60.0)
+    _, model, runs = _loaded(tmp_path, vehicle, (effect,), seed, duration=40.0)
     outcome = diagnose(model, runs[:3], runs[3:], known=known)
     d = outcome.diagnosis
     named = {e for s in d.indistinguishable for e in s.effects} | set(d.effects)
@@ -81,7 +81,7 @@ def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
 def test_nothing_is_named_where_nothing_is_missing(
     vehicle: str, effects: tuple[str, ...], known: Catalogue | None, tmp_path: Path
 ) -> None:
-    _, model, runs = _loaded(tmp_path, vehicle, effects, 21, duration=60.0)
+    _, model, runs = _loaded(tmp_path, vehicle, effects, 21, duration=40.0)
     d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict == "adequate"
     assert d.effects == []
@@ -99,7 +99,7 @@ def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("known", first_quick([_FEW, _DRAGS]), ids=["few", "drags"])
 def test_an_effect_that_no_catalogue_has_is_not_given_a_name(known: Catalogue, tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", ("growing_drag",), 31, duration=60.0)
+    _, model, runs = _loaded(tmp_path, "usv", ("growing_drag",), 31, duration=30.0)
     d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict in ("unexplained", "helps_prediction")  # both name no cause
     assert d.effects == []
@@ -144,7 +144,7 @@ def test_a_run_too_short_to_be_cut_is_refused() -> None:
 
 
 def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", (), 1, duration=20.0)
+    _, model, runs = _loaded(tmp_path, "usv", (), 1, duration=5.0)
     rng = np.random.default_rng(0)
     still = [Run(r.name, r.t, {n: 0.01 * rng.standard_normal(len(r.t)) for n in r.channels}) for r in runs]
     with pytest.raises(UndertowError, match="nothing moves"):

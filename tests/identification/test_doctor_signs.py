@@ -13,6 +13,7 @@ from benchmarks.hidden_effects import Case, make_case
 from tests.identification import broken
 from tests.identification.broken import Break
 from tests.identification.logs_of import run_of, runs_of, true_vehicle
+from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.doctor.clocks import Latency, _confirmed, latencies
@@ -56,7 +57,7 @@ def _broken(case: Case, wrong: Break) -> list[Run]:
     return [run_of(name, wrong(columns)) for name, columns in case.runs.items()]
 
 
-@pytest.mark.parametrize("name", ["usv", "mini-auv"])
+@pytest.mark.parametrize("name", first_quick(["usv", "mini-auv"]))
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_wrong_damping_and_added_mass_reverse_no_command(name: str, factor: float) -> None:
     case = _case(name)
@@ -174,10 +175,15 @@ def test_no_clock_is_late_where_velocities_are_of_another_motion() -> None:
     assert not any(said)
 
 
+@cache
+def _minute() -> Case:
+    return make_case("usv", (), 4, duration=60.0, runs=("multisine",))
+
+
 @pytest.mark.parametrize(("early", "names"), [(True, {"x", "y"}), (False, {"psi", "u", "v", "r"})])
 def test_commands_say_which_of_two_clocks_is_wrong(early: bool, names: set[str]) -> None:
     """Positions a second early look like all the rest late; only one follows the commands."""
-    case = make_case("usv", (), 4, duration=60.0, runs=("multisine",))
+    case = _minute()
     (columns,) = case.runs.values()
     seconds = -1.0 if early else 1.0
     shifted = broken.late(seconds, names=tuple(names))(columns)

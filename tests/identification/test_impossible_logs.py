@@ -161,13 +161,14 @@ ONCE = {m[0]: m for m in REFUSED if m[1] in QUICK and m[0] not in ALIKE}.values(
 def test_what_cannot_be_is_refused_with_value_limit_and_line(
     what: str, name: str, wrong: Break, left_out: tuple[str, ...], reported: str, line: str
 ) -> None:
-    message = _refusal(_vehicle(name), _log(name, wrong, left_out))
+    log = _log(name, wrong, left_out)
+    message = _refusal(_vehicle(name), log)
     assert message.startswith(f"log '{name}' is impossible: ")
     assert reported in message
     assert line in message
     assert "\n" not in message
     assert "--trust-log" in message
-    refuse_impossible(_vehicle(name), [_log(name, wrong, left_out)], trust_log=True)
+    refuse_impossible(_vehicle(name), [log], trust_log=True)
 
 
 def test_a_refusal_tells_sizes_and_limit() -> None:

@@ -94,7 +94,7 @@ def test_too_few_reports_and_missing_commands_are_refused() -> None:
 
 def test_several_logs_are_tested_together() -> None:
     """NIS is the mean over all reports, sums of Ljung and Box add up, the file takes the mean noise."""
-    runs = [log(auv(), 20.0, seed, {"x": 1, "y": 1, "z": 1, "psi": 1})[0] for seed in (1, 2)]
+    runs = [log(auv(), 10.0, seed, {"x": 1, "y": 1, "z": 1, "psi": 1})[0] for seed in (1, 2)]
     one, other = (observe(auv(), run) for run in runs)
     both = observe_logs(auv(), runs)
     for single, other_one, pooled in zip(one.nis, other.nis, both.nis, strict=True):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson
 
-from benchmarks.hidden_effects import make_case
+from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.codegen.functions import Functions
@@ -272,20 +273,18 @@ def test_a_lag_is_found_though_nobody_knows_the_thrust_at_the_beginning() -> Non
     assert np.nanmax(fit.mean_square()) < 1.3
 
 
+@cache
+def _drifting() -> Case:
+    runs = ("steps", "multisine")
+    return make_case("catamaran", ("ocean_current",), 5, noise=0.02, strength=3.0, duration=40.0, runs=runs)
+
+
 @pytest.mark.parametrize("share", [1.0, 0.3])
 def test_windows_in_which_a_step_fails_do_not_hold_the_parameters(share: float) -> None:
     """In a current that the model lacks, long windows run away: the descent still ends where it does from
     elsewhere.
     """
-    case = make_case(
-        "catamaran",
-        ("ocean_current",),
-        5,
-        noise=0.02,
-        strength=3.0,
-        duration=40.0,
-        runs=("steps", "multisine"),
-    )
+    case = _drifting()
     vehicle = vehicle_of(case)
     start = {n: share * vehicle.value_of(n).value for n in free_parameters(vehicle)}
     fit = fit_output_error(vehicle, runs_of(case), horizon=15.0, start=start)

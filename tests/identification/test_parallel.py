@@ -81,7 +81,7 @@ def test_something_is_done_aside_while_other_work_uses_all_cores(two: None) -> N
 def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_case(make_case("usv", ("lift",), 11, duration=30.0), tmp_path)
+    write_case(make_case("usv", ("lift",), 11, duration=20.0), tmp_path)
     model = load_vehicle(tmp_path / "vehicle.toml")
     runs = [read_log(tmp_path / f"{n}.csv", channels=model.command_names) for n in ("train_1", "holdout")]
     known, answers = {i: catalogue()[i] for i in ("lift", "constant_force")}, []

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
 from itertools import combinations
-from operator import add
 
 import casadi as ca
 import numpy as np
@@ -15,7 +14,7 @@ import sympy as sm
 
 from undertow.model.symbols import Signals
 
-from .convert import Converter
+from .convert import Converter, plus, times
 
 # Cross products of Kirchhoff's equations: row, sign, component of the velocity, component of the momentum.
 _CROSS = tuple(
@@ -25,6 +24,7 @@ _CROSS = tuple(
     for sign, a, b in ((1, 1, 2), (-1, 2, 1))
 )
 Entry = tuple[int, int]
+Terms = list[tuple[int, Entry]]
 _TRIALS = 3
 _ROUNDING = 1e-12
 _SEED = 0
@@ -165,7 +165,7 @@ class _Search:
     ) -> bool:
         equations, zero = _equations(self._dofs), ca.SX(0)
         places = {*equations, *coefficients}
-        left = [sum((sign * known[m] for sign, m in equations.get(c, [])), zero) for c in places]
+        left = [_signed_sum(equations.get(c, []), known) for c in places]
         return identical(ca.vertcat(*left), ca.vertcat(*(coefficients.get(c, zero) for c in places)), self._p)
 
 
@@ -179,7 +179,7 @@ def _at_zero(expression: ca.SX, symbols: ca.SX) -> ca.SX:
 
 
 @cache
-def _equations(dofs: tuple[int, ...]) -> dict[tuple[int, int, int], list[tuple[int, Entry]]]:
+def _equations(dofs: tuple[int, ...]) -> dict[tuple[int, int, int], Terms]:
     """Coefficient of nu_j nu_k (j <= k) in row i of K(A, nu), as a sum of entries of the symmetric A."""
     found = defaultdict(list)
     for i, sign, j, b in _CROSS:
@@ -191,18 +191,34 @@ def _equations(dofs: tuple[int, ...]) -> dict[tuple[int, int, int], list[tuple[i
 
 def _solved(coefficients: Mapping[tuple[int, int, int], ca.SX], dofs: tuple[int, ...]) -> dict[Entry, ca.SX]:
     """Entries of a matrix A whose K has these coefficients if there is one; what K does not show is zero."""
-    equations, zero = _equations(dofs), ca.SX(0)
-    known: dict[Entry, ca.SX] = {}
-    while unknown := {m for terms in equations.values() for _, m in terms} - {*known}:
-        open_ = {c: [(s, m) for s, m in terms if m not in known] for c, terms in equations.items()}
-        single = next((c for c, terms in open_.items() if len(terms) == 1), None)
-        if single is None:
-            known[min(unknown)] = zero
-            continue
-        ((sign, entry),) = open_[single]
-        rest = sum((s * known[m] for s, m in equations[single] if m != entry), zero)
-        known[entry] = sign * (coefficients.get(single, zero) - rest)
+    zero, known = ca.SX(0), dict[Entry, ca.SX]()
+    for entry, sign, place, others in _elimination(dofs):
+        shown = coefficients.get(place, zero) - _signed_sum(others, known) if sign else zero
+        known[entry] = -shown if sign < 0 else shown
     return known
+
+
+@cache
+def _elimination(dofs: tuple[int, ...]) -> list[tuple[Entry, int, tuple[int, int, int], Terms]]:
+    """Entries of A in an order in which each follows from those before.
+
+    With its sign in the equation of a place (0 where K does not show it) and the other terms there.
+    """
+    equations, known, found = _equations(dofs), set[Entry](), []
+    while unknown := {m for terms in equations.values() for _, m in terms} - known:
+        open_ = {c: [(s, m) for s, m in terms if m not in known] for c, terms in equations.items()}
+        place = next((c for c, terms in open_.items() if len(terms) == 1), None)
+        entry, sign, others = min(unknown), 0, Terms()
+        if place is not None:
+            ((sign, entry),) = open_[place]
+            others = [(s, m) for s, m in equations[place] if m != entry]
+        found.append((entry, sign, place or (0, 0, 0), others))
+        known.add(entry)
+    return found
+
+
+def _signed_sum(terms: Terms, known: Mapping[Entry, ca.SX]) -> ca.SX:
+    return reduce(plus, (known[m] if sign > 0 else -known[m] for sign, m in terms), ca.SX(0))
 
 
 def _symmetric(known: Mapping[Entry, ca.SX]) -> ca.SX:
@@ -228,7 +244,7 @@ def identical(left: ca.SX, right: ca.SX, symbols: ca.SX) -> bool:
 Product = tuple[int, ...]
 Sum = dict[Product, ca.SX]
 _ONE: Product = ()
-_UNIT = ca.SX(1)
+_UNIT, _TWO, _MINUS = map(ca.SX, (1, 2, -1))
 
 
 @dataclass(frozen=True)
@@ -293,11 +309,11 @@ class Atoms:
         if product == _ONE:
             return self._scaled(b, coefficient, shared=shared)
         ((other, factor),) = self.whole(b).items()
-        return {tuple(sorted((*product, *other))): coefficient * factor}
+        return {tuple(sorted((*product, *other))): times(coefficient, factor)}
 
     def _scaled(self, terms: Sum, by: ca.SX, *, shared: bool) -> Sum:
         if len(terms) == 1 or by.is_constant():
-            return {product: by * c for product, c in terms.items()}
+            return scaled(terms, by)
         plain = {product: c for product, c in terms.items() if c.is_constant()}
         rest = {product: c for product, c in terms.items() if product not in plain}
         if shared:
@@ -323,9 +339,9 @@ def is_fixed(terms: Sum) -> bool:
     return all(product == _ONE for product in terms)
 
 
-def scaled(terms: Sum, by: ca.SX | float) -> Sum:
+def scaled(terms: Sum, by: ca.SX) -> Sum:
     """Every coefficient multiplied."""
-    return {product: by * c for product, c in terms.items()}
+    return {product: times(by, c) for product, c in terms.items()}
 
 
 def total(*sums: Sum) -> Sum:
@@ -333,7 +349,7 @@ def total(*sums: Sum) -> Sum:
     result: Sum = {}
     for terms in sums:
         for product, c in terms.items():
-            result[product] = result[product] + c if product in result else c
+            result[product] = plus(result[product], c) if product in result else c
     return {product: c for product, c in result.items() if not c.is_zero()}
 
 
@@ -410,9 +426,9 @@ class Reading:
 _LINEAR: dict[int, Callable[..., Sum]] = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_ADD: total,
-    ca.OP_SUB: lambda a, b: total(a, scaled(b, -1)),
-    ca.OP_NEG: lambda a: scaled(a, -1),
-    ca.OP_TWICE: lambda a: scaled(a, 2),
+    ca.OP_SUB: lambda a, b: total(a, scaled(b, _MINUS)),
+    ca.OP_NEG: lambda a: scaled(a, _MINUS),
+    ca.OP_TWICE: lambda a: scaled(a, _TWO),
 }
 
 
@@ -498,11 +514,11 @@ class _Writing:
         if factor is None:
             # What is ready early is added first: less to wait for.
             ordered = sorted(terms.items(), key=lambda t: max(map(self._depth, t[0]), default=0))
-            return reduce(add, [self._term(*t) for t in ordered]) if terms else ca.SX(0)
+            return reduce(plus, [self._term(*t) for t in ordered]) if terms else ca.SX(0)
         inner = {_less(p, factor): c for p, c in terms.items() if self._divisible(p, factor)}
         outer = {p: c for p, c in terms.items() if not self._divisible(p, factor)}
-        product = self.sum(inner) * self._atom(factor)
-        return self.sum(outer) + product if outer else product
+        product = times(self.sum(inner), self._atom(factor))
+        return plus(self.sum(outer), product) if outer else product
 
     def _common_factor(self, terms: Sum) -> int | None:
         """The atom that the most terms of their own have."""
@@ -523,7 +539,7 @@ class _Writing:
 
     def _term(self, product: Product, coefficient: ca.SX) -> ca.SX:
         stored = self._collector.stored(coefficient)
-        return stored * self._product(product) if product else stored
+        return times(stored, self._product(product)) if product else stored
 
     def _product(self, product: Product) -> ca.SX:
         """A product of atoms, from the partial product that the most products have."""
@@ -531,7 +547,7 @@ class _Writing:
             return self._atom(product[0])
         if product not in self._products:
             last = max(product, key=lambda a: self._parts[_less(product, a)])
-            self._products[product] = self._product(_less(product, last)) * self._atom(last)
+            self._products[product] = times(self._product(_less(product, last)), self._atom(last))
         return self._products[product]
 
     def _atom(self, number: int) -> ca.SX:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import sympy as sm
@@ -140,7 +140,7 @@ class Plant:
             own = [i for i, dof in enumerate(dofs) if first <= dof < first + 3]
             part = self.J.extract(own, own)
             full = len(own) == 3 and len(dofs) == 6
-            blocks.append(whole[first + 3] if full else part.inv().applyfunc(sm.trigsimp) if own else part)
+            blocks.append(whole[first + 3] if full else _inverse(part.as_immutable()))
         return sm.diag(*[b for b in blocks if b.rows])
 
     def inertial(self, matrix: sm.Matrix) -> sm.Matrix:
@@ -180,15 +180,15 @@ class Plant:
 
     # --- sorting ------------------------------------------------------------------------------
     def _sort(self, effect: Wrench, wrench: sm.Matrix) -> None:
-        reason = self._misfit(effect, wrench)
+        pushed = self._slope_in_inputs(wrench)
+        reason = self._misfit(effect, wrench, pushed)
         if reason:
             self.left_out[effect.id] = reason
             if self.speed and reason == _WITH_MOTION:
-                self._inputs += self._at_speed(self._slope_in_inputs(wrench))
+                self._inputs += self._at_speed(pushed)
                 self.left_out[effect.id] = f"its force is taken as at {self.speed:g} m/s ahead"
             return
         accelerations = self._composition.nu_dot
-        pushed = self._slope_in_inputs(wrench)
         at_rest = dict.fromkeys([*accelerations, *self.inputs], _ZERO)
         own = wrench.xreplace(at_rest)
         static = own.xreplace(dict.fromkeys(self.nu, _ZERO))
@@ -213,15 +213,21 @@ class Plant:
         still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
         return slope.xreplace(still | {symbol("u"): sm.Float(self.speed)})
 
-    def _misfit(self, effect: Wrench, wrench: sm.Matrix) -> str:
+    def _misfit(self, effect: Wrench, wrench: sm.Matrix, pushed: sm.Matrix) -> str:
         """Why a wrench has no place in the matrices, or nothing."""
         if wrench.free_symbols & set(effect.state_symbols):
             return "it has states of its own"
         if wrench.has(self._composition.signals.t):
             return "it depends on time"
-        if self._slope_in_inputs(wrench).free_symbols & {*self.nu, *self.eta, *self.inputs}:
+        if pushed.free_symbols & {*self.nu, *self.eta, *self.inputs}:
             return _WITH_MOTION
         return ""
+
+
+@lru_cache(maxsize=32)
+def _inverse(block: sm.ImmutableMatrix) -> sm.Matrix:
+    """The inverse of a block of J, in few terms; the vehicles of a session have few such blocks."""
+    return block.inv().applyfunc(sm.trigsimp) if block.rows else block
 
 
 def _as_commanded(vehicle: Vehicle, speed: float, left_out: dict[str, str]) -> Vehicle:

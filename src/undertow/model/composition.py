@@ -82,14 +82,14 @@ class Composition:
         dofs: tuple[int, ...],
         thrusters: tuple[str, ...],
         forces: tuple[str, ...] = (),
-        split: Mapping[str, tuple[sm.Symbol, sm.Symbol]] | None = None,
+        split: tuple[tuple[str, tuple[sm.Symbol, ...]], ...] = (),
         surfaces: tuple[str, ...] = (),
         inputs: tuple[str, ...] = (),
         *,
         velocity_along_earth: bool = False,
     ) -> None:
         self.effects, self.dofs, self.thrusters, self.forces = effects, dofs, thrusters, forces
-        self.split = dict(split or {})
+        self.split = dict(split)
         self.surfaces, self.inputs = surfaces, inputs
         self.velocity_along_earth = velocity_along_earth
         self.signals: Signals = signals(thrusters, surfaces)

@@ -21,6 +21,7 @@ from .symbols import DOFS, POSE, VELOCITY, signal_units, signals, symbol
 from .units import dimension, require_unit
 
 Point = dict[sm.Symbol, float]
+Values = Callable[[Mapping[sm.Symbol, float]], list[float]]
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class RandomPoints:
         return step if ordinary else self._random.uniform(low, high)
 
 
-def compiled(expressions: Sequence[sm.Expr]) -> Callable[[Mapping[sm.Symbol, float]], list[float]]:
+def compiled(expressions: Sequence[sm.Expr]) -> Values:
     """A function from a point to the values of expressions; NaN where they are not defined."""
     rows = [sm.sympify(e, strict=True) for e in expressions]
     names = sorted({x for e in rows for x in e.free_symbols}, key=str)
@@ -120,13 +121,13 @@ def _vanishes(expression: sm.Expr, statement: Statement) -> bool:
     return True
 
 
-def nonlinear_row(matrix: sm.Matrix, along: Sequence[sm.Symbol], statement: Statement) -> int | None:
-    """Index of the first row that is not affine in the symbols `along` taken together, or None.
+def nonlinear_row(values: Values, along: Sequence[sm.Symbol], statement: Statement) -> int | None:
+    """Index of the first of `compiled` rows not affine in the symbols `along` taken together, or None.
 
     Affine means that the value half-way between any two points is the mean of the values there, so
     that a kink (dead band, dry friction) counts as not affine although its second derivative is zero.
     """
-    values, probe = compiled(list(matrix)), RandomPoints(statement)
+    probe = RandomPoints(statement)
     for _ in range(_TRIALS.linearity):
         start = probe.point()
         end = probe.moved(start, along)
@@ -235,7 +236,7 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
                 f"parameter '{p.name}' of a {moved[0]} effect is not a regressor column: declare linear=False"
             )
         return
-    main = s.parts[0].matrix
+    main = compiled(list(s.parts[0].matrix))
     hidden = {x for part in s.parts[1:] for x in part.matrix.free_symbols}
     found = [complaint for p in linear for complaint in _not_linear(p, main, hidden, s)]
     yield from found
@@ -252,7 +253,7 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
             yield f"parameter '{p.name}' enters linearly although declared linear=False: declare linear=True"
 
 
-def _not_linear(p: Parameter, main: sm.Matrix, hidden: set[sm.Symbol], s: Statement) -> Iterator[str]:
+def _not_linear(p: Parameter, main: Values, hidden: set[sm.Symbol], s: Statement) -> Iterator[str]:
     if symbol(p.name) in hidden:
         yield f"parameter '{p.name}' acts through a state or a delay, so not linearly: declare linear=False"
     elif (row := nonlinear_row(main, [symbol(p.name)], s)) is not None:
@@ -269,7 +270,7 @@ def affine_in_motion(s: Statement) -> Iterator[str]:
         (turned, POSE[3:], attitude),
         (velocity, VELOCITY, place),
     ):
-        row = nonlinear_row(matrix, along, s)
+        row = nonlinear_row(compiled(list(matrix)), along, s)
         if row is not None:
             what = "attitude" if along is attitude else "position and velocity"
             yield f"reported {names[row]} is not affine in {what}: {_short(matrix[row])}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import sympy as sm
 
@@ -70,6 +70,10 @@ def _refuse_twice(names: Iterable[str], complaint: str) -> None:
         if name in seen:
             raise UndertowError(complaint.format(name))
         seen.add(name)
+
+
+# Vehicles that differ in their values alone, as those of a fit do, have their equations in common.
+_composed = lru_cache(maxsize=128)(Composition)
 
 
 @dataclass(frozen=True, repr=False)
@@ -267,13 +271,13 @@ class Vehicle:
     @cached_property
     def composition(self) -> Composition:
         """The effects put together, symbolically."""
-        split = {name: tuple(symbol(f"{name}_{way}") for way in WAYS) for name in self._directional}
-        return Composition(
+        split = ((name, tuple(symbol(f"{name}_{way}") for way in WAYS)) for name in self._directional)
+        return _composed(
             self.all_effects,
             self.dof_indices,
             tuple(t.name for t in self.thrusters),
             tuple(f"tau_{n[-1]}" for n in self.force_channels),
-            split,
+            tuple(split),
             tuple(s.name for s in self.surfaces),
             tuple(self.inputs),
             velocity_along_earth=self.velocity_along_earth,
