@@ -303,6 +303,6 @@ MAKING = """\
 `FOLDER` has the zigzags of the KVLCC2 tanker (HSVA, SIMMAN 2008; repository
 martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), whose licence is not stated: they are
 not part of this project, only the numbers are here. `FREE_RUNS` is the folder data of a clone of
-NAOE-5thLab/FRT-DS-ESSO (Esso Osaka, 3 m, in a pond; CC BY-NC 4.0). Cases that ran side by side had one core each, and the
-machine had other work: seconds are upper limits.
+NAOE-5thLab/FRT-DS-ESSO (Esso Osaka, 3 m, in a pond; CC BY-NC 4.0). Cases that ran side by side had one core
+each, and the machine had other work: seconds are upper limits.
 """
