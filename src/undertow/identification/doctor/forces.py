@@ -152,15 +152,17 @@ def _tested(
     functions: TestFunctions, motion: Array, n: int, force: Array, mass: Array, run: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
     """One stretch: inertial force, force of the commands, and what else may act."""
-    length = np.asarray(functions.value.sum(axis=1)).ravel()[:, None]
+    length = np.asarray(functions.value.sum(axis=1)).ravel()
+    some = length > 0.0  # with a sample within
+    length = length[some, None]
     velocity = motion[:, :n]
-    inertial = -(functions.rate @ velocity) / length @ mass.T
-    commanded = (functions.held @ force.reshape(len(force), -1)) / length
+    inertial = -(functions.rate @ velocity)[some] / length @ mass.T
+    commanded = (functions.held @ force.reshape(len(force), -1))[some] / length
     products = [velocity[:, i] * velocity[:, j] for i, j in combinations(range(n), 2)]
     columns = np.column_stack([motion, np.abs(velocity) * velocity, *products])
     steady = np.zeros((len(length), run[1]))
     steady[:, run[0]] = 1.0
-    beside = np.column_stack([functions.value @ columns / length, steady])
+    beside = np.column_stack([(functions.value @ columns)[some] / length, steady])
     return inertial, commanded.reshape(len(length), *force.shape[1:]), beside
 
 

@@ -39,9 +39,9 @@ class SignSettings:
     # Share of it that positive gains must leave beyond free ones to count: thrusters that are weaker astern
     # and the like do less.
     matters: float = 0.05
-    # Gain beyond which, either way, it is no sign of a command that is read wrongly: the stated force is
-    # too small to tell from what the model lacks. Units are found by themselves (degrees make 57), and fits of
-    # good models have shown 0.08 and 3.
+    # Gain beyond which, either way, it is no sign of a command that is read wrongly: the stated force is too
+    # small to tell from what the model lacks. Units are found by themselves (degrees make 57); good models
+    # have shown 0.08 and 3.
     strongest: float = 10.0
     # Standard errors by which logs must contradict a reading: what a model lacks makes a few of them.
     sure: float = 10.0
