@@ -36,16 +36,16 @@ class Agreement:
     value: Array
     error: Array
 
-    def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
-        """How the parts disagree, in words; empty where they agree, the worst of so many divisions.
+    @property
+    def spread(self) -> float:
+        """Standard deviation between the parts beyond that of chance."""
+        return heterogeneity(self.value, self.error**2)[1]
 
-        They do where the sizes differ by more than chance, and one is beyond a factor of the fitted one:
-        where half of it would be too much already, adding it does more harm there than good.
-        """
+    def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
+        """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
         q, _ = heterogeneity(self.value, self.error**2)
         by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.as_good_chance
-        least, most = 1.0 / settings.size_factor, settings.size_factor
-        if by_chance or np.all((self.value + self.error >= least) & (self.value - self.error <= most)):
+        if by_chance or self.spread < settings.size_change:
             return ""
         low, high = self.value.min(), self.value.max()
         return f"its size would have to go from {low:.0%} to {high:.0%} of the fitted one between {self.over}"

@@ -227,12 +227,10 @@ class Settings:
         off=1.0,
         one_case="roll decay of results.md",
     )
-    size_factor: float = _number(
-        2.0,
-        "times the fitted size, or one over it, beyond which a part of the logs contradicts an effect",
-        "below half of the fitted size, adding it does more harm than good",
+    size_change: float = _number(
+        0.25, "standard deviation of the size from which it changes", "an effect that begins in mid-run",
         off=_NEVER,
-    )
+    )  # fmt: skip
 
     # --- where more than noise is left --------------------------------------------------------
     worth: float = _number(
