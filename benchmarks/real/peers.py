@@ -165,7 +165,7 @@ def polynomial_terms(vehicle: Vehicle, *, symmetric: bool = True) -> Terms:
         squares = [np.abs(c) * c for c in commands.T]
         return np.column_stack([np.ones(len(state)), *products, *squares, *_tilts(vehicle, state)])
 
-    sides = _sides(vehicle)
+    sides = [*_sides(vehicle), *[0] * len(vehicle.inputs)]
     parity = [0, *(int(np.prod([sides[i] for i in p])) for p in powers), *sides[n:], *[0] * tilts]
     equations = np.array(sides[:n])
     table = np.array(parity)[:, None]

@@ -33,10 +33,11 @@ from undertow.version import __version__
 
 from .compare.comparison import compare
 from .diagnosis.candidates import possible
+from .diagnosis.consistency import knows_time, own_variables
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
 from .diagnosis.floors import noise_floors
 from .diagnosis.reference import is_disturbance, predictable
-from .diagnosis.residual import remaining
+from .diagnosis.residual import outweighed, remaining
 from .diagnosis.result import (
     AddedEffect,
     Diagnosis,
@@ -104,6 +105,7 @@ class ResultBuilder:
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
         self._weak = weak
+        self._known_left: dict[int, list[Remaining]] = {}
 
     @cached_property
     def judgement(self) -> Judgement:
@@ -112,7 +114,12 @@ class ResultBuilder:
         scores = self.bench.judge(self._weak[0]), self.bench.judge(self._weak[-1])
         selection = self._selection
         if selection is not None and not (residual_is_noise and selection.all_but_one_established):
-            return judge_selection(self.found, scores, noise, selection)
+            judged = judge_selection(self.found, scores, noise, selection)
+            if doubt := self._outweighed(judged):
+                doubted = [replace(g, doubt=g.doubt or doubt) for g in selection.graded]
+                self._selection = replace(selection, graded=doubted)
+                judged = judge_selection(self.found, scores, noise, self._selection)
+            return judged
         left = Remainder(
             residual_is_noise=residual_is_noise,
             confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
@@ -120,6 +127,22 @@ class ResultBuilder:
             or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
         )
         return judge(self.found, scores, noise, left)
+
+    def _outweighed(self, judged: Judgement) -> str:
+        """Why what is named is not established beside a dependence; of sensors the forces say nothing."""
+        if all(f.of_sensors for f in judged.effects):
+            return ""
+        count, given = len(judged.effects), self.base.model.functions.vehicle
+        grown = [(f.trial.candidate, given, f.trial.fit.model.functions.vehicle) for f in judged.effects]
+        own = {name for of in grown for name in own_variables(*of)}
+        own |= {"t"} if any(knows_time(*of) for of in grown) else set()
+        return outweighed(self.base, self.fits[count], self._left_by(0), self.bench.test, own)
+
+    def _left_by(self, count: int) -> list[Remaining]:
+        """What is left with the first so many effects that were added."""
+        if count not in self._known_left:
+            self._known_left[count] = remaining(self.fits[count], self.bench.train, self.bench.test)
+        return self._known_left[count]
 
     def worth(self) -> list[Worth]:
         """What every effect that was added does to predictions, between the fits of the result."""
@@ -143,9 +166,9 @@ class ResultBuilder:
         """The fits with the candidates of the first round that have parameters other than zero."""
         return {f.id: f.trial.fit for f in self.found.rounds[0].findings if f.trial.kept}
 
-    @cached_property
+    @property
     def _left(self) -> list[Remaining]:
-        return remaining(self.after, self.bench.train, self.bench.test)
+        return self._left_by(len(self.judgement.effects))
 
     @cached_property
     def _predictable(self) -> list[Predictability]:

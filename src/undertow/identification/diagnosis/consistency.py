@@ -239,6 +239,12 @@ def _turned(heading: Array) -> float:
 
 
 # --- whether a function of its own variables would do much better ----------------------------------
+def knows_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
+    """Whether an effect may depend on the time itself; of actuators, whose equations stand aside, all may."""
+    added = {str(s) for s in (grown.residual - base.residual).free_symbols}
+    return "t" in added or candidate.effect.family == "actuation"
+
+
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
     """Velocities, pose and commands that what an effect adds to the equations depends on.
 

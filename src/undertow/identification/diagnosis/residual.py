@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,6 +19,7 @@ from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
 from undertow.identification.estimation.step import prior_of, squared
 from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, VELOCITY
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .associations import (
@@ -608,6 +610,33 @@ def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remain
     """Residual force of every degree of freedom on validation data."""
     characteriser = Characteriser(fit, known, validation)
     return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
+
+
+def outweighed(
+    before: Fitted, after: Fitted, left: Sequence[Remaining], validation: WeakData, own: Collection[str]
+) -> str:
+    """Why effects are not established beside a dependence, in words; empty where nothing speaks against them.
+
+    Any equation correlates with something. Where a dependence on what the effects do not know of explains
+    more than they do of the equation of which they explain most, they stand in for what it is a sign of.
+
+    before, after: fits without and with the effects; left: what the former leaves; own: velocities, pose,
+    commands and, as "t", the time, as far as the effects depend on them.
+    """
+    rows = [ForceRows(fit, validation) for fit in (before, after)]
+    without, with_it = (np.array([r.row(i).ratio for i in range(len(left))]) for r in rows)
+    i = int(np.argmax(without - with_it))
+    others = [d for d in left[i].depends_on if not _variables(d, before.model.functions.vehicle) <= {*own}]
+    most, explained = max(others, key=lambda d: d.share, default=None), without[i] - with_it[i]
+    if most is None or not 0.0 < explained < most.share * (without[i] - 1.0):
+        return ""
+    return f"{_named(most)} explains more of what is left in {left[i].degree_of_freedom}"
+
+
+def _variables(dependence: Dependence, vehicle: Vehicle) -> set[str]:
+    """Pose, velocities, commands and the time, as far as a dependence is one on them."""
+    names = {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names, "t"}
+    return names & {word for columns in dependence.columns for c in columns for word in re.findall(r"\w+", c)}
 
 
 def _left(characteriser: Characteriser, fit: Fitted, i: int) -> Remaining:
