@@ -13,6 +13,7 @@ import pytest
 
 from benchmarks.shape.hulls import box_mesh, cylinder_mesh, spheroid_mesh
 from benchmarks.tank.__main__ import RESULTS
+from benchmarks.tank.bodies import made, results
 from benchmarks.tank.page import known_drag, page
 from tests.tank.stand_ins import ADDED, LINEAR, QUADRATIC, stand_ins
 from undertow.errors import UndertowError
@@ -485,6 +486,17 @@ def test_added_mass_of_a_spheroid_across(tmp_path: Path) -> None:
     assert found.value == pytest.approx(prolate_spheroid(0.6, 0.2).matrix[1, 1], rel=0.03)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+def test_steady_drag_of_a_cylinder(tmp_path: Path) -> None:
+    """Water that moves with the body and flows in again at the outer boundary takes 5 to 9 % off it."""
+    run_tank(tmp_path / "cylinder-drag", made("cylinder-drag", tmp_path), grids=1)
+    found = results("cylinder-drag", tmp_path / "cylinder-drag")
+    assert [round(row["reynolds"]) for row in found] == [20, 40]
+    for row in found:
+        assert row["value"] == pytest.approx(known_drag(row), rel=0.02)
+
+
 def test_a_section_is_read_and_drawn(tmp_path: Path) -> None:
     root, tank = _written(tmp_path, replace(PUSHED, profiles=("push",)))
     for time, speed in (("0.01", 1), ("0.02", 4)):
@@ -528,6 +540,4 @@ def test_the_page_says_what_was_measured() -> None:
         if r["name"] == "Cd" and (k := known_drag(r))
     }
     assert len(drag) == 4
-    for (body, speed), off in drag.items():
-        # Of the cylinder the page says that it misses the goal.
-        assert abs(off) < (0.1 if body == "cylinder-drag" else 0.05), (body, speed)
+    assert max(map(abs, drag.values())) < 0.03, drag
