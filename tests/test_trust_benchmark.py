@@ -24,6 +24,7 @@ from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
 from benchmarks.trust.grade import HIDDEN, grade_of, oracle_refit
 from benchmarks.trust.material import simulated, varied, written_and_read, written_to_memory
+from benchmarks.trust.measure import measured
 from benchmarks.trust.peers import stepwise
 from benchmarks.trust.report import page
 from benchmarks.trust.run import records, run
@@ -449,3 +450,19 @@ def test_other_methods_get_straight_lines_where_a_channel_has_gaps() -> None:
     whole = filled(run, ["u"])[:, 0]
     np.testing.assert_allclose(whole[2:-1], 0.3 * t[2:-1], atol=1e-12)
     assert np.isfinite(whole).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "case",
+    [
+        # a side force twice per turn, in closed loop: thrust astern goes along with it (was propeller_walk)
+        "usv:heading_force:x1:n0.3:closed:plain:79367349",
+        # a drag that grows with time, while the vehicle moves away (was tether_drag)
+        "rov:growing_drag:x0.4:n0.3:closed:plain:68673538",
+    ],
+)
+def test_what_no_catalogue_knows_does_not_get_the_name_of_what_goes_along_with_it(case: str) -> None:
+    said = measured(Planned.read(case), peers=False)[0]
+    assert said["answer"]["verdict"] == "helps_prediction"
+    assert "explains more of what is left in" in said["headline"]
