@@ -165,7 +165,7 @@ def polynomial_terms(vehicle: Vehicle, *, symmetric: bool = True) -> Terms:
         squares = [np.abs(c) * c for c in commands.T]
         return np.column_stack([np.ones(len(state)), *products, *squares, *_tilts(vehicle, state)])
 
-    sides = [*_sides(vehicle), *[0] * len(vehicle.inputs)]
+    sides = _sides(vehicle)
     parity = [0, *(int(np.prod([sides[i] for i in p])) for p in powers), *sides[n:], *[0] * tilts]
     equations = np.array(sides[:n])
     table = np.array(parity)[:, None]
@@ -183,11 +183,15 @@ def _powers(n: int, m: int) -> list[tuple[int, ...]]:
 def _sides(vehicle: Vehicle) -> list[int]:
     """1 for what is alike on both sides (surge), -1 for what is mirrored (sway), 0 for what is neither."""
     motions = [1 if i in (0, 2, 4) else -1 for i in vehicle.dof_indices]
+    forward = (1.0, 0.0, 0.0)
+    turned = {s.name: tuple(np.cross(forward, np.array(s.axis, dtype=float))) for s in vehicle.surfaces}
+    wrenches = {t.name: t.wrench for t in vehicle.thrusters} | turned
     commands = []
-    for wrench in [t.wrench for t in vehicle.thrusters] + [_of_force(n) for n in vehicle.force_channels]:
+    for name in vehicle.actuator_names + vehicle.force_channels:
+        wrench = (*(wrenches.get(name) or _of_force(name)), 0.0, 0.0, 0.0)
         ahead, across = (any(wrench[i] for i in own) for own in ((0, 2, 4), (1, 3, 5)))
         commands.append(0 if ahead and across else 1 if ahead else -1)
-    return [*motions, *commands]
+    return [*motions, *commands, *[0] * len(vehicle.inputs)]
 
 
 def _of_force(name: str) -> tuple[float, ...]:
