@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from tests.quick import first_quick
-from undertow.identification.diagnosis.consistency import agreements
+from undertow.identification.diagnosis.consistency import agreements, no_step
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.trial import open_bench
@@ -46,3 +47,19 @@ def test_a_steady_force_has_one_size(seed: int) -> None:
 def test_a_force_that_begins_later_has_none_before(seed: int) -> None:
     said = _doubts(BEGIN, seed)["times within a run"]
     assert said.startswith("its size would have to go from ")
+
+
+@pytest.mark.parametrize(("rate", "words"), [(0.01, ""), (0.039, "friction_rate = 0.039 rad/s is more than")])
+def test_friction_that_is_not_there_at_the_speeds_of_the_log_is_none(rate: float, words: str) -> None:
+    """Turning rates of 0.025 rad/s rms, as in zigzags of a tanker, beside speeds of 1 m/s."""
+    t = np.linspace(0.0, 60.0, 601)
+    motion = np.column_stack([t, t, np.ones_like(t), 0.025 * np.sqrt(2.0) * np.sin(t)])
+    fit = SimpleNamespace(
+        values={"friction_speed": 0.02, "friction_rate": rate}, model=SimpleNamespace(free=("friction_rate",))
+    )
+    candidate = SimpleNamespace(effect=catalogue()["dry_friction"])
+    finding = SimpleNamespace(trial=SimpleNamespace(fit=fit, candidate=candidate))
+    data = SimpleNamespace(names=("x", "psi", "u", "r"), segments=[SimpleNamespace(measured=motion)])
+    said = no_step(finding, SimpleNamespace(train=data))  # type: ignore[arg-type]
+    assert said.startswith(words)
+    assert bool(said) == bool(words)

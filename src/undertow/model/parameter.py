@@ -82,6 +82,8 @@ class Parameter:
         samples, and no parameter.
     with_log, without_log : str
         Such an input without which, or beside which, the parameter has no meaning and is not there.
+    step_width : bool
+        True for the velocity in which a smoothed step is made: wider than the motion itself it is no step.
     within : float
         Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
         sqrt(length / g)) that a fit takes for possible where the file states no standard deviation. Places
@@ -104,6 +106,7 @@ class Parameter:
     logged: bool = False
     with_log: str = ""
     without_log: str = ""
+    step_width: bool = False
     within: float = 100.0
     name: str = field(default="", kw_only=True)
 

@@ -14,6 +14,7 @@ from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.model.effect import Effect, Flow, Measurement
+from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
@@ -193,6 +194,31 @@ def left_open(finding: FoundEffect, settings: Settings) -> str:
     fit = finding.trial.fit
     free = {n: fit.values[n] for n in fit.model.free}
     return undetermined(finding.trial.candidate.effect(()), free, fit.standard_errors, settings)
+
+
+def no_step(finding: FoundEffect, bench: Bench) -> str:
+    """What of an effect is a smoothed step wider than the motion, in words; empty where nothing is.
+
+    Friction that is fully there only at speeds that the logs hardly reach is a damping like others.
+    """
+    fit = finding.trial.fit
+    for p in finding.trial.candidate.effect(()).parameters:
+        if (
+            p.step_width
+            and p.name in fit.model.free
+            and fit.values[p.name] > _most_moved(p.unit, bench.train)
+        ):
+            return f"{p.name} = {fit.values[p.name]:.2g} {p.unit} is more than the rms of the motion: no step"
+    return ""
+
+
+def _most_moved(unit: str, data: WeakData) -> float:
+    """The largest rms of the velocities in a unit."""
+    half = len(data.names) // 2
+    moved = np.vstack([s.measured[:, half:] for s in data.segments])
+    rms = np.sqrt(np.nanmean(moved**2, axis=0))
+    moving = zip(data.names[half:], rms.tolist(), strict=True)
+    return max((size for name, size in moving if MOTION_UNITS[name] == unit), default=0.0)
 
 
 def is_spring(finding: FoundEffect) -> bool:

@@ -23,6 +23,7 @@ from .consistency import (
     is_spring,
     left_open,
     never_turned,
+    no_step,
     own_variables,
     vanished_inertia,
 )
@@ -509,6 +510,8 @@ class _Selector:
         forces: whether it explains any of the forces: else these say nothing about it.
         """
         if words := left_open(finding, self._settings) or never_turned(finding, bench):
+            return words
+        if words := no_step(finding, bench):
             return words
         if words := self._in_place_of_inertia(finding, bench):
             return words

@@ -11,8 +11,16 @@ from undertow.model.symbols import VELOCITY, Signals
 
 def _width(unit: str, description: str) -> Parameter:
     """How narrow the smoothed sign is; it is searched for, and does nothing without friction."""
-    bounds, starts = (1e-4, 0.1), (0.005, 0.04)
-    return Parameter(unit, description, bounds, linear=False, default=0.02, starts=starts, neutral=None)
+    return Parameter(
+        unit,
+        description,
+        (1e-4, 0.1),
+        linear=False,
+        default=0.02,
+        starts=(0.005, 0.04),
+        neutral=None,
+        step_width=True,
+    )
 
 
 class DryFriction(Wrench):
