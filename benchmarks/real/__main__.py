@@ -156,7 +156,7 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _page(options: argparse.Namespace) -> int:
-    return _write(page(_stored(options.source), _before(options), plan(log_sets(Path()))), options.out)
+    return _write(page(_stored(options.source), _before(options), plan(log_sets(Path(), Path()))), options.out)
 
 
 def _unsaid(options: argparse.Namespace) -> int:
