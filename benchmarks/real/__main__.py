@@ -156,7 +156,8 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _page(options: argparse.Namespace) -> int:
-    return _write(page(_stored(options.source), _before(options), plan(log_sets(Path(), Path()))), options.out)
+    planned = plan(log_sets(Path(), Path()))
+    return _write(page(_stored(options.source), _before(options), planned), options.out)
 
 
 def _unsaid(options: argparse.Namespace) -> int:
