@@ -102,9 +102,13 @@ def test_a_speed_in_newtons_or_read_without_the_vehicle_is_refused(tmp_path: Pat
     wrong = LogMapping(columns={"n": Column(channel="prop", unit="N")})
     with pytest.raises(ut.UndertowError, match="unit 'N' of 'n', speed of a propeller"):
         read_logs([log], vehicle, wrong)
-    alone = ut.read_log(log, LogMapping(columns={"n": Column(channel="prop", unit="rpm")}), commands=["prop"])
-    with pytest.raises(ut.UndertowError, match=r"'n' was read in rad/s.* command 'prop' in rev/s"):
-        ut.fit(vehicle, [alone])
+    for name, mapping in (
+        ("n", LogMapping(columns={"n": Column(channel="prop", unit="rpm")})),
+        ("prop", LogMapping(channels={"prop": Channel(expression="n / 60", unit="rev/s")})),
+    ):
+        alone = ut.read_log(log, mapping, commands=["prop"])
+        with pytest.raises(ut.UndertowError, match=rf"'{name}' was read in rad/s.* command 'prop' in rev/s"):
+            ut.fit(vehicle, [alone])
 
 
 def test_a_fitted_thrust_coefficient_goes_back_into_its_table(tmp_path: Path) -> None:

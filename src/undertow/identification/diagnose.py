@@ -105,7 +105,6 @@ class ResultBuilder:
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
         self._weak = weak
-        self._known_left: dict[int, list[Remaining]] = {}
 
     @cached_property
     def judgement(self) -> Judgement:
@@ -136,13 +135,7 @@ class ResultBuilder:
         grown = [(f.trial.candidate, given, f.trial.fit.model.functions.vehicle) for f in judged.effects]
         own = {name for of in grown for name in own_variables(*of)}
         own |= {"t"} if any(knows_time(*of) for of in grown) else set()
-        return outweighed(self.base, self.fits[count], self._left_by(0), self.bench.test, own)
-
-    def _left_by(self, count: int) -> list[Remaining]:
-        """What is left with the first so many effects that were added."""
-        if count not in self._known_left:
-            self._known_left[count] = remaining(self.fits[count], self.bench.train, self.bench.test)
-        return self._known_left[count]
+        return outweighed(self.base, self.fits[count], self.bench.train, self.bench.test, own)
 
     def worth(self) -> list[Worth]:
         """What every effect that was added does to predictions, between the fits of the result."""
@@ -166,9 +159,9 @@ class ResultBuilder:
         """The fits with the candidates of the first round that have parameters other than zero."""
         return {f.id: f.trial.fit for f in self.found.rounds[0].findings if f.trial.kept}
 
-    @property
+    @cached_property
     def _left(self) -> list[Remaining]:
-        return self._left_by(len(self.judgement.effects))
+        return remaining(self.after, self.bench.train, self.bench.test)
 
     @cached_property
     def _predictable(self) -> list[Predictability]:

@@ -265,10 +265,13 @@ def _turned(heading: Array) -> float:
 
 
 # --- whether a function of its own variables would do much better ----------------------------------
+def _added_symbols(base: Vehicle, grown: Vehicle) -> set[str]:
+    return {str(s) for s in (grown.residual - base.residual).free_symbols}
+
+
 def knows_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
     """Whether an effect may depend on the time itself; of actuators, whose equations stand aside, all may."""
-    added = {str(s) for s in (grown.residual - base.residual).free_symbols}
-    return "t" in added or candidate.effect.family == "actuation"
+    return "t" in _added_symbols(base, grown) or candidate.effect.family == "actuation"
 
 
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
@@ -277,7 +280,7 @@ def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[
     Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
     force depends on none.
     """
-    symbols = {str(s) for s in (grown.residual - base.residual).free_symbols} - {*grown.parameter_names}
+    symbols = _added_symbols(base, grown) - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
     there = (*base.velocity_names, *base.pose_names, *base.command_names)
     if found := tuple(n for n in there if n in names):

@@ -613,24 +613,28 @@ def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remain
 
 
 def outweighed(
-    before: Fitted, after: Fitted, left: Sequence[Remaining], validation: WeakData, own: Collection[str]
+    before: Fitted, after: Fitted, known: WeakData, validation: WeakData, own: Collection[str]
 ) -> str:
     """Why effects are not established beside a dependence, in words; empty where nothing speaks against them.
 
     Any equation correlates with something. Where a dependence on what the effects do not know of explains
     more than they do of the equation of which they explain most, they stand in for what it is a sign of.
 
-    before, after: fits without and with the effects; left: what the former leaves; own: velocities, pose,
-    commands and, as "t", the time, as far as the effects depend on them.
+    before, after: fits without and with the effects; own: velocities, pose, commands and, as "t", the time,
+    as far as the effects depend on them.
     """
-    rows = [ForceRows(fit, validation) for fit in (before, after)]
-    without, with_it = (np.array([r.row(i).ratio for i in range(len(left))]) for r in rows)
-    i = int(np.argmax(without - with_it))
-    others = [d for d in left[i].depends_on if not _variables(d, before.model.functions.vehicle) <= {*own}]
-    most, explained = max(others, key=lambda d: d.share, default=None), without[i] - with_it[i]
-    if most is None or not 0.0 < explained < most.share * (without[i] - 1.0):
+    characteriser, with_it = Characteriser(before, known, validation), ForceRows(after, validation)
+    without = [row.ratio for row in characteriser.rows]
+    explained = [ratio - with_it.row(i).ratio for i, ratio in enumerate(without)]
+    i = int(np.argmax(explained))
+    if explained[i] <= 0.0:
         return ""
-    return f"{_named(most)} explains more of what is left in {left[i].degree_of_freedom}"
+    left = _left(characteriser, before, i)
+    others = [d for d in left.depends_on if not _variables(d, before.model.functions.vehicle) <= {*own}]
+    most = max(others, key=lambda d: d.share, default=None)
+    if most is None or explained[i] >= most.share * (without[i] - 1.0):
+        return ""
+    return f"{_named(most)} explains more of what is left in {left.degree_of_freedom}"
 
 
 def _variables(dependence: Dependence, vehicle: Vehicle) -> set[str]:

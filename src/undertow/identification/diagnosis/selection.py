@@ -509,9 +509,9 @@ class _Selector:
 
         forces: whether it explains any of the forces: else these say nothing about it.
         """
-        if words := left_open(finding, self._settings) or never_turned(finding, bench):
-            return words
-        if words := no_step(finding, bench):
+        if words := (
+            left_open(finding, self._settings) or never_turned(finding, bench) or no_step(finding, bench)
+        ):
             return words
         if words := self._in_place_of_inertia(finding, bench):
             return words

@@ -19,7 +19,7 @@ from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
-from .inputs import without_gaps
+from .inputs import held_commands
 from .test_functions import (
     Entries,
     Supports,
@@ -427,8 +427,8 @@ class WeakData:
 
     @cached_property
     def held(self) -> list[Array]:
-        """Commands in every run, (N, n_commands), with the last known value where one is missing."""
-        return [without_gaps(run.matrix(self.commands)) for run in self.runs]
+        """Commands in every run, as `held_commands` gives them."""
+        return held_commands(self.runs, self.commands)
 
     @cached_property
     def equation(self) -> Index:

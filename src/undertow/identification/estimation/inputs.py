@@ -15,6 +15,7 @@ from undertow.codegen.engine import carried, mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
+from undertow.identification.logs.run import Run
 from undertow.typing import Array, Index
 
 
@@ -44,6 +45,11 @@ def without_gaps(u: Array) -> Array:
     known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
     filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
     return np.nan_to_num(filled, nan=0.0)
+
+
+def held_commands(runs: Sequence[Run], names: Sequence[str]) -> list[Array]:
+    """Commands in every run, (N, n_commands), with the last known value where one is missing."""
+    return [without_gaps(run.matrix(names)) for run in runs]
 
 
 def shifted_mean(t: Array, held: Array, delay: float) -> Array:

@@ -20,7 +20,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
 from .data import around, channel_noise, local_polynomial
-from .inputs import without_gaps
+from .inputs import held_commands
 
 _ANGLES = ("phi", "psi")
 
@@ -83,8 +83,8 @@ class Windows:
 
     @cached_property
     def held(self) -> list[Array]:
-        """Commands in every run, (N, n_commands), with the last known value where one is missing."""
-        return [without_gaps(run.matrix(self.commands)) for run in self.runs]
+        """Commands in every run, as `held_commands` gives them."""
+        return held_commands(self.runs, self.commands)
 
     @cached_property
     def prompt(self) -> Drive:

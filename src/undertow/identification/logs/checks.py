@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.actuators import TURNS
 from undertow.model.vehicle import Vehicle
@@ -190,13 +191,15 @@ def refuse_too_many(samples: int, log: str | Path) -> None:
 def refuse_other_speeds(run: Run, vehicle: Vehicle) -> None:
     """Refuse speeds of propellers that were read in rad/s where the vehicle counts them otherwise."""
     counted = {t.name: t.unit for t in vehicle.thrusters if t.unit in TURNS and t.unit != "rad/s"}
-    columns = run.mapping.columns.items() if run.mapping is not None else ()
-    for name, column in columns:
-        if column.channel in counted and column.unit is not None:
+    mapping = run.mapping or LogMapping()
+    stated = [(name, column.channel, column.unit) for name, column in mapping.columns.items()]
+    stated += [(name, name, formula.unit) for name, formula in mapping.channels.items()]
+    for name, command, unit in stated:
+        if command in counted and unit is not None:
             raise UndertowError(
                 f"log {run.source or run.name}: column {name!r} was read in rad/s, since its mapping states "
-                f"the unit {column.unit!r}, and the vehicle counts command {column.channel!r} in "
-                f'{counted[column.channel]}: write revolutions = "rad/s" into the vehicle file, or a scale '
+                f"the unit {unit!r}, and the vehicle counts command {command!r} in "
+                f'{counted[command]}: write revolutions = "rad/s" into the vehicle file, or a scale '
                 "in place of the unit into the mapping"
             )
 
