@@ -9,6 +9,8 @@ import pytest
 
 from tests.cli.bad import refusal
 from tests.identification.logs.ardusub import vehicle_for, write_bin
+from tests.identification.logs.dive import dive
+from tests.identification.logs.written import ulog
 from undertow.cli.main import main
 from undertow.identification.logs.mapping import read_mapping
 from undertow.model.loading import load_vehicle
@@ -34,6 +36,29 @@ def test_what_a_log_holds_is_listed(folder: Path, capsys: Capture) -> None:
     assert rows["XKF1"] == ["1601", "20", "0.00", "80.00", "0.05"]
     assert rows["RFND"] == ["401", "5", "0.00", "80.00", "0.2"]
     assert "left out: 0.0 to 10.0 s (disarmed)" in out
+
+
+@pytest.mark.parametrize(
+    ("size", "words"), [(None, "does not exist or is not a file"), (0, "is empty (0 bytes)")]
+)
+def test_what_is_no_log_is_refused_by_every_command_in_the_same_words(
+    size: int | None, words: str, capsys: Capture, tmp_path: Path
+) -> None:
+    log = tmp_path / "dive.bin"
+    if size is not None:
+        log.write_bytes(bytes(size))
+    for command in (["import", str(log), "--list"], ["doctor", "bluerov2", str(log)]):
+        assert f"log {log} {words}" in refusal(command, capsys)
+
+
+def test_elements_of_an_array_are_listed_as_one(
+    capsys: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyulog")
+    monkeypatch.setenv("COLUMNS", "300")
+    ulog(dive()).write(tmp_path / "dive.ulg")
+    assert main(["import", str(tmp_path / "dive.ulg"), "--list"]) == 0
+    assert "control[0-11]" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from undertow.errors import UndertowError
-
 from .._options import EffectsOption, FillOption, LogsArgument, MapOption, TrustOption, bundled
 from .._terminal import console, progress, say, section, table, text
 
@@ -196,12 +194,12 @@ def rollouts(
     from undertow.files import check_writable, write_whole
     from undertow.fleet.rollouts import RolloutJob, to_parquet
     from undertow.fleet.rollouts import rollouts as roll_out
+    from undertow.identification.logs.table import refuse_no_file
 
     with options.engine() as engine:
         check_writable(out, inputs=[*logs, vehicle, *options.files])
-        missing = next((log for log in logs if not log.is_file()), None)
-        if missing is not None:
-            raise UndertowError(f"log {missing} does not exist or is not a file: give the path of a log")
+        for log in logs:
+            refuse_no_file(log)
         seen, mapping = _whole_path(vehicle), options.mapping
         job = RolloutJob(
             seen, options.files, mapping, options.fill, options.trust_log, horizon, coverage, seed

@@ -12,6 +12,8 @@ correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -36,6 +38,7 @@ _MESSAGES = typer.Option(
     metavar="FOLDER",
     help="Definitions that a log does not hold itself: messages of ROS (.msg), sensors of gliders (.cac).",
 )
+_ELEMENT = re.compile(r"\[(\d+)\](?=[^\[\]]*$)")  # the last index in the name of a column
 _HEAD = ("series", "samples", "per second", "from s", "to s", "longest gap s", "columns")
 
 
@@ -79,11 +82,21 @@ def _row(series: Series) -> tuple[str, ...]:
 
     from undertow.identification.logs.formats.fieldlog import rising
 
-    t, names = series.t[rising(series.t)], ", ".join(series.columns)
+    t, names = series.t[rising(series.t)], ", ".join(_elements_together(series.columns))
     steps = diff(t)
     pace = (f"{1 / median(steps):.4g}", f"{steps.max():.3g}") if len(steps) else ("", "")
-    span = (f"{t[0]:.2f}", f"{t[-1]:.2f}") if len(t) else ("", "")
+    span = (f"{t[0]:z.2f}", f"{t[-1]:z.2f}") if len(t) else ("", "")
     return series.name, str(len(series.t)), pace[0], *span, pace[1], names
+
+
+def _elements_together(columns: Iterable[str]) -> list[str]:
+    """Names of columns, the elements of an array as one: control[0], control[1] become control[0-1]."""
+    arrays: dict[str, list[str]] = {}
+    for name in columns:
+        place = _ELEMENT.search(name)
+        arrays.setdefault(_ELEMENT.sub("[]", name), []).append(place[1] if place else "")
+    ends = {name: "-".join(dict.fromkeys((at[0], at[-1]))) for name, at in arrays.items()}
+    return [name.replace("[]", f"[{end}]") for name, end in ends.items()]
 
 
 def _write(log: FieldLog, meaning: LogMapping, out: Path, beside: Path) -> None:

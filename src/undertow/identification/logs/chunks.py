@@ -47,6 +47,7 @@ from .table import (
     parquet_size,
     read_rows,
     read_table,
+    refuse_no_file,
     seconds,
     size_of,
 )
@@ -236,8 +237,8 @@ class LongLog:
         return elapsed(table.head(1), self.mapping, scale, self._where)[1]
 
     def _refuse(self) -> None:
-        if self.table is None and not self.path.is_file():
-            raise UndertowError(f"{self._where} does not exist or is not a file: give the path of a log")
+        if self.table is None:
+            refuse_no_file(self.path)
 
     def _tables(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
         every = self.mapping.time.every

@@ -157,12 +157,7 @@ WHOLE = LogLimits()
 
 def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
     """Return the bytes of a log file; one that is too large is refused before they are read."""
-    if path.is_dir():
-        raise UndertowError(f"log {path} is a folder, not a file: give the path of a file in it")
-    if not path.is_file():
-        there = [p.name for p in path.parent.iterdir() if p.is_file()] if path.parent.is_dir() else []
-        alike = nearest(path.name, there)
-        raise UndertowError(f"log {path} does not exist or is not a file{alike}: give the path of a log")
+    refuse_no_file(path)
     where = f"log {path}"
     try:
         with path.open("rb") as stream:
@@ -174,6 +169,18 @@ def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
             return stream.read(limits.text + 1)
     except OSError as error:
         raise UndertowError(f"{where} cannot be read: {error.strerror}") from error
+
+
+def refuse_no_file(path: Path) -> None:
+    """Refuse what is no file, and a file without a byte."""
+    if path.is_dir():
+        raise UndertowError(f"log {path} is a folder, not a file: give the path of a file in it")
+    if not path.is_file():
+        there = [p.name for p in path.parent.iterdir() if p.is_file()] if path.parent.is_dir() else []
+        alike = nearest(path.name, there)
+        raise UndertowError(f"log {path} does not exist or is not a file{alike}: give the path of a log")
+    if not path.stat().st_size:
+        raise UndertowError(f"log {path} is empty (0 bytes): check that the log was written to its end")
 
 
 def size_of(path: Path) -> int:

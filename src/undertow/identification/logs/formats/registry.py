@@ -14,6 +14,7 @@ from pathlib import Path
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.helper import Helper
+from undertow.identification.logs.table import refuse_no_file
 
 from .fieldlog import FieldLog, Format, in_order
 
@@ -112,9 +113,9 @@ _TRIES = Helper(f"from {__name__} import answer_whether_files_can_be_read as ans
 
 def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     """The same, of what has to be such a log."""
-    if not path.exists():
-        raise UndertowError(f"log {path} does not exist: give the path of a log")
     found = open_field_log(path, messages)
+    if found is None:
+        refuse_no_file(path)
     if found is None and path.suffix in (".csv", ".gz", ".parquet"):
         raise UndertowError(
             f"log {path} is a table, which every command reads as it is; undertow map new {path} begins the "
