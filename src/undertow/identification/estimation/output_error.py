@@ -31,8 +31,9 @@ class OutputErrorSettings:
 
     horizon: float = 5.0  # length of a window, s
     most_steps: int = 40
-    # Fall of the sum of squares, in units of the mean square left, below which there is nothing left to gain.
-    least_fall: float = 1e-3
+    # Fall of the sum of squares, in units of the mean square left times the inflation of the variances, below
+    # which there is nothing left to gain: a tenth of a standard error.
+    least_fall: float = 0.01
     # The same as a share of it, while the weights are still to be estimated from what is left.
     rough_fall: float = 0.01
     rounds: int = 3  # of weights by channel
@@ -290,10 +291,10 @@ class Descent:
 def _negligible_fall(at: Reduced) -> float:
     """Fall of the cost below which a descent has converged.
 
-    What a poor model leaves is many times the noise: there a fraction of a noise variance moves no parameter
-    by a notable share of its standard error.
+    What a poor model leaves is many times the noise, and goes together from sample to sample: there a
+    fraction of a noise variance moves no parameter by a notable share of its standard error.
     """
-    return SETTINGS.least_fall * max(1.0, at.cost / max(float(at.counts.sum()), 1.0))
+    return SETTINGS.least_fall * max(1.0, at.cost / max(float(at.counts.sum()), 1.0)) * at.inflation
 
 
 def _damped(at: Reduced, damping: float) -> Linearised:

@@ -19,6 +19,7 @@ from undertow.typing import Array, Flags, Index, Integers
 
 from .by_run import RunValues
 from .predictor import Predictor, reported_late
+from .step import inverse_of
 from .windows import Drive, Windows
 
 
@@ -60,6 +61,16 @@ class Reduced:
     scores: Array
     start_step: Array  # (b, k) best change of every start, and its derivative in the parameters
     start_slope: Array
+
+    @cached_property
+    def inflation(self) -> float:
+        """Mean factor, at least 1, by which residuals that go together within groups raise variances.
+
+        The trace of J^-1 B over the number of parameters, with the information J and the covariance B of the
+        scores; 1 where all residuals are independent (Takeuchi's information criterion).
+        """
+        product = inverse_of(self.J.T @ self.J) @ (self.scores.T @ self.scores)
+        return max(1.0, float(np.trace(product)) / max(len(product), 1))
 
 
 def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
