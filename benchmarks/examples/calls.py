@@ -33,7 +33,7 @@ class Judged:
     mapping : str
         Mapping file from the root of the repository.
     logs, holdout : tuple of str
-        File names in the data folder; without a holdout, stretches of the logs are kept aside.
+        File names in the data folder; without a holdout, stretches of the logs are for validation.
     window : (from, to)
         Part of every log that is used, s.
     effects : tuple of str

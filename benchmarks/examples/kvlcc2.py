@@ -45,7 +45,7 @@ def judged(log: str, held: str, window: tuple[float, float] = WINDOW) -> Judged:
 
 
 #: One test by itself: zero heel is the same throughout.
-ALONE = Judged("21338, stretches kept aside", VEHICLE, MAPPING, (AGAIN,), (), (25.0, 190.0))
+ALONE = Judged("21338, validation on stretches", VEHICLE, MAPPING, (AGAIN,), (), (25.0, 190.0))
 PAIRS = (judged(AGAIN, STILL), judged(STILL, AGAIN))
 WAYS = (*PAIRS, ALONE)
 OWN_WAYS = tuple(replace(way, effects=(OWN,)) for way in WAYS)

@@ -23,7 +23,7 @@ MAPPING = "examples/sf30k/log.toml"
 LOG = "sf30k_20150518_1829.csv"
 WINDOW = (720.0, 1330.0)
 WAYS = tuple(
-    Judged(f"{motions} degrees of freedom, stretches kept aside", vehicle, MAPPING, (LOG,), (), WINDOW)
+    Judged(f"{motions} degrees of freedom, validation on stretches", vehicle, MAPPING, (LOG,), (), WINDOW)
     for motions, vehicle in (("six", SIX), ("four", FOUR))
 )
 #: Where Neptune.xml puts the Doppler log, m; the vehicle files do not say so.

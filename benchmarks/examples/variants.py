@@ -46,7 +46,7 @@ def vehicle_of(path: str | Path, effects: tuple[str, ...] = ()) -> Vehicle:
 
 
 def logs_of(what: Judged, data: Path, vehicle: Vehicle, *, held: bool = False) -> list[Run]:
-    """The logs that are identified on, or those kept aside, with the channels that they have."""
+    """The logs that are identified on, or those to validate on, with the channels that they have."""
     mapping = read_mapping(ROOT / what.mapping)
     names = what.holdout if held else what.logs
     return [read_log(data / n, mapping, vehicle.command_names, window=what.window) for n in names]

@@ -259,7 +259,7 @@ of its vehicle file, and a known effect is put into the log, exactly, by working
 logged with it. Beside each stands the answer for the log as it is.
 """
 AS_LOGGED = """\
-Errors here and below: simulated velocities of the runs that were kept aside, in % of the motion (geometric
+Errors here and below: simulated velocities of the validation runs, in % of the motion (geometric
 mean over the degrees of freedom), from the measured state every so many seconds. The first third of these
 runs judges nothing, so that what belongs to a run may be estimated from it. A dash: it diverged, or there is
 none. Before: the answers before the changes of this version.

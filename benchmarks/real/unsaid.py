@@ -110,7 +110,7 @@ are those of the program; what is known of a vehicle from elsewhere, and what wo
 hand. How good the models predict beside other methods: [Real logs](real.md). Each data set at length:
 [Examples](examples/README.md).
 
-Errors are those of simulated velocities of the runs that were kept aside, in % of the motion (geometric mean
+Errors are those of simulated velocities of the validation runs, in % of the motion (geometric mean
 over the degrees of freedom). `helps_prediction` means that an effect lowers the error by more than chance
 while something speaks against it as the cause; the reason stands with it.
 """

@@ -9,7 +9,7 @@ answers stay in. This page is made by a program (last section) and is not edited
 HIDDEN = """\
 ## Simulated logs with one hidden effect
 
-Thirteen cases of an independent simulator: 3 × 100 s to identify, 100 s kept aside. The vehicle files hold
+Thirteen cases of an independent simulator: 3 × 100 s to identify, 100 s to validate. The vehicle files hold
 exact rigid body and allocation, and guesses of added mass and damping good to 15 %. `null`: nothing is
 hidden, `adequate` is right; what no catalogue has should end in `unexplained`.
 

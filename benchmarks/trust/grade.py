@@ -51,7 +51,7 @@ class OracleRefit:
 
     fit: the model with the true effects, fitted as the diagnosis fits what it names: by output error, started
         from the weak form, where that simulates the validation run no worse.
-    test: data kept aside.
+    test: validation data.
     before, error: error of the refitted incomplete model, by weak form or by output error, whichever is less,
         and of the oracle refit, in units of the same noise: that of the sensors, as the oracle refit has it.
     lacking: error of the model that lacks only this one of two true effects.

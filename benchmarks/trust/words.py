@@ -38,11 +38,11 @@ is hidden in the noise and is something else. One command repeats a case with al
 DEFINITIONS = """\
 ## What the words mean
 
-- *Error*: rms of the residual of the weak form on the run kept aside, over all equations (forces and pose
+- *Error*: rms of the residual of the weak form on the validation run, over all equations (forces and pose
   rates), in units of the noise that the sensors make.
 - *Oracle refit*: the model with the hidden effects added by hand, all their parameters free, the search
   started at the true values, refitted to the same logs as the diagnosis refits what it names: weak form, then
-  output error where that simulates the run kept aside no worse.
+  output error where that simulates the validation run no worse.
 - *Ratio*: error of the refitted incomplete model (by weak form or output error, whichever is less) over that
   of the oracle refit. Strong: 3 and more; medium: 1.5 to 3; weak: 1.1 to 1.5; below that the effect is
   hidden in the noise, and the cases are counted apart. For two effects: what the less visible of them is
@@ -102,7 +102,7 @@ Cases that ran side by side had one core each, on a slow machine with other work
 had two, and the goal for six degrees of freedom is held against these.
 
 A dead time of a fraction of a sample and a lag of the same length are not told apart by such data: for 12.5
-ms at 20 Hz on a boat, both simulated exactly, the sums of squares over the run kept aside (12 000 readings)
+ms at 20 Hz on a boat, both simulated exactly, the sums of squares over the validation run (12 000 readings)
 differ by 2, where 15 is what tells; which of them leads such a set is chance.
 
 No faint effect is larger than ten times its drawn size. Water in the hull reported together with added
@@ -113,7 +113,7 @@ commits 1e58c41 to 8e0a94b, 128 cases, the program being mended between the thre
 (tether_drag, by a cable of eleven kilometres, for square drag; mended); strong 41 of 43 first, medium 29 of
 32, weak 10 of 10, pairs 6 of 6, no false alarm in 23 complete models, 9 of 9 effects outside
 the catalogue unexplained. Of its
-seven failures four are mended (the last of them, a sea bed that the run kept aside comes nearer to than the
+seven failures four are mended (the last of them, a sea bed that the validation run comes nearer to than the
 others, by letting parameters move within their errors before what is left counts as more than noise); a
 rise of the drag by 6 % at three times the noise is still missed, and twice a set of two holds the truth and
 one that these data cannot tell from it. Base seeds 20261122, 50261123 and 60261124, commits d3e1e81 to
