@@ -243,18 +243,30 @@ def test_names_that_are_taken_are_not_taken_again(tmp_path: Path) -> None:
     assert not set(names) & {p.name for c in catalogue().values() for p in c.specimen().parameters}
 
 
-def test_what_an_effect_cannot_state_is_left_out_and_said(undertow: Undertow, tmp_path: Path) -> None:
+def test_what_differs_from_run_to_run_has_a_value_in_every_run(undertow: Undertow, tmp_path: Path) -> None:
     line = Spectrum(period=6.3, amplitude=0.3, share=0.2, chance=1e-9, in_step=False)
-    runs = BetweenRuns(of="mean force", values={"a": [1.0], "b": [-1.0]}, unit="N", chance=1e-9)
-    left = _left(depends_on=[_reported([["|r|", "u"]])], spectrum=line, between_runs=[runs])
+    runs = [
+        BetweenRuns(of=of, values={"a": [1.0], "b": [-1.0]}, unit="N", chance=1e-9)
+        for of in ("mean force", "force that turns with the heading")
+    ]
+    common = [_reported([["|r|", "u"]]), _reported([[]], "a constant")]
+    left = _left(depends_on=common, spectrum=line, between_runs=runs)
     (tmp_path / "found.json").write_text(_diagnosis(left, effects=("lift",)).model_dump_json())
-    code, out, _ = undertow("effects", "new", "mine", "--from", "found.json")
-    assert code == 0
-    assert "left out: the period of 6.3 s in surge, since its phase differs from run to run" in out
-    assert "left out: the mean force in surge, since it differs from run to run" in out
-    words = " ".join(_effect(tmp_path / "mine.py").__doc__.split())
-    assert "Left out: - the period of 6.3 s in surge" in words
-    assert "vehicle usv with lift added" in words
+    assert undertow("effects", "new", "mine", "--from", "found.json")[0] == 0
+    code, out, _ = undertow("effects", "check", "mine.py")
+    assert code == 0, out
+    cls = _effect(tmp_path / "mine.py")
+    by_run = {p.name: p.per_run for p in cls.specimen().parameters}
+    assert by_run == {
+        "X_absr_u": False,
+        "X_cos": True,
+        "X_sin": True,
+        "X_constant": True,
+        "X_sinpsi": True,
+        "X_cospsi": True,
+        "omega_X": False,
+    }
+    assert "vehicle usv with lift added" in " ".join(cls.__doc__.split())
 
 
 # --- mistakes -----------------------------------------------------------------------------------------
@@ -325,13 +337,10 @@ def test_what_is_no_diagnosis(
 
 
 def test_a_diagnosis_without_a_term(undertow: Undertow, tmp_path: Path) -> None:
-    line = Spectrum(period=6.3, amplitude=0.3, share=0.2, chance=1e-9, in_step=False)
-    for left, why in ((_left(), "its verdict is unexplained"), (_left(spectrum=line), "the period of 6.3 s")):
-        (tmp_path / "x.json").write_text(_diagnosis(left).model_dump_json())
-        code, _, err = undertow("effects", "new", "mine", "--from", "x.json")
-        assert code == 2
-        assert "has no term that an effect could state" in err
-        assert why in err
+    (tmp_path / "x.json").write_text(_diagnosis(_left()).model_dump_json())
+    code, _, err = undertow("effects", "new", "mine", "--from", "x.json")
+    assert code == 2
+    assert "has no term that an effect could state; its verdict is unexplained" in err
 
 
 @pytest.mark.parametrize(

@@ -32,12 +32,12 @@ from undertow.typing import Array, Progress
 from undertow.version import __version__
 
 from .compare.comparison import compare
+from .contradiction import contradiction
 from .diagnosis.candidates import possible
-from .diagnosis.consistency import knows_time, own_variables
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
 from .diagnosis.floors import noise_floors
 from .diagnosis.reference import is_disturbance, predictable
-from .diagnosis.residual import outweighed, remaining
+from .diagnosis.residual import remaining
 from .diagnosis.result import (
     AddedEffect,
     Diagnosis,
@@ -114,7 +114,8 @@ class ResultBuilder:
         selection = self._selection
         if selection is not None and not (residual_is_noise and selection.all_but_one_established):
             judged = judge_selection(self.found, scores, noise, selection)
-            if doubt := self._outweighed(judged):
+            weak = self._weak[0], self._weak[len(judged.effects)]
+            if doubt := contradiction(judged.effects, weak, self.bench, self.validator):
                 doubted = [replace(g, doubt=g.doubt or doubt) for g in selection.graded]
                 self._selection = replace(selection, graded=doubted)
                 judged = judge_selection(self.found, scores, noise, self._selection)
@@ -126,16 +127,6 @@ class ResultBuilder:
             or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
         )
         return judge(self.found, scores, noise, left)
-
-    def _outweighed(self, judged: Judgement) -> str:
-        """Why what is named is not established beside a dependence; of sensors the forces say nothing."""
-        if all(f.of_sensors for f in judged.effects):
-            return ""
-        count, given = len(judged.effects), self.base.model.functions.vehicle
-        grown = [(f.trial.candidate, given, f.trial.fit.model.functions.vehicle) for f in judged.effects]
-        own = {name for of in grown for name in own_variables(*of)}
-        own |= {"t"} if any(knows_time(*of) for of in grown) else set()
-        return outweighed(self.base, self.fits[count], self.bench.train, self.bench.test, own)
 
     def worth(self) -> list[Worth]:
         """What every effect that was added does to predictions, between the fits of the result."""

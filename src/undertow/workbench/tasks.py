@@ -365,7 +365,7 @@ def invent(job: Job) -> Result:
     found = suggested(diagnosis, "the workbench")
     write_whole(out, effect_file(effect, out.name, found))
     terms = [f"{term.name}: {term.about}" for term in found.terms]
-    return {"effect": effect, "file": str(out), "terms": terms, "left_out": list(found.left_out)}
+    return {"effect": effect, "file": str(out), "terms": terms}
 
 
 def _last_diagnosis(job: Job) -> Result:

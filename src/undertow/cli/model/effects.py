@@ -118,8 +118,6 @@ def new(
     console().print(text(f"{'replaced' if replaced else 'wrote'} {target}"))
     for term in found.terms:
         console().print(text(f"  {term.name}: {term.about}"))
-    for line in found.left_out:
-        console().print(text(f"left out: {line}"))
 
 
 # --- the list -----------------------------------------------------------------------------------

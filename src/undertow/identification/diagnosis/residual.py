@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -306,7 +306,7 @@ class Characterisation:
         """Everything that is found."""
         while len(self._description.depends_on) < MOST_TERMS and self._next():
             pass
-        self._description.between_runs = list(filter(None, map(self._between_runs, _COMPARED)))
+        self._description.between_runs = list(filter(None, map(self._between_runs, COMPARED)))
         return self._description
 
     def _next(self) -> bool:
@@ -393,17 +393,17 @@ class Characterisation:
         return falls[0], falls[1]
 
     # --- the run ------------------------------------------------------------------------------
-    def _between_runs(self, compared: tuple[str, str]) -> BetweenRuns | None:
-        label, of = compared
-        places = self._left.places
-        if label not in places:
+    def _between_runs(self, of: str) -> BetweenRuns | None:
+        places = {t.columns: self._left.places[t.label] for t in self._left.terms}
+        columns = COMPARED[of]
+        if columns not in places:
             return None
         pair, clocks = (self._left.samples.fitted, self._left.samples.validation), self._force.clocks
         names = tuple(dict.fromkeys((*clocks[0].names, *clocks[1].names)))
         logs = [np.array([names.index(c.names[k]) for k in c.log], dtype=np.intp) for c in clocks]
         found = difference(
             np.concatenate([s.r for s in pair]),
-            np.vstack([s.columns[:, places[label]] for s in pair]),
+            np.vstack([s.columns[:, places[columns]] for s in pair]),
             np.concatenate(logs),
             np.concatenate([pair[0].block, pair[1].block + pair[0].blocks]),
         )
@@ -413,7 +413,11 @@ class Characterisation:
         return BetweenRuns(of=of, values=values, unit=self._force.unit, chance=found.chance)
 
 
-_COMPARED = (("a constant", "mean force"), ("sin and cos of psi", "force that turns with the heading"))
+# Forces that are compared between runs, by what they are called: their columns.
+COMPARED: dict[str, tuple[Column, ...]] = {
+    "mean force": ((),),
+    "force that turns with the heading": (("sin(psi)",), ("cos(psi)",)),
+}
 
 
 def _three(samples: Samples) -> tuple[Sample, Sample, Sample]:
@@ -610,6 +614,19 @@ def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remain
     """Residual force of every degree of freedom on validation data."""
     characteriser = Characteriser(fit, known, validation)
     return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
+
+
+def unknown_to(own: Collection[str], left: Iterable[Remaining], vehicle: Vehicle) -> list[Remaining]:
+    """What of residual forces depends on more than an effect knows: variables of its own are left out.
+
+    own: velocities, pose, commands and, as "t", the time, as far as the effect depends on them.
+    """
+    found = []
+    for r in left:
+        others = [d for d in r.depends_on if not _variables(d, vehicle) <= {*own}]
+        if others or r.spectrum:
+            found.append(r.model_copy(update={"depends_on": others, "between_runs": []}))
+    return found
 
 
 def outweighed(

@@ -244,6 +244,27 @@ def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
 Beside = Callable[[FoundEffect, FoundEffect], Worth]
 
 
+def surpassed(
+    found: Sequence[FoundEffect], other: FoundEffect, bench: Bench, validator: SimulationValidator
+) -> bool:
+    """Whether another effect predicts better in nearly all resamples, and these add nothing to it.
+
+    Resamples of the weak residual and of the simulation have half each, as in `_Selector`; where the first
+    leave no room for the second to decide, nothing is simulated.
+    """
+    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
+    alone, given = (fitted(vehicle, fs, bench).fit for fs in ([other], found))
+    by_residual = inclusion([linear(f, bench) for f in (alone, given)], settings)
+    if by_residual[0] < 2.0 * settings.best_share - 1.0:
+        return False
+    fits = alone, given, fitted(vehicle, [other, *found], bench).fit
+    of_other, of_given, of_both = (validator.squares_ahead(validator.final(f)[0]) for f in fits)
+    by_simulation = best_in_resamples([compared(s, found, validator) for s in (of_other, of_given)], settings)
+    often = 0.5 * float(by_residual[0] + by_simulation[0])
+    adds = gained(of_other, of_both, found, validator)
+    return often >= settings.best_share and not adds.enough(settings.worth)
+
+
 def alternatives(
     chosen: FoundEffect,
     alone: Worth,

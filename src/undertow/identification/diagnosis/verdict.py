@@ -71,13 +71,23 @@ class Remainder:
     nearly: bool = False
 
 
+#: Doubt of forces that leave the residual force no smaller: a force that is missing is missing at every
+#: instant, and what predictions alone get better with makes up for the way in which something else adds up.
+ONLY_SIMULATIONS = "only simulations get better by it: sample by sample the force that is left is no smaller"
+
+
+def share_explained(scores: tuple[Score, Score], noise: Array, bench: Bench) -> float:
+    """Share of what exceeds the noise that effects take away, from the scores without and with them."""
+    return explained(*comparable_mean_squares(*scores, bench.test), noise, bench.settings)
+
+
 def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remainder) -> Judgement:
     """Decide.
 
     noise: (2n,), mean square that the noise of the sensors has under that noise model.
     """
     winners, settings = found.winners, found.bench.settings
-    share = explained(*comparable_mean_squares(*scores, found.bench.test), noise, settings)
+    share = share_explained(scores, noise, found.bench)
     sets = _sets(found)
     if not winners:
         return _without_effect(left.residual_is_noise, share)
@@ -94,7 +104,7 @@ def judge_selection(
 ) -> Judgement:
     """Decide where more than noise is left: each effect by what it is worth and by what speaks against it."""
     settings = found.bench.settings
-    share = explained(*comparable_mean_squares(*scores, found.bench.test), noise, settings)
+    share = share_explained(scores, noise, found.bench)
     count = len(selection.established)
     named, helping = found.winners[:count], found.winners[count:]
     sets = [s for s in _sets(found) if s.effects[0] in unique_ids(named)]
@@ -200,7 +210,7 @@ def _named(
 def _explaining(count: int, share: float) -> str:
     """What effects do to the force by itself, which fits to long simulations need not make smaller."""
     if share <= 0.0:
-        return "only simulations get better by it: the force that is left, sample by sample, is no smaller"
+        return ONLY_SIMULATIONS
     how = "it explains" if count == 1 else "together they explain"
     return f"{how} {share:.0%} of what exceeds the noise"
 

@@ -7,11 +7,12 @@ import keyword
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from math import isfinite, pi
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -28,8 +29,17 @@ from undertow.identification.diagnosis.associations import (
     label_of,
     plain_of,
 )
-from undertow.identification.diagnosis.result import SCHEMA, Dependence, Diagnosis, Remaining, Spectrum
-from undertow.model.catalogue import catalogue
+from undertow.identification.diagnosis.residual import COMPARED
+from undertow.identification.diagnosis.result import (
+    SCHEMA,
+    BetweenRuns,
+    Dependence,
+    Diagnosis,
+    Remaining,
+    Spectrum,
+)
+from undertow.model.catalogue import catalogue, load_effects
+from undertow.model.effect import Effect
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, signal_units, signals
 
 
@@ -50,7 +60,8 @@ class Coefficient:
     """One term of a force: a parameter times factors.
 
     `row` is which of the six forces and moments it is part of, `column` the factors as the diagnosis writes
-    them; with a `wave` that the term swings with, ``("cos",)`` or ``("sin",)``.
+    them; with a `wave` that the term swings with, ``("cos",)`` or ``("sin",)``. With `per_run` the parameter
+    has a value in every run.
     """
 
     name: str
@@ -59,6 +70,7 @@ class Coefficient:
     row: int
     column: Column
     wave: Wave | None = None
+    per_run: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,7 +78,7 @@ class Suggestion:
     """What an effect file is written from.
 
     `about` is the first line of its docstring, `origin` paragraphs on where the terms come from, `signature`
-    what in a log gives the effect away; `left_out` is what no effect can state, with the reason.
+    what in a log gives the effect away.
     """
 
     about: str
@@ -74,7 +86,6 @@ class Suggestion:
     signature: str
     reference: str
     terms: tuple[Coefficient, ...]
-    left_out: tuple[str, ...] = ()
 
 
 def example() -> Suggestion:
@@ -92,13 +103,11 @@ def example() -> Suggestion:
 
 def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
     """Terms for all that a diagnosis, read from the file `source`, found a residual to correlate with."""
-    near = pi / (2 * max((r.duration for r in diagnosis.runs), default=1.0))
-    terms = [t for left in diagnosis.remaining for t in _terms(left, near)]
-    left_out = tuple(line for left in diagnosis.remaining for line in _left_out(left))
+    terms = terms_of(diagnosis.remaining, max((r.duration for r in diagnosis.runs), default=1.0))
     if not terms:
-        found = f" ({left_out[0]})" if left_out else f"; its verdict is {diagnosis.verdict}"
         raise UndertowError(
-            f"'{source}' has no term that an effect could state{found}: leave --from out for an empty one"
+            f"'{source}' has no term that an effect could state; its verdict is {diagnosis.verdict}: leave "
+            "--from out for an empty one"
         )
     described = [left for left in diagnosis.remaining if _is_described(left)]
     logs = ", ".join(r.name for r in diagnosis.runs)
@@ -113,30 +122,49 @@ def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
         ),
         signature="; ".join(left.summary for left in described),
         reference=f"residual forces in {source}, none yet: name the book or paper that the physics follows",
-        terms=tuple(_distinct(terms)),
-        left_out=left_out,
+        terms=terms,
     )
 
 
+def effect_of(remaining: Sequence[Remaining], seconds: float) -> type[Effect]:
+    """The effect that `undertow effects new` would write of residual forces, of logs as long as `seconds`."""
+    labels = listed([*dict.fromkeys(label for left in remaining for label in _labels(left))])
+    words = ("a force that goes with " + labels, (), labels, "residual forces, none yet")
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "what_remains.py"
+        file.write_text(effect_file(file.stem, file.name, Suggestion(*words, terms_of(remaining, seconds))))
+        return load_effects(file)[0]
+
+
 def _is_described(left: Remaining) -> bool:
-    return bool(left.depends_on or (left.spectrum and left.spectrum.in_step))
+    return bool(left.depends_on or left.spectrum or left.between_runs)
 
 
 def _labels(left: Remaining) -> Iterator[str]:
     yield from (found.term for found in left.depends_on)
-    if left.spectrum is not None and left.spectrum.in_step:
+    if left.spectrum is not None:
         yield f"a period of {left.spectrum.period:.3g} s"
+    if left.between_runs:
+        yield "the run"
 
 
 # --- terms ------------------------------------------------------------------------------------
+def terms_of(remaining: Iterable[Remaining], seconds: float) -> tuple[Coefficient, ...]:
+    """Terms for all that residual forces were found to correlate with, of logs as long as `seconds`."""
+    return tuple(_distinct([t for left in remaining for t in _terms(left, pi / (2 * seconds))]))
+
+
 def _terms(left: Remaining, near: float) -> Iterator[Coefficient]:
     if left.degree_of_freedom not in DOFS:
         raise UndertowError(f"'{left.degree_of_freedom}' is not a degree of freedom: is this a diagnosis?")
     row = DOFS.index(left.degree_of_freedom)
+    by_run = [t for found in left.between_runs for t in _differing(found, row)]
+    known = {t.column for t in by_run}
     for found in left.depends_on:
-        yield from _dependent(found, row)
-    if left.spectrum is not None and left.spectrum.in_step:
+        yield from (t for t in _dependent(found, row) if t.column not in known)
+    if left.spectrum is not None:
         yield from _periodic(left.spectrum, row, near)
+    yield from by_run
 
 
 def _dependent(dependence: Dependence, row: int) -> Iterator[Coefficient]:
@@ -164,7 +192,17 @@ def _periodic(spectrum: Spectrum, row: int, near: float) -> Iterator[Coefficient
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
     for part in ("cos", "sin"):
         about = f"{what}, {part} part; found an amplitude of {spectrum.amplitude:.3g}"
-        yield Coefficient(f"{FORCE[row]}_{part}", FORCE_UNITS[row], about, row, (part,), wave)
+        name = f"{FORCE[row]}_{part}"
+        yield Coefficient(name, FORCE_UNITS[row], about, row, (part,), wave, not spectrum.in_step)
+
+
+def _differing(found: BetweenRuns, row: int) -> Iterator[Coefficient]:
+    """A coefficient with a value in every run for each column that a force differs by between runs."""
+    what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
+    for column in COMPARED.get(found.of, ()):
+        about = f"{what} per {label_of(column)}" if column else what
+        unit = FORCE_UNITS[row]
+        yield Coefficient(_name(FORCE[row], column), unit, f"{about}, by run", row, column, per_run=True)
 
 
 def _name(force: str, column: Column) -> str:
@@ -188,21 +226,6 @@ def _distinct(terms: list[Coefficient]) -> Iterator[Coefficient]:
             name, count = f"{term.name}_{count}", count + 1
         used.add(name)
         yield replace(term, name=name)
-
-
-# --- what no effect can say -------------------------------------------------------------------
-def _left_out(left: Remaining) -> Iterator[str]:
-    dof = left.degree_of_freedom
-    if left.spectrum is not None and not left.spectrum.in_step:
-        yield (
-            f"the period of {left.spectrum.period:.3g} s in {dof}, since its phase differs from run to run "
-            "and the parameters of an effect do not"
-        )
-    for found in left.between_runs:
-        yield (
-            f"the {found.of} in {dof}, since it differs from run to run and the parameters of an effect do "
-            "not"
-        )
 
 
 # --- words ----------------------------------------------------------------------------------------
@@ -315,10 +338,9 @@ def _content(effect_id: str, file: str, suggestion: Suggestion) -> dict[str, Any
         "cls": class_name(effect_id),
         "about": _wrapped(suggestion.about, "    ").strip(),
         "origin": [_wrapped(line, "    ") for line in suggestion.origin],
-        "left_out": [_wrapped(f"- {line}", "    ") for line in suggestion.left_out],
         "reference": _split(suggestion.reference),
         "signature": _split(suggestion.signature),
-        "parameters": [(t.name, literal(t.unit), _split(t.about)) for t in suggestion.terms],
+        "parameters": [(t.name, literal(t.unit), _split(t.about), t.per_run) for t in suggestion.terms],
         "waves": list({t.wave.name: t.wave for t in suggestion.terms if t.wave is not None}.values()),
         "commands": [literal(c) for c in commands if not _is_force(c)],
         "signals": list(_signals(suggestion.terms, variables)),

@@ -1,0 +1,72 @@
+"""What in the forces speaks against effects that would be named where more than noise is left."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.weak_form import WeakFit
+
+from .diagnosis.consistency import knows_time, own_variables
+from .diagnosis.evidence import FoundEffect
+from .diagnosis.residual import outweighed, remaining, unknown_to
+from .diagnosis.rounds import try_all
+from .diagnosis.selection import surpassed
+from .diagnosis.trial import Bench
+from .diagnosis.validation import SimulationValidator
+from .diagnosis.verdict import ONLY_SIMULATIONS, share_explained
+from .report.scaffold import effect_of
+
+
+def contradiction(
+    found: Sequence[FoundEffect],
+    fits: tuple[WeakFit, WeakFit],
+    bench: Bench,
+    validator: SimulationValidator,
+) -> str:
+    """Why effects are not established as the cause, in words; empty where no force speaks against them.
+
+    Of the sensors forces say nothing.
+
+    fits: the models without them and with them.
+    """
+    if all(f.of_sensors for f in found):
+        return ""
+    without, with_them = (bench.judge(f) for f in fits)
+    if share_explained((without, with_them), bench.noise_level, bench) <= 0.0:
+        return ONLY_SIMULATIONS
+    before, after = (validator.final(f)[0] for f in fits)
+    own = _known_to(found, before)
+    return outweighed(before, after, bench.train, bench.test, own) or _surpassed(
+        found, before, own, bench, validator
+    )
+
+
+def _known_to(found: Sequence[FoundEffect], before: Fitted) -> set[str]:
+    """Velocities, pose, commands and, as "t", the time, as far as effects depend on them."""
+    vehicle = before.model.functions.vehicle
+    grown = [(f.trial.candidate, vehicle, f.trial.fit.model.functions.vehicle) for f in found]
+    own = {name for of in grown for name in own_variables(*of)}
+    return own | ({"t"} if any(knows_time(*of) for of in grown) else set())
+
+
+def _surpassed(
+    found: Sequence[FoundEffect],
+    before: Fitted,
+    own: Collection[str],
+    bench: Bench,
+    validator: SimulationValidator,
+) -> str:
+    """Whether a force made of what the model leaves, as `undertow effects new` does, predicts better.
+
+    It is found on the training data, and judged as every effect is on the validation data.
+    """
+    left = remaining(before, bench.train, bench.train)
+    left = unknown_to(own, left, before.model.functions.vehicle)
+    if not left:
+        return ""
+    effect = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
+    other = try_all(bench, {effect.id: effect}, lambda done, words: None).findings[0]
+    if not other.trial.kept or not surpassed(found, other, bench, validator):
+        return ""
+    return f"{effect.about().rstrip('.')} predicts better, and beside it nothing is gained by this"

@@ -1,0 +1,84 @@
+"""What in the forces speaks against an effect that would be named."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.contradiction import contradiction
+from undertow.identification.diagnose import diagnose
+from undertow.identification.diagnosis.evidence import FoundEffect
+from undertow.identification.diagnosis.residual import remaining, unknown_to
+from undertow.identification.diagnosis.rounds import try_all
+from undertow.identification.diagnosis.selection import surpassed
+from undertow.identification.diagnosis.trial import Bench, open_bench
+from undertow.identification.diagnosis.validation import SimulationValidator
+from undertow.identification.estimation.data import prepare
+from undertow.identification.report.scaffold import effect_of
+from undertow.model.catalogue import catalogue
+
+
+class _Tried(NamedTuple):
+    """An effect on a bench, as if it were the one to be named."""
+
+    finding: FoundEffect
+    bench: Bench
+    validator: SimulationValidator
+
+    @property
+    def doubt(self) -> str:
+        fits = self.bench.base, self.finding.trial.fit
+        return contradiction([self.finding], fits, self.bench, self.validator)
+
+    @property
+    def surpassed(self) -> bool:
+        """Whether a force made of what else remains does better, and nothing is gained beside it."""
+        vehicle, train = self.bench.base.model.functions.vehicle, self.bench.train
+        base = self.validator.final(self.bench.base)[0]
+        left = unknown_to({"u", "v"}, remaining(base, train, train), vehicle)
+        effect = effect_of(left, 50.0)
+        assert effect.about().startswith("a force that goes with")
+        other = try_all(self.bench, {effect.id: effect}, lambda done, words: None).findings[0]
+        assert other.explained > 0.5
+        return surpassed([self.finding], other, self.bench, self.validator)
+
+
+def _tried(hidden: tuple[str, ...], effect: str) -> _Tried:
+    case = make_case("usv", hidden, 5, duration=50.0)
+    given, runs = vehicle_of(case), runs_of(case)
+    train = prepare(runs[:3], given)
+    bench = open_bench(given, train, prepare(runs[3:], given, sigma=train.sigma))
+    found = try_all(bench, {effect: catalogue()[effect]}, lambda done, words: None)
+    validator = SimulationValidator(given, runs[:3], runs[3:], train.sigma)
+    return _Tried(found.findings[0], found.bench, validator)
+
+
+def test_an_effect_that_leaves_the_force_as_large_is_in_doubt() -> None:
+    assert _tried(("periodic_side_force",), "lift").doubt.startswith("only simulations get better by it")
+
+
+def test_a_periodic_force_does_better_than_what_makes_up_for_a_part_of_it() -> None:
+    assert _tried(("periodic_side_force",), "lift").surpassed
+
+
+def test_a_periodic_force_beside_an_effect_takes_nothing_of_it() -> None:
+    tried = _tried(("lift", "periodic_side_force"), "lift")
+    assert not tried.surpassed
+    assert tried.doubt == ""
+
+
+def test_nothing_speaks_against_an_effect_that_is_there() -> None:
+    assert _tried(("lift",), "lift").doubt == ""
+
+
+@pytest.mark.slow
+def test_a_rudder_is_not_blamed_for_a_periodic_force() -> None:
+    """By chance fins go with it a little: predictions get 3 % better, and the force by 2 %."""
+    case = make_case("torpedo", ("periodic_side_force",), 12120427)
+    runs, known = runs_of(case), {"rudder_force": catalogue()["rudder_force"]}
+    found = diagnose(vehicle_of(case), runs[:3], runs[3:], known=known).diagnosis
+    assert found.effects == []
+    assert any("a period of 11.6 s predicts better" in added.doubt for added in found.added)
