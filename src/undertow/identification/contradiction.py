@@ -69,4 +69,7 @@ def _surpassed(
     other = try_all(bench, {effect.id: effect}, lambda done, words: None).findings[0]
     if not other.trial.kept or not surpassed(found, other, bench, validator):
         return ""
-    return f"{effect.about().rstrip('.')} predicts better, and beside it nothing is gained by this"
+    return (
+        f"{effect.about().rstrip('.')} predicts better, and beside it nothing is gained by this "
+        "(undertow effects new makes an effect of it)"
+    )

@@ -446,13 +446,13 @@ def final_fit(
 ) -> WeakFit | OutputErrorFit:
     """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
 
-    Windows are a quarter of the slowest time constant at first, then one (see `horizons`): a fit over long
-    windows alone, begun far away, ends in a local minimum. Where little more than noise is left the longest
-    ones follow, and then whole stretches without gaps if they, too, leave little: each start that is
-    estimated takes information from the parameters (standard errors over windows of a time constant are ten
-    times those over a run of a minute). Where more is left, that is no noise of the sensors: starts that are
-    free take up errors of the model, and a pose is the sum of all errors before. There velocities are
-    predicted from the measured starts, the error by which predictions are judged, over all three lengths.
+    Windows are a quarter of the slowest time constant at first (see `horizons`): a fit over long windows
+    alone, begun far away, ends in a local minimum. Where little more than noise is left one time constant
+    follows, then the longest ones, and whole stretches without gaps if they, too, leave little: each start
+    that is estimated takes information from the parameters (standard errors over windows of a time constant
+    are ten times those over a run of a minute). Where more is left, that is no noise of the sensors: starts
+    that are free take up errors of the model, and a pose is the sum of all errors before. There velocities
+    are predicted from the measured starts, the error by which predictions are judged, over all three lengths.
     What is returned is the last of the fits whose `horizon_error` on validation data is no worse than the
     least of all.
 
@@ -482,9 +482,9 @@ def final_fit(
         if fit is None or (len(fits) > 3 and not _little_left(fit)):
             break
         fits.append(fit)
-        if len(fits) > 2 and not _little_left(fit):
+        if not _little_left(fit):
             break
-    # Over a time constant, or over less where that diverges.
+    # Over a time constant, or over less where that diverges or leaves much already.
     if not _little_left(fits[:3][-1]):
         begin = fits[:2][-1]
         for horizon in (short, middle, longest):
