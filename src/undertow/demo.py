@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from undertow.figures import save_png, unit_text
-from undertow.files import make_folder, write_whole
+from undertow.files import make_folder, templates, write_whole
 from undertow.identification.api import save_diagnosis
 from undertow.identification.compare.comparison import compare
 from undertow.identification.compare.forces import Forces, residual_forces
@@ -77,11 +76,7 @@ def examples(folder: Path, bar: Bar) -> Iterator[Piece]:
 
 def page(pieces: Sequence[Piece]) -> str:
     """One HTML page with all pieces."""
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = (DATA / "index.html").read_text(encoding="utf-8")
-    return environment.from_string(template).render(pieces=pieces)
+    return templates("undertow", html=True).get_template("index.html").render(pieces=pieces)
 
 
 class _Output:

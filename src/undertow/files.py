@@ -17,9 +17,12 @@ from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from undertow.errors import UndertowError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 _REMEDIES = {
     errno.ENOSPC: "free some space there or write to another disk",
@@ -370,6 +373,23 @@ def _is_special(path: Path) -> bool:
 
 def _same(one: Path, other: Path) -> bool:
     return one.resolve() == other.resolve() or (one.exists() and other.exists() and one.samefile(other))
+
+
+def templates(package: str, *, html: bool = False) -> Environment:
+    """The templates of a package: names that nobody gave are errors, and lines of tags leave no blank ones.
+
+    html: whether every text is escaped for HTML; the caller makes others harmless.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to import
+
+    return Environment(
+        loader=PackageLoader(package),
+        autoescape=html,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=not html,
+    )
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:

@@ -6,14 +6,14 @@ import textwrap
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import tomlkit
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Template
 from pydantic import ValidationError
 
 from undertow.errors import UndertowError
+from undertow.files import templates
 from undertow.model.catalogue import catalogue
 from undertow.model.effects.added_mass import AddedMass as AddedMassEffect
 from undertow.model.effects.added_mass_coupling import AddedMassCoupling
@@ -323,15 +323,9 @@ def vehicle_text(
     return str(text).rstrip() + "\n"
 
 
-def _template() -> Any:
-    environment = Environment(
-        loader=PackageLoader("undertow.shape"),
-        autoescape=False,  # TOML, not HTML: texts are quoted by tomlkit, comments made harmless by `_plain`
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template("vehicle.txt")
+def _template() -> Template:
+    # TOML, not HTML: texts are quoted by tomlkit, comments made harmless by `_plain`.
+    return templates("undertow.shape").get_template("vehicle.txt")
 
 
 def _check(hull: Mesh, spec: HullSpec) -> None:

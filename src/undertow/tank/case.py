@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Template
 from scipy.spatial import cKDTree
 
 from undertow.errors import UndertowError
-from undertow.files import make_folder, together, write_whole
+from undertow.files import make_folder, templates, together, write_whole
 from undertow.model.symbols import DOFS
 from undertow.shape.bodies import equivalent
 from undertow.shape.first import GRAVITY, drag_of_hull
@@ -305,15 +305,8 @@ def case_files(tank: Tank, case: Case, grid: int, cores: int = 1) -> dict[str, s
 
 
 @cache
-def _template(name: str) -> Any:
-    environment = Environment(
-        loader=PackageLoader("undertow.tank"),
-        autoescape=False,  # dictionaries of OpenFOAM, filled with numbers only
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template(name)
+def _template(name: str) -> Template:
+    return templates("undertow.tank").get_template(name)  # dictionaries of OpenFOAM, filled with numbers only
 
 
 def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:

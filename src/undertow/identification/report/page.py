@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from math import floor, isfinite, log10
-from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Template
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from undertow.figures import svg, unit_text
+from undertow.files import templates
 from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked, Verdict
 from undertow.model.symbols import MOTION_UNITS
 
@@ -196,14 +196,8 @@ def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
 
 
 @cache
-def _template() -> Any:
-    environment = Environment(
-        loader=PackageLoader("undertow.identification.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+def _template() -> Template:
+    environment = templates("undertow.identification.report", html=True)
     tools: list[Callable[..., str]] = [
         estimate_text,
         parameter_text,

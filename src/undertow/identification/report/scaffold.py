@@ -15,11 +15,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Template
 from pydantic import ValidationError
 
 from undertow.errors import UndertowError, listed
-from undertow.files import read_json
+from undertow.files import read_json, templates
 from undertow.identification.diagnosis.associations import (
     WAVE,
     Column,
@@ -316,16 +316,9 @@ def effect_file(effect_id: str, file: str, suggestion: Suggestion) -> str:
 
 
 @cache
-def _template() -> Any:
-    environment = Environment(
-        loader=PackageLoader("undertow.identification.report"),
-        autoescape=False,  # Python, not HTML: every text is made harmless by `plain`
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template("effect.txt")
+def _template() -> Template:
+    # Python, not HTML: every text is made harmless by `plain`.
+    return templates("undertow.identification.report").get_template("effect.txt")
 
 
 def _content(effect_id: str, file: str, suggestion: Suggestion) -> dict[str, Any]:
