@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.weak_form import WeakFit
+from undertow.model.vehicle import Vehicle
 
-from .diagnosis.consistency import knows_time, own_variables
+from .diagnosis.consistency import knows_time, own_variables, states_time
 from .diagnosis.evidence import FoundEffect
-from .diagnosis.residual import outweighed, remaining, unknown_to
+from .diagnosis.residual import remaining, unknown_to
+from .diagnosis.result import Remaining
 from .diagnosis.rounds import try_all
 from .diagnosis.selection import surpassed
 from .diagnosis.trial import Bench
@@ -35,34 +37,25 @@ def contradiction(
     without, with_them = (bench.judge(f) for f in fits)
     if share_explained((without, with_them), bench.noise_level, bench) <= 0.0:
         return ONLY_SIMULATIONS
-    before, after = (validator.final(f)[0] for f in fits)
-    own = _known_to(found, before)
-    return outweighed(before, after, bench.train, bench.test, own) or _surpassed(
-        found, before, own, bench, validator
-    )
+    return _surpassed(found, validator.final(fits[0])[0], bench, validator)
 
 
-def _known_to(found: Sequence[FoundEffect], before: Fitted) -> set[str]:
-    """Velocities, pose, commands and, as "t", the time, as far as effects depend on them."""
-    vehicle = before.model.functions.vehicle
+def _unknown_to(found: Sequence[FoundEffect], left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
+    """What of residual forces depends on more than effects know."""
     grown = [(f.trial.candidate, vehicle, f.trial.fit.model.functions.vehicle) for f in found]
     own = {name for of in grown for name in own_variables(*of)}
-    return own | ({"t"} if any(knows_time(*of) for of in grown) else set())
+    own |= {"t"} if any(knows_time(*of) for of in grown) else set()
+    return unknown_to(own, left, vehicle, periodic=any(states_time(*vehicles) for _, *vehicles in grown))
 
 
 def _surpassed(
-    found: Sequence[FoundEffect],
-    before: Fitted,
-    own: Collection[str],
-    bench: Bench,
-    validator: SimulationValidator,
+    found: Sequence[FoundEffect], before: Fitted, bench: Bench, validator: SimulationValidator
 ) -> str:
     """Whether a force made of what the model leaves, as `undertow effects new` does, predicts better.
 
     It is found on the training data, and judged as every effect is on the validation data.
     """
-    left = remaining(before, bench.train, bench.train)
-    left = unknown_to(own, left, before.model.functions.vehicle)
+    left = _unknown_to(found, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
     if not left:
         return ""
     effect = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))

@@ -269,9 +269,14 @@ def _added_symbols(base: Vehicle, grown: Vehicle) -> set[str]:
     return {str(s) for s in (grown.residual - base.residual).free_symbols}
 
 
+def states_time(base: Vehicle, grown: Vehicle) -> bool:
+    """Whether what an effect adds to the equations is a function of the time itself, as waves are."""
+    return "t" in _added_symbols(base, grown)
+
+
 def knows_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
     """Whether an effect may depend on the time itself; of actuators, whose equations stand aside, all may."""
-    return "t" in _added_symbols(base, grown) or candidate.effect.family == "actuation"
+    return states_time(base, grown) or candidate.effect.family == "actuation"
 
 
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:

@@ -616,42 +616,21 @@ def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remain
     return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
 
 
-def unknown_to(own: Collection[str], left: Iterable[Remaining], vehicle: Vehicle) -> list[Remaining]:
+def unknown_to(
+    own: Collection[str], left: Iterable[Remaining], vehicle: Vehicle, *, periodic: bool = False
+) -> list[Remaining]:
     """What of residual forces depends on more than an effect knows: variables of its own are left out.
 
     own: velocities, pose, commands and, as "t", the time, as far as the effect depends on them.
+    periodic: whether the effect swings in time itself, so that a period is no news.
     """
     found = []
     for r in left:
         others = [d for d in r.depends_on if not _variables(d, vehicle) <= {*own}]
-        if others or r.spectrum:
-            found.append(r.model_copy(update={"depends_on": others, "between_runs": []}))
+        line = None if periodic else r.spectrum
+        if others or line:
+            found.append(r.model_copy(update={"depends_on": others, "spectrum": line, "between_runs": []}))
     return found
-
-
-def outweighed(
-    before: Fitted, after: Fitted, known: WeakData, validation: WeakData, own: Collection[str]
-) -> str:
-    """Why effects are not established beside a dependence, in words; empty where nothing speaks against them.
-
-    Any equation correlates with something. Where a dependence on what the effects do not know of explains
-    more than they do of the equation of which they explain most, they stand in for what it is a sign of.
-
-    before, after: fits without and with the effects; own: velocities, pose, commands and, as "t", the time,
-    as far as the effects depend on them.
-    """
-    characteriser, with_it = Characteriser(before, known, validation), ForceRows(after, validation)
-    without = [row.ratio for row in characteriser.rows]
-    explained = [ratio - with_it.row(i).ratio for i, ratio in enumerate(without)]
-    i = int(np.argmax(explained))
-    if explained[i] <= 0.0:
-        return ""
-    left = _left(characteriser, before, i)
-    others = [d for d in left.depends_on if not _variables(d, before.model.functions.vehicle) <= {*own}]
-    most = max(others, key=lambda d: d.share, default=None)
-    if most is None or explained[i] >= most.share * (without[i] - 1.0):
-        return ""
-    return f"{_named(most)} explains more of what is left in {left.degree_of_freedom}"
 
 
 def _variables(dependence: Dependence, vehicle: Vehicle) -> set[str]:
