@@ -98,7 +98,7 @@ def run_case(data: Path, name: str, report: Report = quiet) -> CaseResult:
 
 
 HEAD = (
-    "case", "hidden", "verdict", "named", "", "rank of the truth", "s ahead", "velocity error",
+    "case", "hidden", "verdict", "named or helping", "", "rank of the truth", "s ahead", "velocity error",
     "times the noise", "seconds",
 )  # fmt: skip
 WORDS = """\
@@ -106,7 +106,8 @@ WORDS = """\
 
 Thirteen cases of an independent simulator: 3 × 100 s to identify, 100 s to validate. The vehicle files hold
 exact rigid body and allocation, and guesses of added mass and damping good to 15 %. `null`: nothing is
-hidden, `adequate` is right; what no catalogue has should end in `unexplained`.
+hidden, `adequate` is right; what no catalogue has should end in `unexplained`: `helps_prediction` names no
+cause, and counts as wrong here all the same.
 
 Before → after the named effects (in brackets: after effects that were tried and not named), on the validation
 run. Velocity error: of simulations from the measured state over horizons that follow from the time constants
@@ -136,7 +137,8 @@ def _row(r: CaseResult) -> list[str]:
     ahead = _change(errors(list(before.values())), errors([after.get(h) for h in before]), d)
     noise = _change(number(first.error), number(last.error), d)
     ranks = MISSING if not r.truth else ", ".join(map(str, r.ranks)) or "not in the catalogue"
-    said = [r.name, listed(r.truth), d.verdict, listed(d.effects), r.judged, ranks]
+    named = listed([*d.effects, *(f"{e} (helps)" for e in d.helps)])
+    said = [r.name, listed(r.truth), d.verdict, named, r.judged, ranks]
     return [*said, lengths(before), ahead, noise, number(d.seconds, 2)]
 
 
