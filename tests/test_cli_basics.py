@@ -189,7 +189,7 @@ def test_how_a_command_ends(
         (["zz", "a"], "a", "undertow zz"),
     ],
 )
-def test_a_wrong_word_is_told_in_one_line(
+def test_a_wrong_word_is_reported_in_one_line(
     added: Added, capsys: pytest.CaptureFixture[str], words: list[str], named: str, path: str
 ) -> None:
     added("zz", _function("zz", "pass"))

@@ -8,15 +8,18 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from benchmarks.examples import tables
 from benchmarks.examples.__main__ import EXAMPLES, page
-from benchmarks.examples.kvlcc2 import period, swings
+from benchmarks.examples.cse1 import CURVED
+from benchmarks.examples.kvlcc2 import BEST, period, swings
 from benchmarks.examples.sf30k import lever_arm
 from benchmarks.examples.variants import variant, vehicle_of
-from benchmarks.results.text import number
+from benchmarks.results.text import errors, within_runs
 from undertow.identification.compare.comparison import compare
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -211,7 +214,65 @@ def test_every_verdict_is_on_the_page(name: str) -> None:
     text = (PAGES / f"{name}.md").read_text(encoding="utf-8")
     for reported in numbers["diagnoses"]:
         assert f"| {reported['title']} | {reported['verdict']} |" in text
-        assert number(reported["steps"][0]["error"]) in text
+        assert reported["headline"] in text
+        for step in reported["steps"]:
+            assert errors(list(within_runs(step["ahead"]).values())) in text
+
+
+# --- what an owner can do -----------------------------------------------------------------------
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_page_begins_with_what_an_owner_can_do(name: str) -> None:
+    title, blank, first, end, *_ = (PAGES / f"{name}.md").read_text(encoding="utf-8").splitlines()
+    assert title.startswith("# ")
+    assert (blank, end) == ("", "")
+    assert first.endswith(".")
+    assert ". " not in first
+    assert first.split()[0] in ("Add", "Give", "Measure", "Put", "To", "Weigh")
+    numbers = json.loads((PAGES / "numbers" / f"{name}.json").read_text(encoding="utf-8"))
+    assert SUPPORTED[name](numbers)
+
+
+Numbers = dict[str, Any]
+
+
+def memory_lowers_every_error(n: Numbers) -> bool:
+    reported = n["diagnoses"][1]
+    before, after = (within_runs(reported["steps"][k]["ahead"]) for k in (0, 1))
+    return reported["steps"][1]["added"] == ["radiation_memory"] and all(after[h] < before[h] for h in before)
+
+
+def the_shape_of_the_hull_explains_a_free_run(n: Numbers) -> bool:
+    fits = {model: [r["fit"] for r in n["by_hand"] if r["model"] == model] for model in ("linear", BEST)}
+    return min(fits[BEST]) > 95 > 85 > max(fits["linear"])
+
+
+def curve_and_delay_lower_the_error(n: Numbers) -> bool:
+    ahead = {(r["way"], r["model"]): r["ahead"] for r in n["by_hand"]}
+    ways = [way for way, model in ahead if "joystick" in way and model == "model"]
+    return len(ways) == 2 and all(ahead[way, CURVED] < 0.95 * ahead[way, "model"] for way in ways)
+
+
+def the_published_model_is_worse_than_none(n: Numbers) -> bool:
+    return n["compared"]["four"]["prediction_error"] > 1 > 2 * n["by_hand"][-1]["ahead"]
+
+
+SUPPORTED = {
+    "cse1": curve_and_delay_lower_the_error,
+    "sf30k": the_published_model_is_worse_than_none,
+    "kvlcc2": the_shape_of_the_hull_explains_a_free_run,
+    "cfd-surge": memory_lowers_every_error,
+}
+
+
+def test_an_answer_is_put_into_a_cell() -> None:
+    answer = {
+        "effects": ["attitude_bias", "lift"],
+        "helps": ["waves"],
+        "indistinguishable": [{"effects": ["attitude_bias", "trim_offset"]}],
+        "steps": [{"ahead": {"2 s": 0.5, "8 s": 0.9, "free run": 2.0}}, {"ahead": {"2 s": 0.25, "8 s": 0.3}}],
+    }
+    assert tables.found(answer) == "attitude_bias (or trim_offset), lift, waves (helps)"
+    assert tables.falls(answer) == "8 s ahead from 90 % to 30 %"
 
 
 # --- the data, where they are -----------------------------------------------------------------

@@ -434,7 +434,7 @@ def test_a_command_that_does_what_it_must_not_is_found(
     assert found.words.startswith(WRONG[wrong])
 
 
-def test_a_panic_is_told_with_its_place() -> None:
+def test_a_panic_is_reported_with_its_place() -> None:
     class Panic(BaseException):
         pass
 

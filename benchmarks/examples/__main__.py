@@ -7,7 +7,6 @@ import json
 import os
 import re
 import sys
-import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -34,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     chosen = [name for name in EXAMPLES if name in (options.only or EXAMPLES)]
     missing = [f for f in (EXAMPLES[name][0].FOLDER for name in chosen) if not (options.data / f).is_dir()]
-    if missing and not options.tell:
+    if missing and not options.from_stored:
         print(
             f"{options.data} has no folder {missing[0]}: give that of the data sets with --data",
             file=sys.stderr,
@@ -55,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
         help="folder for intermediate files; diagnoses that it holds are not made again",
     )
     parser.add_argument(
-        "--tell", action="store_true", help="write the pages from the numbers of the last time"
+        "--from-stored", action="store_true", help="write the pages from the numbers of the last time"
     )
     return parser
 
@@ -63,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
 def _made(name: str, options: argparse.Namespace) -> bool:
     numbers = options.out / "numbers" / f"{name}.json"
     try:
-        if not options.tell:
+        if not options.from_stored:
             write_whole(numbers, json.dumps(_worked(name, options), indent=1, ensure_ascii=False) + "\n")
         write_whole(options.out / f"{name}.md", page(name, json.loads(numbers.read_text(encoding="utf-8"))))
     except (UndertowError, ArithmeticError, ValueError) as error:  # an hour of other pages is not thrown away
@@ -77,14 +76,12 @@ def _worked(name: str, options: argparse.Namespace) -> Reported:
     images = options.out / "images"
     for folder in (images, options.out / "numbers"):
         folder.mkdir(parents=True, exist_ok=True)
-    began = time.perf_counter()
     with TemporaryDirectory() as passing:
         scratch = options.scratch or Path(passing)
         scratch.mkdir(parents=True, exist_ok=True)
         call = Caller((options.data / set_.FOLDER).resolve(), scratch, _log)
         found: Reported = set_.work(call, images)
-    return {"made": {**versions(), "undertow": __version__, "cores": os.cpu_count()}, **found,
-            "seconds": round(time.perf_counter() - began)}  # fmt: skip
+    return {"made": {**versions(), "undertow": __version__, "cores": os.cpu_count()}, **found}
 
 
 def _log(words: str) -> None:
@@ -114,8 +111,8 @@ def _making(name: str, numbers: Reported) -> str:
     return (
         "\n## How this page was made\n\n"
         f"    python -m benchmarks.examples --data ../shared/data --out docs/examples --only {name}\n\n"
-        f"in {numbers['seconds']} s with {used}, on {numbers['made']['cores']} cores. Verdicts, tables and "
-        "pictures\nare what the commands gave; the text around them is written by hand.\n"
+        f"with {used}, on {numbers['made']['cores']} cores. Verdicts, tables and pictures\nare what the "
+        "commands gave; the text around them is written by hand.\n"
     )
 
 

@@ -73,25 +73,29 @@ class Caller:
         Folder of the logs.
     scratch : Path
         Folder for what is written on the way.
-    tell : callable
-        Told every command before it runs.
+    report : callable
+        Given every command before it runs.
     """
 
     data: Path
     scratch: Path
-    tell: Callable[[str], None] = lambda words: None
+    report: Callable[[str], None] = lambda words: None
 
     def compare(self, what: Judged) -> Reported:
         """Compare a vehicle with the logs of `what`, and return the result."""
         (out,) = self._once(what.words("compare"), {"--json": "json"})
-        return {"command": self._shown(what.words("compare")), **json.loads(out.read_text(encoding="utf-8"))}
+        return {
+            "command": self._plain(shown(what.words("compare"))),
+            **json.loads(out.read_text(encoding="utf-8")),
+        }
 
     def diagnose(self, what: Judged) -> tuple[Reported, Path]:
-        """Diagnose, and return what is said and the vehicle file that results."""
+        """Diagnose, and return the answer, with what was run and what to run next, and the vehicle file."""
         words = what.words("diagnose")
         out, better = self._once(words, {"--json": "json", "--apply": "toml"})
         reported = json.loads(out.read_text(encoding="utf-8"))
-        return {"command": self._shown(words), "title": what.title, **reported}, better
+        advice = self._plain(reported["command"].replace(str(out), "diagnosis.json"))
+        return {**reported, "command": self._plain(shown(words)), "next": advice, "title": what.title}, better
 
     def add(self, effect: str, what: Judged) -> tuple[Reported, Path]:
         """Add an effect by hand whatever it does, and return how the error changed, and the vehicle file."""
@@ -99,10 +103,10 @@ class Caller:
         (better,) = self._once([*words, "--no-codegen", "--force"], {"--out": "toml"})
         history = tomllib.loads(better.read_text(encoding="utf-8"))["history"][-1]
         kept = {k: history[k] for k in ("added", "helps", "error_before", "error_after")}
-        return {"command": self._shown([*words, "--out", "better.toml"]), **kept}, better
+        return {"command": self._plain(shown([*words, "--out", "better.toml"])), **kept}, better
 
     def fit(self, what: Judged, horizon: float | None = None) -> Path:
-        """Fit a vehicle by output error over a horizon (s) or the weak form, whatever it does; the file."""
+        """Fit a vehicle by output error over a horizon (s), or by the default; the file, whatever it does."""
         how = [] if horizon is None else ["--method", "output-error", "--horizon", f"{horizon:g}"]
         (out,) = self._once([*what.words("fit"), *how, "--force"], {"--out": "toml"})
         return out
@@ -117,11 +121,12 @@ class Caller:
             self._run([*words, *places])
         return paths
 
-    def _shown(self, words: Sequence[str]) -> str:
-        return shown(words).replace(f"{self.scratch}/", "")
+    def _plain(self, line: str) -> str:
+        """A command without the paths of this machine."""
+        return line.replace(f"{self.scratch}/", "").replace(str(self.data), DATA)
 
     def _run(self, words: Sequence[str]) -> None:
-        self.tell(shown(words))
+        self.report(shown(words))
         line = [sys.executable, "-m", "undertow", *(w.replace(DATA, str(self.data)) for w in words)]
         done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
         if done.returncode != 0:

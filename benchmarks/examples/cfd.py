@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from undertow.figures import AFTER, BEFORE, FAINT, INK, figure, look, save_png
 from undertow.identification.compare.comparison import Comparison, compare
 from undertow.identification.report.pictures import measured_vs_simulated
 from undertow.identification.report.tables import traces
+from undertow.model.vehicle import Vehicle
 
-from . import telling
+from . import tables
 from .calls import Caller, Judged, Reported
 from .variants import runs_of, vehicle_of
 
@@ -43,24 +45,32 @@ WAYS = (*both(STEP, MULTISTEP), *both(STEP, FINE))
 def work(call: Caller, images: Path) -> Reported:
     """Everything that takes time."""
     logs = {name[6:-4]: Judged("", VEHICLE, MAPPING, (name,)) for name in (STEP, MULTISTEP, FINE)}
-    compared = {name: telling.comparison_kept(call.compare(what)) for name, what in logs.items()}
-    diagnoses = [telling.diagnosis_kept(call.diagnose(way)[0]) for way in WAYS]
-    hand, memory = [], []
-    for way in WAYS[:2]:
-        for effect in BY_HAND:
-            reported, file = call.add(effect, way)
-            model = vehicle_of(file)
-            memory += [model] if effect == BY_HAND[0] else []
-            found = {n: v.value for n, v in model.values.items() if v.estimate}
-            ahead = compare(model, runs_of(way, call.data, model, held=True)).result.prediction_error
-            hand.append({"way": way.title, "effect": effect, "ahead": ahead, "values": found, **reported})
-    stated = vehicle_of(VEHICLE)
+    compared = {name: tables.comparison_kept(call.compare(what)) for name, what in logs.items()}
+    diagnoses = [tables.diagnosis_kept(call.diagnose(way)[0]) for way in WAYS]
+    hand = [model for way in WAYS[:2] for model in by_hand(call, way)]
+    stated, memory = vehicle_of(VEHICLE), hand[1][1]
     runs = runs_of(WAYS[0], call.data, stated, held=True)
-    before, after = (compare(model, runs) for model in (stated, memory[0]))
+    before, after = (compare(model, runs) for model in (stated, memory))
     names = ("as stated", f"with {BY_HAND[0]}")
     save_png(measured_vs_simulated(traces(before, after, free=True)[0], names), images / NAMES[0])
     save_png(force(before, after, names), images / NAMES[1])
-    return {"compared": compared, "diagnoses": diagnoses, "by_hand": telling.rounded(hand)}
+    return {"compared": compared, "diagnoses": diagnoses, "by_hand": tables.rounded([row for row, _ in hand])}
+
+
+def by_hand(call: Caller, way: Judged) -> Iterator[tuple[Reported, Vehicle]]:
+    """The model as it is and with every effect that is added by hand, refitted, and judged 5 s ahead."""
+    fitted = vehicle_of(call.fit(way))
+    yield _row(call, way, fitted, {"effect": "", "command": ""}), fitted
+    for effect in BY_HAND:
+        reported, file = call.add(effect, way)
+        model = vehicle_of(file)
+        yield _row(call, way, model, {"effect": effect, **reported}), model
+
+
+def _row(call: Caller, way: Judged, model: Vehicle, reported: Reported) -> Reported:
+    values = {n: v.value for n, v in model.values.items() if v.estimate}
+    ahead = compare(model, runs_of(way, call.data, model, held=True)).result.prediction_error
+    return {"way": way.title, "ahead": ahead, "values": values, **reported}
 
 
 def force(before: Comparison, after: Comparison, names: tuple[str, str]) -> Figure:

@@ -14,7 +14,7 @@ from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 
-from . import telling
+from . import tables
 from .calls import ROOT, Caller, Judged, Reported
 from .variants import Tables, variant, vehicle_of
 
@@ -43,6 +43,8 @@ MODELS: dict[str, Tables] = {
     "+ curve": _CURVE,
     "+ curve + delay": {**_CURVE, **_DELAY},
 }
+#: The best of them by joystick, both ways.
+CURVED = "+ curve + delay"
 #: Frequencies of waves and roll, Hz.
 BAND = (0.5, 1.5)
 CHANNELS = {"z": "m", "phi": "rad", "theta": "rad", "x": "m", "y": "m", "psi": "rad"}
@@ -80,7 +82,7 @@ def work(call: Caller, images: Path) -> Reported:
     logs = {
         name: Judged("", VEHICLE, MAPPING, (log,), (), window) for name, (log, window) in COMPARED.items()
     }
-    compared = {name: telling.comparison_kept(call.compare(what)) for name, what in logs.items()}
+    compared = {name: tables.comparison_kept(call.compare(what)) for name, what in logs.items()}
     hand = [by_hand(call, way, name) for way in HAND_WAYS for name in MODELS]
     found = [call.diagnose(way) for way in WAYS]
     spectra = {name: spectrum(read(call.data, DP_3, window)) for name, window in PARTS.items()}
@@ -89,9 +91,9 @@ def work(call: Caller, images: Path) -> Reported:
     cse1_pictures.draw(call, [vehicle for _, vehicle in found], images)
     return {
         "compared": compared,
-        "diagnoses": [telling.diagnosis_kept(reported) for reported, _ in found],
-        "by_hand": telling.rounded(hand),
-        "waves": telling.rounded({name: bands(s) for name, s in spectra.items()}),
+        "diagnoses": [tables.diagnosis_kept(reported) for reported, _ in found],
+        "by_hand": tables.rounded(hand),
+        "waves": tables.rounded({name: bands(s) for name, s in spectra.items()}),
     }
 
 
@@ -99,7 +101,7 @@ PARTS = {"calm": CALM_PART, "waves": WAVE_PART}
 
 
 def by_hand(call: Caller, way: Judged, name: str) -> Reported:
-    """A model with effects of one's choice, fitted by the weak form and judged on the other log."""
+    """A model with effects of one's choice, fitted (`undertow fit`) and judged on the other log."""
     file = variant(VEHICLE, MODELS[name], call.scratch / "by-hand.toml")
     fitted = call.fit(replace(way, vehicle=str(file)))
     ahead = tomllib.loads(fitted.read_text(encoding="utf-8"))["history"][-1]["error_after"]

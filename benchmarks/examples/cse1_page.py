@@ -6,27 +6,42 @@ from collections.abc import Sequence
 
 from benchmarks.results.text import number, percent, table
 
-from . import telling
+from . import tables
 from .calls import Reported
-from .cse1 import BAND
+from .cse1 import BAND, CURVED, WAYS
 
 
 def blocks(n: Reported) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `cse1.work`."""
     found = n["diagnoses"]
     return {
-        "commands": telling.commands(telling.typed(n), "../shared/data/ntnu-cse1/freerun"),
-        "compared": telling.compared(n["compared"]),
-        "regimes_joystick": telling.regimes(n["compared"]["manual_random_run1"]),
-        "regimes_positioning": telling.regimes(n["compared"]["dp_dptest1"]),
-        "verdicts": telling.verdicts(found),
-        "tally": telling.tally(found),
-        "diagnoses": telling.diagnoses(found),
+        "first": first(n["by_hand"]),
+        "commands": tables.commands(tables.typed(n), "../shared/data/ntnu-cse1/freerun"),
+        "compared": tables.compared(n["compared"]),
+        "regimes_joystick": tables.regimes(n["compared"]["manual_random_run1"]),
+        "regimes_positioning": tables.regimes(n["compared"]["dp_dptest1"]),
+        "verdicts": tables.verdicts(found),
+        "tally": tables.tally(found),
+        "diagnoses": tables.diagnoses(found),
         "by_hand": _by_hand(n["by_hand"]),
         "waves": _waves(n),
-        "doctor": telling.doctor(n),
-        "seconds": telling.seconds(n),
+        "doctor": tables.doctor(n),
+        "seconds": tables.seconds(n),
     }
+
+
+def first(rows: Sequence[Reported]) -> str:
+    """What the owner can do, from the models by hand on the joystick logs."""
+    found = {(r["way"], r["model"]): r for r in rows}
+    pairs = [(found[way.title, "model"], found[way.title, CURVED]) for way in WAYS[:2]]
+    lowered = " and ".join(f"from {percent(a['ahead'])} to {percent(b['ahead'])}" for a, b in pairs)
+    delays = sorted(b["values"]["delay"][0] for _, b in pairs)
+    return (
+        "Put a curve of thrust over set-point (`thruster_curve`) and a delay of "
+        f"{delays[0]:.2f} to {delays[1]:.2f} s (`actuation_delay`) into the file of this ship, which lowers "
+        f"the velocity error 5 s ahead {lowered} on joystick logs that were not fitted, and record steps of "
+        "one propeller at a time, which would fix the curve."
+    )
 
 
 def _by_hand(rows: Sequence[Reported]) -> str:

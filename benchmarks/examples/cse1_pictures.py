@@ -50,7 +50,7 @@ def draw(call: Caller, vehicles: Sequence[Path], images: Path) -> None:
 
 
 def _judged(way: Judged, after: Path, data: Path) -> tuple[Comparison, Comparison]:
-    """The kept-aside log by the model as stated and by the one that a diagnosis left."""
+    """The validation log by the model as stated and by the one that a diagnosis left."""
     stated = vehicle_of(way.vehicle)
     runs: list[Run] = runs_of(way, data, stated, held=True)
     return compare(stated, runs), compare(vehicle_of(after), runs)

@@ -14,7 +14,7 @@ from undertow.identification.compare.comparison import compare
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
-from . import telling
+from . import tables
 from .calls import Caller, Judged, Reported
 from .variants import Tables, runs_of, variant, vehicle_of
 
@@ -58,9 +58,9 @@ def work(call: Caller, images: Path) -> Reported:
         name: Judged("", VEHICLE, MAPPING, (name,), (), UNDER_WAY_WINDOW)
         for name in (STILL, AGAIN, UNDER_WAY)
     }
-    compared = {name[:-4]: telling.comparison_kept(call.compare(what)) for name, what in logs.items()}
+    compared = {name[:-4]: tables.comparison_kept(call.compare(what)) for name, what in logs.items()}
     ways = (*WAYS, *OWN_WAYS, *SPEED_WAYS)
-    diagnoses = [telling.diagnosis_kept(call.diagnose(way)[0]) for way in ways]
+    diagnoses = [tables.diagnosis_kept(call.diagnose(way)[0]) for way in ways]
     hand, vehicles = by_hand(call)
     pictures(call, vehicles, images)
     return {"compared": compared, "diagnoses": diagnoses, "by_hand": hand, "speed": at_speed(call)}
@@ -71,13 +71,13 @@ def by_hand(call: Caller) -> tuple[list[Reported], dict[str, Vehicle]]:
     """Every model fitted to one test by output error and judged on the other, both ways."""
     rows, vehicles = [], {}
     for way in PAIRS:
-        for name, tables in MODELS.items():
-            fitted = _fitted(call, way, tables)
+        for name, effects in MODELS.items():
+            fitted = _fitted(call, way, effects)
             rows.append(
                 {"way": way.title, "model": name, **_values(fitted), **_errors(fitted, way, call.data)}
             )
             vehicles[f"{way.title}: {name}"] = fitted
-    return telling.rounded(rows), vehicles
+    return tables.rounded(rows), vehicles
 
 
 def at_speed(call: Caller) -> list[Reported]:
@@ -89,7 +89,7 @@ def at_speed(call: Caller) -> list[Reported]:
         for name in ("linear, wall-sided", BEST):
             found = _values(_fitted(call, way, MODELS[name]))
             rows.append({"test": log[:-4], "model": name, **found})
-    return telling.rounded(rows)
+    return tables.rounded(rows)
 
 
 def _fitted(call: Caller, way: Judged, tables: Tables) -> Vehicle:

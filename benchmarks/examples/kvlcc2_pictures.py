@@ -45,7 +45,7 @@ def draw(data: Path, vehicles: dict[str, Vehicle], images: Path) -> None:
 
 
 def _residual(before: Comparison, after: Comparison, names: tuple[str, str]) -> Figure:
-    chosen = [c for c in leading(curves(before, after), "roll") if c.variable in ("phi", "p")]
+    chosen = [c for c in leading(curves(before, after), "roll") if c.before.variable in ("phi", "p")]
     picture = residual_against(chosen, names)
     for axis in picture.axes:
         axis.locator_params(axis="x", nbins=5)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from undertow.identification.compare.comparison import Comparison, compare
 from undertow.identification.logs.run import Run
 
-from . import telling
+from . import tables
 from .calls import Caller, Judged, Reported
 from .variants import Tables, runs_of, variant, vehicle_of
 
@@ -51,7 +51,7 @@ _FEWEST = 6  # means that make a line
 def work(call: Caller, images: Path) -> Reported:
     """Everything that takes time."""
     compared = {
-        name: telling.comparison_kept(call.compare(way))
+        name: tables.comparison_kept(call.compare(way))
         for name, way in zip(("six", "four"), WAYS, strict=True)
     }
     found = [call.diagnose(way) for way in (*WAYS, second_look(call.scratch))]
@@ -64,9 +64,9 @@ def work(call: Caller, images: Path) -> Reported:
     sf30k_pictures.draw(before, after, run, images)
     return {
         "compared": compared,
-        "diagnoses": [telling.diagnosis_kept(reported) for reported, _ in found],
-        "by_hand": telling.rounded([reported for reported, _ in hand]),
-        "checks": telling.rounded({"arm": lever_arm(run), "slopes": slopes(before)}),
+        "diagnoses": [tables.diagnosis_kept(reported) for reported, _ in found],
+        "by_hand": tables.rounded([reported for reported, _ in hand]),
+        "checks": tables.rounded({"arm": lever_arm(run), "slopes": slopes(before)}),
     }
 
 
@@ -77,7 +77,7 @@ def second_look(scratch: Path) -> Judged:
 
 
 def by_hand(call: Caller, name: str) -> tuple[Reported, Path]:
-    """A model fitted by the weak form: what its parameters are, before and after, and how it predicts."""
+    """A model fitted (`undertow fit`): what its parameters are, before and after, and how it predicts."""
     stated = variant(FOUR, BY_HAND[name], call.scratch / "by-hand.toml")
     before, file = vehicle_of(stated), call.fit(replace(WAYS[1], vehicle=str(stated)))
     after = vehicle_of(file)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from benchmarks.results.text import MISSING, number, percent, table
 
-from . import telling
+from . import tables
 from .calls import Reported
 from .sf30k import DOPPLER_LOG, SECOND, STEADY
 from .variants import added
@@ -18,21 +18,33 @@ def blocks(n: Reported) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `sf30k.work`."""
     found, compared = n["diagnoses"], n["compared"]
     return {
-        "commands": telling.commands(telling.typed(n), "../shared/data/ntnu-rov-sf30k"),
-        "compared_six": telling.compared({"six": compared["six"]}),
-        "compared_four": telling.compared({"four": compared["four"]}),
-        "regimes": telling.regimes(compared["four"]),
-        "verdicts": telling.verdicts(found[:2]),
-        "diagnoses": telling.diagnoses(found[:2]),
+        "first": first(n),
+        "commands": tables.commands(tables.typed(n), "../shared/data/ntnu-rov-sf30k"),
+        "compared_six": tables.compared({"six": compared["six"]}),
+        "compared_four": tables.compared({"four": compared["four"]}),
+        "regimes": tables.regimes(compared["four"]),
+        "verdicts": tables.verdicts(found[:2]),
+        "diagnoses": tables.diagnoses(found[:2]),
         "tables": f"```toml\n{added(SECOND)}```\n",
-        "second_verdicts": telling.verdicts(found[2:]),
-        "second_diagnoses": telling.diagnoses(found[2:]),
+        "second_verdicts": tables.verdicts(found[2:]),
+        "second_diagnoses": tables.diagnoses(found[2:]),
         "by_hand": _by_hand(n["by_hand"]),
         "doppler": _doppler(n),
         "thrust": _thrust(n["checks"]["slopes"]),
-        "doctor": telling.doctor(n),
-        "seconds": telling.seconds(n),
+        "doctor": tables.doctor(n),
+        "seconds": tables.seconds(n),
     }
+
+
+def first(n: Reported) -> str:
+    """What the owner can do, from the published model and the last of those by hand."""
+    published, last = n["compared"]["four"]["prediction_error"], n["by_hand"][-1]["ahead"]
+    return (
+        "Weigh this vehicle in water, put its Doppler log where it is published to be, and step one thruster "
+        f"at a time before you use the published model: 5 s ahead it is off by {percent(published)} of the "
+        f"velocities, and with buoyancy, thruster gains and a loss in reverse fitted by {percent(last)}, on "
+        "stretches that were not fitted."
+    )
 
 
 def _doppler(n: Reported) -> str:

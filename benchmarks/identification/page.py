@@ -47,15 +47,15 @@ _CFD = """\
 
 The box hull (60.48 kg; potential theory: 20.6 kg of added mass, m_x = 81.1 kg) on two force profiles at
 0.2 s, all three parameters free and no stated values. There is no noise, so all that differs is what
-the model lacks ([results](results.md) has what that is): a memory of the wake, which each method hides
-in other parameters. Standard errors are those that each method states.
+the model lacks: a memory of the wake ([its page](examples/cfd-surge.md)), which each method hides in other
+parameters. Standard errors are those that each method states.
 """
 
 
 _TOWING = """\
 ## Towing tests of a model ship
 
-C/S Enterprise I (NTNU; [results](results.md) has the rest of its tests) towed at {runs} constant speeds up to
+C/S Enterprise I (NTNU; its free runs: [examples](examples/cse1.md)) towed at {runs} constant speeds up to
 0.6 m/s, each for half a minute, and one of its free runs under joystick. Where nothing accelerates, least
 squares is all that is left of the paper's chain, and the added mass is **{mass}** from these
 tests; a free run determines it, and hardly the drag. Magnitudes:

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import polars as pl
 
-from benchmarks.results.basin import Basin, at, drag
 from benchmarks.results.reading import read
+from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.api import Estimator, Method
 from undertow.identification.estimation.fitted import Fitted, verdicts
@@ -85,15 +86,15 @@ def towing(folder: Path, methods: Sequence[Method] = ("weak", "prediction-error"
     UndertowError
         If a file cannot be used.
     """
-    basin = Basin.read(folder)
-    measured = np.array([np.mean(np.abs(at(basin.surge, np.array([-v, v])))) for v in SPEEDS])
+    u_mean, x_mean = _mean_forces(folder / "towing" / "surge_runs.csv")
+    measured = np.array([np.mean(np.abs(np.interp([-v, v], u_mean, x_mean))) for v in SPEEDS])
     ship, runs = _ship(), traces(folder / "towing" / "surge_raw_10Hz.csv")
     with_mass = ship.with_values({"X_udot": Value(-1.2, estimate=True)})
     mass = verdicts(Estimator("weak").fit(with_mass, runs))["X_udot"]
     source = f"{len(runs)} towing runs, every sample"
     u, force = (np.concatenate([r.channels[n] for r in runs]) for n in ("u", "tau_X"))
-    means = f"{len(basin.surge)} towing runs, their means"
-    rows = [_steady(means, basin.surge[:, 0], -basin.surge[:, 1]), _steady(source, u, force)]
+    means = f"{len(u_mean)} towing runs, their means"
+    rows = [_steady(means, u_mean, -x_mean), _steady(source, u, force)]
     rows += [_fitted(source, m, Estimator(m).fit(ship, runs)) for m in methods]
     return Towing(measured, len(runs), mass, [*rows, *_free_run(folder / "freerun" / f"{_FREE_RUN}.csv")])
 
@@ -128,6 +129,25 @@ def _trace(name: str, part: pl.DataFrame) -> Run:
     return Run(name, t, {"u": speed, "tau_X": force})
 
 
+def _mean_forces(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds, m/s, and the force of the water on the hull at each, N."""
+    speeds, forces = pl.read_csv(path).select("u_mps", "X_hydro_N").sort("u_mps").to_numpy().T
+    return speeds, forces
+
+
+def _drag(vehicle: Vehicle, speeds: np.ndarray) -> np.ndarray:
+    """Steady surge force of all damping effects at these speeds ahead alone, N."""
+    f = Functions(vehicle)
+    place = vehicle.velocity_names.index("u")
+    force = sum((f.wrenches[e.id][place] for e in vehicle.effects if e.family == "damping"), ca.SX(0))
+    others = [f.eta, f.nu_dot, f.memory, f.actuation, f.u, f.t]
+    steady = ca.Function("drag", [*others, f.nu, f.p], [force])
+    velocity = np.zeros((len(vehicle.velocity_names), len(speeds)))
+    velocity[place] = speeds
+    still = [ca.DM.zeros(s.shape) for s in others]
+    return np.array([float(steady(*still, v, f.values())) for v in velocity.T])
+
+
 def _steady(source: str, u: np.ndarray, force: np.ndarray) -> Towed:
     """The paper's (16) and (17) where nothing accelerates: plain least squares of the force, no filter."""
     columns = np.column_stack([u, np.abs(u) * u])
@@ -151,7 +171,7 @@ def _fitted(source: str, method: str, fit: Fitted) -> Towed:
     known = verdicts(fit)
     words = {"weak": "weak form"}.get(method, method.replace("-", " "))
     row = _named(source, words, fit.values, fit.standard_errors, tuple(known[n] for n in _NAMES))
-    return Towed(row.source, row.method, row.values, row.errors, row.known, -drag(fit.vehicle, "u", SPEEDS))
+    return Towed(row.source, row.method, row.values, row.errors, row.known, -_drag(fit.vehicle, SPEEDS))
 
 
 def _named(

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.results.text import errors
 from benchmarks.trust.cases import part
 from benchmarks.trust.measure import Record
 from benchmarks.trust.run import add_run_options, records, run
@@ -23,7 +24,7 @@ from undertow.files import write_whole
 from .cases import KINDS, Case, plan
 from .logs import LogSet, log_sets
 from .measure import worker
-from .page import errors, page
+from .page import page
 from .unsaid import unsaid_page
 
 PROGRAM = "python -m benchmarks.real"

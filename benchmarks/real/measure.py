@@ -9,12 +9,12 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from benchmarks.results.text import remaining_of
 from benchmarks.trust.measure import Record, answer_of
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.identification.api import diagnose, try_effect
 from undertow.identification.diagnose import DiagnosisResult
-from undertow.identification.diagnosis.floors import in_words
 from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.diagnosis.validation import training_and_validation
@@ -129,17 +129,7 @@ def said_of(found: Diagnosis, *, whole: bool) -> Record:
         "not_named": {r.effect: r.not_named for r in found.ranking if r.not_named}
         | {a.effect: a.doubt for a in found.added if a.doubt},
     }
-    return said if not whole else said | _remaining(found)
-
-
-def _remaining(found: Diagnosis) -> Record:
-    ahead = [share for name, share in found.last_step.ahead.items() if name != "free run"]
-    return {
-        "remaining": [left.summary or f"{left.degree_of_freedom}: {left.note}" for left in found.remaining],
-        "predictable": in_words(ahead[-1], found.predictable) if ahead and found.predictable else "",
-        "tell": [s.separated_by for s in found.indistinguishable if s.separated_by],
-        "warnings": found.warnings,
-    }
+    return said if not whole else said | remaining_of(found)
 
 
 def with_truth(

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from statistics import median
 
-from benchmarks.results.text import MISSING, listed, number, percent, table
+from benchmarks.results.text import MISSING, errors, listed, number, percent, table
 from benchmarks.trust.measure import Record
 
 from .cases import Case
@@ -86,11 +86,6 @@ def _how_much(records: Sequence[Record], planned: Sequence[Case]) -> str:
         return ""
     parts = ", ".join(f"{done[kind]} of {n} ({kind})" for kind, n in whole.items())
     return f"**Not all of the plan was run**: {parts}; the shares below are of what was run.\n"
-
-
-def errors(values: Sequence[float | None] | None) -> str:
-    """Errors at the three lengths, in % of the motion."""
-    return " / ".join(percent(v) for v in values) if values else MISSING
 
 
 # --- the log as it is ---------------------------------------------------------------------------

@@ -7,11 +7,10 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from benchmarks.results.text import listed
+from benchmarks.results.text import errors, listed
 from benchmarks.trust.measure import Record
 
 from .measure import REFUSED
-from .page import errors
 from .tally import STAGES, answer, causes
 
 #: Of each vehicle what is known from elsewhere, and what would tell more: by hand.

@@ -1,1 +1,1 @@
-"""What undertow makes of data that it was not built on: the tables and pictures of docs/results.md."""
+"""The tables of docs/results.md, and how tables and numbers are written on every page."""

@@ -11,7 +11,7 @@ from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
-#: Told what share is done, and what is being done.
+#: Given what share is done, and what is being done.
 Report = Callable[[float, str], None]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 HEADING = "## How often the diagnosis is right\n"
 SPEED = "## How fast it is\n"
-_TOLD = """\
+_ABOUT = """\
 Simulated vehicles with something hidden, nothing hidden, or what no catalogue lists. Every table, the other
 methods on the same data, and every failure: [trust.md](trust.md).
 """
@@ -30,7 +30,7 @@ def with_summary(page: str, table: str) -> str:
     ValueError
         If the page has no such part.
     """
-    return with_part(page, HEADING, f"{_TOLD}\n{table}")
+    return with_part(page, HEADING, f"{_ABOUT}\n{table}")
 
 
 def with_part(page: str, heading: str, body: str) -> str:

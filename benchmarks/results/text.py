@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
-from undertow.identification.diagnosis.result import Estimate, Ranked
+from undertow.identification.diagnosis.floors import in_words
+from undertow.identification.diagnosis.result import Diagnosis, Estimate
 
 MISSING = "–"
-RANKING_HEAD = ("candidate", "parameters", "error before", "error after", "significant")
-VERDICT_HEAD = (
-    "identified on → judged on",
-    "verdict",
-    "named",
-    "kept-aside error",
-    "5 s ahead",
-    "what remains",
-    "seconds",
-)
+_FREE_RUN = "free run"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
@@ -45,6 +38,21 @@ def percent(value: float | None) -> str:
     return MISSING if value is None else f"{100 * value:.2g} %" if value < 0.1 else f"{100 * value:.0f} %"
 
 
+def errors(values: Sequence[float | None] | None) -> str:
+    """Errors at several horizons, in % of the motion."""
+    return " / ".join(percent(v) for v in values) if values else MISSING
+
+
+def within_runs(ahead: Mapping[str, float]) -> dict[str, float]:
+    """The errors of a step at its horizons ("5.3 s"), without that of the simulation from start to end."""
+    return {horizon: error for horizon, error in ahead.items() if horizon != _FREE_RUN}
+
+
+def lengths(ahead: Mapping[str, float]) -> str:
+    """The horizons of `within_runs`, s."""
+    return " / ".join(horizon.removesuffix(" s") for horizon in ahead) or MISSING
+
+
 def chance(p: float) -> str:
     """A p value."""
     return "< 0.001" if p < 1e-3 else f"{p:.2g}"
@@ -56,13 +64,17 @@ def estimate(p: Estimate) -> str:
     return f"{p.name} = {p.value:.4g}{spread} {p.unit}".rstrip()
 
 
-def ranked(r: Ranked) -> list[str]:
-    """A candidate as a row under `RANKING_HEAD`."""
-    found = ", ".join(estimate(p) for p in r.parameters) or MISSING
-    errors = [number(r.error_before), number(r.error_after)]
-    return [r.effect, found, *errors, "yes" if r.significant else "no"]
-
-
 def listed(names: Iterable[str]) -> str:
     """Names in one cell."""
     return ", ".join(names) or MISSING
+
+
+def remaining_of(found: Diagnosis) -> dict[str, Any]:
+    """What the last model leaves, what could be predicted of it, and what would tell more, in words."""
+    ahead = list(within_runs(found.last_step.ahead).values())
+    return {
+        "remaining": [left.summary or f"{left.degree_of_freedom}: {left.note}" for left in found.remaining],
+        "predictable": in_words(ahead[-1], found.predictable) if ahead and found.predictable else "",
+        "tell": [s.separated_by for s in found.indistinguishable if s.separated_by],
+        "warnings": found.warnings,
+    }

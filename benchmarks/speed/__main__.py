@@ -15,7 +15,7 @@ from undertow.files import write_whole
 from . import history, report
 
 HERE = Path(__file__).parent
-_TOLD = """\
+_ABOUT = """\
 Every column is one processor; peers do the same work in the same run, and every time is paired with a check
 of the result. Times are those of the fastest round; bold ones miss their goal, a dash was not measured.
 *Command* is the command of undertow that does it. Made by `make bench`.
@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
         page = _page(stored, speed_of(known))
     print(page)
     if options.out:
-        write_whole(options.out, with_part(known, SPEED, f"{_TOLD}\n{page}"))
+        write_whole(options.out, with_part(known, SPEED, f"{_ABOUT}\n{page}"))
     return code
 
 

@@ -57,7 +57,7 @@ def _terms() -> Terms:
 
 
 def _selected(terms: Terms) -> list[str]:
-    """Forward selection by F tests, guarded by the error on kept-aside data."""
+    """Forward selection by F tests, guarded by the error on validation data."""
     chosen: list[str] = []
     while len(chosen) < MOST:
         best = min((e for e in terms.effects if e not in chosen), key=lambda e: _log_p(terms, chosen, e))

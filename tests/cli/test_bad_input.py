@@ -281,7 +281,7 @@ def _refuse(constant: str) -> None:
     raise AssertionError(f"{constant} in JSON")
 
 
-def test_a_dead_channel_is_told(case: Path, simulated: Case, capsys: Capture) -> None:
+def test_a_dead_channel_is_reported(case: Path, simulated: Case, capsys: Capture) -> None:
     (case / "dead.csv").write_text(text_of(_at("u", slice(None), 0.3)(simulated.runs["multisine"])))
     for command in [c for c in LOG_COMMANDS if c != "compare"]:
         line = refusal(_words(command, log="dead.csv"), capsys, case)

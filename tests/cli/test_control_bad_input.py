@@ -99,7 +99,7 @@ def test_the_law_is_designed_for_ideal_thrust(here: Path, capsys: Capture, effec
     assert found["K_V_z"] == pytest.approx(201**0.5 - 1.0, rel=1e-5)  # sqrt(D^2 + 2 M K_P) - D
 
 
-def test_a_lag_that_the_design_does_not_bear_is_told(here: Path, capsys: Capture) -> None:
+def test_a_lag_that_the_design_does_not_bear_is_reported(here: Path, capsys: Capture) -> None:
     Path("lazy.toml").write_text(HEAVE + THRUSTER + '[effects.thruster_lag]\nT_lag = "10 s"\n')
     assert "does not hold the vehicle" in refusal(DESIGN, capsys, here)
 

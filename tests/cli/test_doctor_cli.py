@@ -82,7 +82,9 @@ def test_a_mapping_file_is_mended_with_its_comments(case: Path, capsys: pytest.C
     assert "in log.toml:" in _lines(capsys)
 
 
-def test_rows_out_of_order_are_told_and_not_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_out_of_order_are_reported_and_not_refused(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     head, *rows = (case / "train.csv").read_text().splitlines()
     (case / "train.csv").write_text("\n".join([head, *rows[:100], rows[50], rows[99], *rows[100:]]) + "\n")
     assert main([*LOG, "--mend", "mended.toml"]) == 1

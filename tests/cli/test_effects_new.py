@@ -218,7 +218,7 @@ def test_the_wrench_is_the_sum_of_the_terms(tmp_path: Path) -> None:
     )
 
 
-def test_a_vehicle_without_the_thruster_is_told(tmp_path: Path) -> None:
+def test_a_vehicle_without_the_thruster_is_reported(tmp_path: Path) -> None:
     cls = _checked(tmp_path, _left(depends_on=[_reported([["command f9"]])]))
     from undertow.errors import UndertowError
 

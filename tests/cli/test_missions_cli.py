@@ -59,14 +59,14 @@ def test_a_mission_is_simulated_and_told(here: Path, capsys: Capture) -> None:
     assert Path("log.csv").read_text().startswith("t,x,y,psi,u,v,r,")
 
 
-def test_the_conditions_on_a_mission_are_told(here: Path, capsys: Capture) -> None:
+def test_the_conditions_on_a_mission_are_reported(here: Path, capsys: Capture) -> None:
     # Cubic drag in surge is no straight line in u, so that corners prove nothing.
     assert main(["gains", "cybership2", "g.toml", "--path", "m.toml"]) == 1
     assert "K_V + D_q(nu) ≻ 0: not proved" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_the_conditions_on_a_mission_hold_and_are_told_in_json(here: Path, capsys: Capture) -> None:
+def test_the_conditions_on_a_mission_hold_and_are_reported_in_json(here: Path, capsys: Capture) -> None:
     for name in ("bluerov2-gains.toml", "bluerov2-spline.toml"):
         shutil.copy(EXAMPLES / name, here)
     words = ["gains", "bluerov2", "bluerov2-gains.toml", "--path", "bluerov2-spline.toml", "--json"]

@@ -44,7 +44,7 @@ def test_the_tables_tell_what_the_json_holds(here: Path, capsys: Capture) -> Non
     assert result["commands"][0]["rms"] == pytest.approx(7.15, abs=0.02)  # half the weight in water each
 
 
-def test_whole_turns_are_told(here: Path, capsys: Capture) -> None:
+def test_whole_turns_are_reported(here: Path, capsys: Capture) -> None:
     words = ["simulate", "mini-auv", "paper-pd", "--to", "0,0,0,3.1", "--for", "120", "--dt", "0.01"]
     assert main([*words, "--moving", "r=30", "--json", "r.json"]) == 0
     turns = {c["name"]: c["turns"] for c in json.loads((here / "r.json").read_text())[0]["coordinates"]}
@@ -53,7 +53,7 @@ def test_whole_turns_are_told(here: Path, capsys: Capture) -> None:
     assert re.search(r"psi: errors are from the set-point \d whole turns on", capsys.readouterr().out)
 
 
-def test_what_has_grown_beyond_measure_is_told_in_a_few_digits(capsys: Capture) -> None:
+def test_what_has_grown_beyond_measure_is_reported_in_a_few_digits(capsys: Capture) -> None:
     result = simulated("paper-pd", duration=1.0, dt=0.01).result
     grown = tuple(replace(c, overshoot=1.5e75) for c in result.coordinates)
     show([replace(result, coordinates=grown)])
@@ -153,7 +153,7 @@ def test_another_plant_moves(here: Path) -> None:
     assert result["coordinates"][2]["final_error"] == pytest.approx(-1.0, abs=1e-3)
 
 
-def test_thrusters_of_the_same_name_that_push_elsewhere_are_told_of(here: Path, capsys: Capture) -> None:
+def test_thrusters_of_the_same_name_that_push_elsewhere_are_reported(here: Path, capsys: Capture) -> None:
     assert main([*SHORT, "--plant", "bluerov2"]) == 0
     assert re.search(r"more than 45 deg from where .* f", capsys.readouterr().out) is not None
     assert main([*SHORT, "--plant", "mini-auv"]) == 0

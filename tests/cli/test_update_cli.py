@@ -72,7 +72,7 @@ def test_a_second_update_finds_nothing_new(folder: Path, capsys: Capture) -> Non
 
 
 @pytest.mark.slow
-def test_an_effect_that_is_added_is_told(folder: Path, capsys: Capture) -> None:
+def test_an_effect_that_is_added_is_reported(folder: Path, capsys: Capture) -> None:
     assert main(["update", "auv.toml"]) == 0
     _edit(
         "[effects.quadratic_damping]",

@@ -116,7 +116,7 @@ def test_motions_name_volume_and_coefficients(no_extra: None, hulls: Path, capsy
     assert capsys.readouterr().err == ""
 
 
-def test_a_mass_far_from_the_displacement_is_told(no_extra: None, hulls: Path, capsys: Capture) -> None:
+def test_a_mass_far_from_the_displacement_is_reported(no_extra: None, hulls: Path, capsys: Capture) -> None:
     assert main(["vehicle", "new", "--mesh", "box.stl", "--unit", "mm", "--mass", "12"]) == 0
     err = capsys.readouterr().err
     assert "mass 12 kg and displacement 60.48 kg are far apart" in err

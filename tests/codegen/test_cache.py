@@ -496,7 +496,7 @@ def test_without_a_compiler_the_virtual_machine_runs_and_one_line_says_so(
     assert "The CasADi virtual machine runs" in caplog.text
 
 
-def test_who_insists_on_compiled_code_is_told(no_compiler: None) -> None:
+def test_a_demand_for_compiled_code_that_cannot_be_met_is_reported(no_compiler: None) -> None:
     with pytest.raises(UndertowError, match="no C compiler found"):
         Simulator(functions_of("box-hull"), compiled=True)
 
@@ -516,14 +516,14 @@ def test_a_compiler_that_is_named_is_used(c_compiler: Compiler, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("wanted", ["no-such-compiler-anywhere", " "])
-def test_a_named_compiler_that_does_not_run_is_told(wanted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_named_compiler_that_does_not_run_is_reported(wanted: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERTOW_CC", wanted)
     with pytest.raises(UndertowError, match="UNDERTOW_CC"):
         find_compiler()
 
 
 @posix
-def test_a_broken_compiler_is_told_and_replaced(
+def test_a_broken_compiler_is_reported_and_replaced(
     own_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     script = tmp_path / "broken-cc"

@@ -243,7 +243,7 @@ def test_any_name_gives_valid_c_in_its_own_folder(
     _compile(c_compiler, found)
 
 
-def test_a_name_without_letters_is_told() -> None:
+def test_a_name_without_letters_is_reported() -> None:
     with pytest.raises(UndertowError, match="folder name"):
         Library(replace(named_vehicle("box-hull"), name="///"))
 
@@ -275,7 +275,7 @@ def test_the_manifest_records_the_model(tmp_path: Path) -> None:
     assert "0.3 s late" in header.read_text()
 
 
-def test_outputs_that_come_late_are_told(tmp_path: Path) -> None:
+def test_outputs_that_come_late_are_reported(tmp_path: Path) -> None:
     prompt = vehicle_with("linear_damping", thrusters=0)
     late = vehicle_with("linear_damping", "sensor_delay", thrusters=0)
     late = replace(late, values=late.values | {"velocity_delay": Value(0.15)})
@@ -303,7 +303,7 @@ def test_the_same_model_has_no_changes(tmp_path: Path) -> None:
     assert Library(vehicle).check(tmp_path).changes == ()
 
 
-def test_a_new_effect_is_told_with_its_parameters_and_rows(tmp_path: Path) -> None:
+def test_a_new_effect_is_reported_with_its_parameters_and_rows(tmp_path: Path) -> None:
     before = vehicle_with("linear_damping", thrusters=0)
     after = vehicle_with("linear_damping", "lift", thrusters=0)
     reported = _changes(before, after, tmp_path)
@@ -320,7 +320,7 @@ def test_an_effect_of_backward_motion_is_seen(tmp_path: Path) -> None:
     assert _changes(before, after, tmp_path)[-1] == "rows changed: u_dot, v_dot, w_dot (3 of 12)"
 
 
-def test_a_new_value_is_told(tmp_path: Path) -> None:
+def test_a_new_value_is_reported(tmp_path: Path) -> None:
     before = named_vehicle("cybership2")
     after = before.with_values({"X_u": Value(-0.8)})
     assert _changes(before, after, tmp_path) == ("parameters changed: X_u -0.72253 N/(m/s) -> -0.8 N/(m/s)",)
@@ -335,7 +335,7 @@ def test_a_thruster_that_moved_changes_its_rows(tmp_path: Path) -> None:
     )
 
 
-def test_another_order_and_another_vehicle_are_told(tmp_path: Path) -> None:
+def test_another_order_and_another_vehicle_are_reported(tmp_path: Path) -> None:
     before = named_vehicle("cybership2")
     after = replace(before, name="CyberShip2", effects=tuple(reversed(before.effects)))
     reported = _changes(before, after, tmp_path)
@@ -344,7 +344,7 @@ def test_another_order_and_another_vehicle_are_told(tmp_path: Path) -> None:
     assert "parameters in another order" in reported
 
 
-def test_a_damaged_manifest_is_told_and_replaced(tmp_path: Path) -> None:
+def test_a_damaged_manifest_is_reported_and_replaced(tmp_path: Path) -> None:
     vehicle = named_vehicle("box-hull")
     folder = Library(vehicle).write(tmp_path).folder
     for text in ("{", "[]", '{"schema": "undertow/codegen/9"}', '{"schema": "undertow/codegen/2"}', "\xff"):
@@ -377,7 +377,7 @@ def test_files_that_were_not_generated_are_not_overwritten(tmp_path: Path) -> No
         Library(named_vehicle("box-hull")).write(tmp_path)
 
 
-def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
     (tmp_path / "build").write_text("a file")
     with pytest.raises(UndertowError, match="cannot make folder"):
         Library(named_vehicle("box-hull")).write(tmp_path / "build")

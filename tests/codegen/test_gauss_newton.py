@@ -120,14 +120,14 @@ def test_windows_in_threads_are_summed_as_one_by_one(
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_a_window_that_diverges_is_told(compiled: bool, c_compiler: Compiler) -> None:
+def test_a_window_that_diverges_is_reported(compiled: bool, c_compiler: Compiler) -> None:
     given = case("bluerov2")
     given.x0[1, 6:] = 1e200
     assert given.products(compiled).diverged
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_sums_that_overflow_are_told_as_divergence(compiled: bool, c_compiler: Compiler) -> None:
+def test_sums_that_overflow_are_reported_as_divergence(compiled: bool, c_compiler: Compiler) -> None:
     """Finite states and finite derivatives whose products are not."""
     given = case("bluerov2")
     given.weight[0, 1] = 1e160

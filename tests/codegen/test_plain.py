@@ -95,6 +95,6 @@ def test_numbers_that_are_not_finite() -> None:
     assert "NAN" in text
 
 
-def test_an_operation_that_c_lacks_is_told() -> None:
+def test_an_operation_that_c_lacks_is_reported() -> None:
     with pytest.raises(UndertowError, match="OP_ERF"):
         plain_c(ca.Function("f", [A], [ca.erf(A)], ["x"], ["y"]), "f")

@@ -112,7 +112,7 @@ def test_no_thread_is_refused() -> None:
         in_threads(lambda part: None, [1], 0)
 
 
-def test_a_fault_in_a_thread_is_told() -> None:
+def test_a_fault_in_a_thread_is_reported() -> None:
     def work(part: int) -> None:
         if part == 3:
             raise UndertowError("no")

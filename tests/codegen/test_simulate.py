@@ -276,7 +276,7 @@ BAD: dict[str, tuple[dict[str, object], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_does_not_fit_is_told(case: str) -> None:
+def test_what_does_not_fit_is_reported(case: str) -> None:
     functions = surge()
     given = {"x0": np.zeros(2), "t": np.arange(3.0), "u": np.zeros((3, 1)), "p": parameters(functions, m=1.0)}
     changed, message = BAD[case]
@@ -285,7 +285,7 @@ def test_what_does_not_fit_is_told(case: str) -> None:
 
 
 @pytest.mark.parametrize(("wrt", "initial"), [([99], []), ([-1], []), ([], [2])])
-def test_indices_that_do_not_exist_are_told(wrt: Sequence[int], initial: Sequence[int]) -> None:
+def test_indices_that_do_not_exist_are_reported(wrt: Sequence[int], initial: Sequence[int]) -> None:
     functions = surge()
     simulator = Simulator(functions, compiled=False)
     with pytest.raises(UndertowError, match="index"):

@@ -162,7 +162,7 @@ def test_a_loop_that_cannot_be_judged_is_not_certified(effect: str, values: dict
 
 
 @pytest.mark.parametrize(("bias", "ok"), first_quick([(0.05, True), (2.0, False), (-2.5, False)]))
-def test_the_law_is_told_what_the_compass_reports(bias: float, ok: bool) -> None:
+def test_the_law_is_given_what_the_compass_reports(bias: float, ok: bool) -> None:
     """A heading reported b off turns the forces of x and y by b: unstable beyond a quarter turn."""
     gains = law(with_effect(sinker(), "attitude_bias", b_psi=bias))
     report = judged(gains)
@@ -213,7 +213,7 @@ def test_a_dead_band_at_rest_is_no_stable_loop() -> None:
 
 
 @pytest.mark.slow
-def test_a_law_without_integral_that_rests_far_from_its_set_point_is_told() -> None:
+def test_a_law_without_integral_that_rests_far_from_its_set_point_is_reported() -> None:
     """A quarter of the thrust is missing: K_P = 2 N/m leaves metres, which the integral of PID takes away."""
     weak = with_effect(sinker(), "thruster_gain", gain_error_f1=-0.25)
     report = judged(law(weak, "pd"))

@@ -346,7 +346,7 @@ def test_a_pose_that_jumps_has_diverged() -> None:
     assert "z is no longer a finite number" in far.text
 
 
-def test_progress_is_told() -> None:
+def test_progress_is_reported() -> None:
     progress: list[float] = []
     loop("paper-pd").run(Scenario(GOAL, 60.0, 0.001), lambda done, words: progress.append(done))
     assert progress == pytest.approx([20.0, 40.0, 60.0, 60.001])

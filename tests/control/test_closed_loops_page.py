@@ -35,7 +35,7 @@ def test_the_table_of_the_paper_s_run_is_current(page: str) -> None:
             assert float(row[5].split()[0]) == pytest.approx(float(there[5].split()[0]), abs=1e-5)
 
 
-def test_every_reading_is_told_of_and_none_is_as_the_paper_says(page: str) -> None:
+def test_every_reading_is_reported_and_none_is_as_the_paper_says(page: str) -> None:
     rows = {row[0]: row for row in cells(page)}
     assert [r.words for r in READINGS if r.words not in rows] == []
     assert {rows[r.words][-1] for r in READINGS} == {"no"}

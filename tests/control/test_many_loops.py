@@ -144,7 +144,7 @@ def test_continuous_laws_are_not_sampled(lanes: int) -> None:
         ({"starts": {"x": np.array(1.0)}}, "one value for every run"),
     ],
 )
-def test_what_cannot_be_meant_is_told(asked: dict, complaint: str) -> None:
+def test_what_cannot_be_meant_is_reported(asked: dict, complaint: str) -> None:
     with pytest.raises(UndertowError, match=complaint):
         loop("paper-pd").run_many(Scenario(GOAL, 1.0), **asked)
 

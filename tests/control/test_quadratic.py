@@ -201,7 +201,7 @@ def test_a_start_that_is_none_is_bad_input(
     assert reported in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_start_of_a_coordinate_that_the_vehicle_has_not_is_told() -> None:
+def test_a_start_of_a_coordinate_that_the_vehicle_has_not_is_reported() -> None:
     with pytest.raises(UndertowError, match="has no theta"):
         certify(law(sinker(), "pd"), start={"theta": 0.1})
 

@@ -93,7 +93,7 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
         (["{vehicle}.toml", "outside"], "'../craft' is not a valid file name"),
     ],
 )
-def test_mistakes_are_told_in_one_line(
+def test_mistakes_are_reported_in_one_line(
     small: Path, capsys: Capture, words: list[str], complaint: str
 ) -> None:
     outside = Path("outside/vehicle=..%2Fcraft/2026-02-03.parquet")

@@ -147,7 +147,7 @@ def test_compiled_code_and_virtual_machine_agree() -> None:
     np.testing.assert_allclose(a.predicted, b.predicted, atol=1e-12)
 
 
-def test_five_per_cent_off_is_told_as_five_per_cent() -> None:
+def test_five_per_cent_off_is_reported_as_five_per_cent() -> None:
     prediction = predict(_true_surge(), [surge_run()], None)
     off = np.nan_to_num(prediction.windows.measured * 1.05)
     reported = replace(prediction, predicted=off)

@@ -90,7 +90,7 @@ def _relief(effect: str) -> tuple[Relief, float]:
     return Relief((effect,), trial.fit.values, trial.score.error), chance
 
 
-def test_drag_that_absorbs_buoyancy_is_told_with_what_brings_it_back() -> None:
+def test_drag_that_absorbs_buoyancy_is_reported_with_what_brings_it_back() -> None:
     helpers = [_relief(e) for e in ("net_buoyancy", "constant_force")]
     assert all(chance < 1e-3 for _, chance in helpers)
     base = _bench().base
@@ -134,7 +134,9 @@ def test_a_parameter_near_its_prior_is_not_told() -> None:
 
 
 @pytest.mark.parametrize(("value", "reported"), [(-10.0, False), (-14.0, False), (-16.0, True), (-1.5, True)])
-def test_a_value_stated_without_a_deviation_is_told_from_three_times_on(value: float, reported: bool) -> None:
+def test_a_value_stated_without_a_deviation_is_reported_from_three_times_on(
+    value: float, reported: bool
+) -> None:
     box = _box(X_u=Value(-5.0, estimate=True))
     lines = absorbing(box, _fit(box, X_u=value), [])
     assert bool(lines) is reported
@@ -161,7 +163,7 @@ def test_only_leading_effects_can_be_what_is_absorbed() -> None:
     assert "it is absorbing lift and waves; with lift and waves it returns to 1.05 times" in line
 
 
-def test_a_parameter_pushed_onto_its_bound_is_told_even_without_a_prior() -> None:
+def test_a_parameter_pushed_onto_its_bound_is_reported_even_without_a_prior() -> None:
     box = _box(X_u=Value(-5.0, estimate=True))
     (line,) = absorbing(box, _fit(box, X_u=0.0), [])
     assert "X_u is at its bound 0, 500.0 standard deviations from -5" in line
@@ -180,7 +182,7 @@ def test_a_prior_of_zero_has_no_ratio() -> None:
     assert line.endswith("with lift it returns to -0.1")
 
 
-def test_a_refit_that_no_vehicle_can_be_is_told() -> None:
+def test_a_refit_that_no_vehicle_can_be_is_reported() -> None:
     auv = load_vehicle("mini-auv")
     impossible = _fit(auv, m=-40.0)
     assert any("the refitted vehicle cannot be" in line for line in absorbing(auv, impossible, []))

@@ -98,7 +98,7 @@ ONCE = {m[1]: m for m in READING}.values()
 @pytest.mark.parametrize(
     ("wrong", "kind", "lines"), quick_if(lambda m: m in ONCE, READING), ids=[m[1] for m in READING]
 )
-def test_a_mistake_in_reading_is_told_first_and_its_line_mends_it(
+def test_a_mistake_in_reading_is_reported_first_and_its_line_mends_it(
     usv: Case, read: Callable[..., Run], wrong: Break, kind: str, lines: list[str]
 ) -> None:
     examined = _doctored(usv, wrong, read)
@@ -194,7 +194,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize(("wrong", "kind", "line"), COMMANDS, ids=[m[1] for m in COMMANDS])
-def test_a_mistake_in_commands_is_told_and_its_line_mends_it(
+def test_a_mistake_in_commands_is_reported_and_its_line_mends_it(
     usv: Case, read: Callable[..., Run], wrong: Break, kind: str, line: str
 ) -> None:
     examined = _doctored(usv, wrong, read)
@@ -375,7 +375,7 @@ def test_clocks_are_not_judged_where_commands_are_missing(auv: Case) -> None:
     assert not [f for f in result.findings if f.text.startswith("commands and motion are on two clocks")]
 
 
-def test_forces_that_nothing_takes_are_named_and_no_delay_of_them_is_told() -> None:
+def test_forces_that_nothing_takes_are_named_and_no_delay_of_them_is_reported() -> None:
     undriven = replace(surge_vehicle(), force_channels=())
     run = surge_run(0.02)
     found = examine(undriven, [replace(run, reported={"u": np.full(len(run.t), True)})]).result.findings

@@ -42,7 +42,7 @@ def test_an_even_clock_is_not_worth_a_word() -> None:
     assert not _found(_run(t, u=np.sin(t) + 0.01 * RNG.standard_normal(len(t))))
 
 
-def test_jitter_is_told_in_percent() -> None:
+def test_jitter_is_reported_in_percent() -> None:
     t = np.cumsum(0.05 * (1 + 0.2 * RNG.uniform(-1, 1, 500)))
     found = _found(_run(t, u=RNG.standard_normal(500)))
     assert found["jitter"].severity == "note"
@@ -61,7 +61,7 @@ def test_missing_rows_are_counted() -> None:
     assert "the longest of 5.05 s at t = 14.95 s" in found.text
 
 
-def test_missing_cells_are_told_for_the_worst_channel() -> None:
+def test_missing_cells_are_reported_for_the_worst_channel() -> None:
     t = np.arange(0.0, 20.0, 0.05)
     u, v = RNG.standard_normal((2, len(t)))
     u[:100] = np.nan

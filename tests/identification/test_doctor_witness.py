@@ -126,7 +126,7 @@ def test_a_log_whose_pose_and_velocities_disagree_blames_no_thruster(auv: Case) 
     assert dynamic_mistakes(vehicle, at, kinematics, slow, LogMapping()) is None
 
 
-def test_commands_that_stand_still_are_told(auv: Case) -> None:
+def test_commands_that_stand_still_are_reported(auv: Case) -> None:
     vehicle, (run,) = vehicle_of(auv), runs_of(auv)
 
     def reported(*names: str) -> Finding | None:

@@ -183,7 +183,7 @@ def test_the_vehicles_own_actuators_are_off_where_the_rig_gives_forces() -> None
     assert not part.pushed
 
 
-def test_experiments_that_disagree_are_told(vehicle: Vehicle) -> None:
+def test_experiments_that_disagree_are_reported(vehicle: Vehicle) -> None:
     """The mass is shared: the truth has another one in heave, which added mass cannot take up."""
     names = {"m": Value(7.5, True, 1.0)}
     shared = vehicle.with_values({n: replace(v, estimate=False) for n, v in vehicle.values.items()} | names)

@@ -125,7 +125,7 @@ def test_fixed_values_that_fit_are_left_alone() -> None:
     assert (found.verdict, found.freed) == ("adequate", [])
 
 
-def test_values_that_do_the_same_are_told() -> None:
+def test_values_that_do_the_same_are_reported() -> None:
     """Inertia and added inertia in yaw only show as their sum."""
     found = other_values(_bench({"N_rdot": 3.0}))
     assert found is not None

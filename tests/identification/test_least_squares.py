@@ -191,7 +191,7 @@ def test_heave_gives_its_inertia_damping_and_buoyancy() -> None:
     assert found.inertia[0] == pytest.approx(7.5 - stated[0], rel=1e-3)
 
 
-def test_what_both_directions_share_is_weighted_and_a_contradiction_is_told() -> None:
+def test_what_both_directions_share_is_weighted_and_a_contradiction_is_reported() -> None:
     auv = load_vehicle("mini-auv")
     value = auv.value_of("B_net").value
     both = experiments(auv, [_heave(auv, 1.0, value), _heave(auv, -1.0, value)])

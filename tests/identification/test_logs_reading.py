@@ -495,7 +495,7 @@ def test_every_kind_of_time_column_counts_seconds(tmp_path, kind):
         pl.Series([1, 1], dtype=pl.UInt64),
     ],
 )
-def test_a_column_that_is_no_time_is_told(tmp_path, unit, values):
+def test_a_column_that_is_no_time_is_reported(tmp_path, unit, values):
     pl.DataFrame({"t": values, "u": [1.0, 2.0]}).write_parquet(tmp_path / "a.parquet")
     with pytest.raises(UndertowError, match=r"a.parquet") as caught:
         read_log(tmp_path / "a.parquet", LogMapping.model_validate({"time": {"unit": unit}}))
@@ -536,7 +536,7 @@ def test_seconds_since_1970_in_text_keep_their_nanoseconds(log):
     np.testing.assert_allclose(run.t, [0, 210e-9, 0.376543211], rtol=1e-9)
 
 
-def test_shares_of_full_thrust_that_are_taken_for_newtons_are_told(tmp_path):
+def test_shares_of_full_thrust_that_are_taken_for_newtons_are_reported(tmp_path):
     otter = load_vehicle("otter")
     otter = replace(
         otter, thrusters=tuple(replace(t, thrust_per_command=Value(1.0)) for t in otter.thrusters)

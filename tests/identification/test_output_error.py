@@ -159,7 +159,7 @@ def test_a_physical_bound_holds() -> None:
     assert any("limit" in text for text in remarks(fit, surge_vehicle())["X_u"])
 
 
-def test_a_simulation_that_diverges_at_the_start_is_told() -> None:
+def test_a_simulation_that_diverges_at_the_start_is_reported() -> None:
     vehicle = surge_vehicle()
     wild = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=5e4, estimate=False)})
     with pytest.raises(UndertowError, match="diverges with the starting values"):

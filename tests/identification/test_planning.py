@@ -312,7 +312,7 @@ def test_a_model_is_told_from_the_one_without_the_effect() -> None:
     assert plan.rivals[0].source == "diagnosis"
 
 
-def test_what_is_the_same_thing_is_told_so() -> None:
+def test_what_is_the_same_thing_is_reported() -> None:
     effects = {"rigid_body": {"m": 7.5}, "linear_damping": {"Z_w": _free(3.0)}}
     vehicle = _vehicle(["heave"], effects, ["tau_Z"])
     specs = [RivalSpec("net_buoyancy", {"B_net": -0.2}), RivalSpec("constant_force", {"Z_0": 0.2})]

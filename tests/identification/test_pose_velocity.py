@@ -194,7 +194,7 @@ def test_a_speed_log_and_a_compass_are_enough_for_surge_and_yaw():
         velocities_from_pose(Run("boat", t, given))
 
 
-def test_what_cannot_be_done_is_told():
+def test_what_cannot_be_done_is_reported():
     t = np.arange(0, 10, 0.1)
     with pytest.raises(UndertowError, match="neither u, v nor the pose y for surge, sway"):
         velocities_from_pose(Run("a", t, {"x": t, "psi": t}))

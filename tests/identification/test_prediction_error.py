@@ -118,7 +118,7 @@ def test_a_pose_alone_is_enough() -> None:
         assert fit.standard_errors[name] < 5 * error
 
 
-def test_what_it_cannot_follow_is_told() -> None:
+def test_what_it_cannot_follow_is_reported() -> None:
     case = make_case("usv", (), 4, duration=20.0, runs=("steps",))
     late = with_effect(vehicle_of(case), "sensor_delay", velocity_delay=0.05)
     with pytest.raises(UndertowError, match="reports late"):

@@ -151,7 +151,7 @@ _TOGETHER = [*zip(UNITS, FRAMES, FILES, strict=True)]  # every unit, frame and f
     ("units", "frames", "file"),
     first_quick([*_TOGETHER, *(way for way in product(UNITS, FRAMES, FILES) if way not in _TOGETHER)], 3),
 )
-def test_the_fit_does_not_depend_on_how_the_run_is_told(
+def test_the_fit_does_not_depend_on_how_the_run_is_represented(
     units: str, frames: str, file: str, vehicle: Vehicle, columns: Columns, as_it_is, tmp_path: Path
 ) -> None:
     values, errors = fitted(vehicle, *written(columns, units, frames, file, tmp_path))

@@ -123,7 +123,7 @@ def test_what_is_missing_for_long_is_missing_in_parts_too(
     np.testing.assert_allclose(streamed.theta, whole.theta, rtol=1e-8)
 
 
-def test_what_a_log_in_parts_lacks_is_told_as_for_the_whole(tmp_path: Path) -> None:
+def test_what_a_log_in_parts_lacks_is_reported_as_for_the_whole(tmp_path: Path) -> None:
     frame = long_log(1_500)
     force = frame["tau_X"].to_numpy().copy()
     force[700:705] = np.nan
@@ -229,7 +229,7 @@ def test_rows_out_of_order_between_parts_are_left_out_or_refused(tmp_path: Path)
         list(LongLog(path, LogMapping(), ("tau_X",)).parts(100, 0))
 
 
-def test_a_log_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_log_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(UndertowError, match="does not exist"):
         estimate_streaming(VEHICLE, [LongLog(tmp_path / "no.csv", LogMapping(), ())], [CASES["2"]])
 

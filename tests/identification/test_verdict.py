@@ -59,7 +59,7 @@ def test_an_effect_with_which_the_error_rises_helps_in_part_at_the_most(
     assert how_sure(significant, before, after) == sure
 
 
-def test_no_share_below_zero_is_told() -> None:
+def test_no_share_below_zero_is_reported() -> None:
     doubt = _doubt(-0.21, Remainder(residual_is_noise=False, confirmed=True, nearly=True), DEFAULT)
     assert doubt == "explains none of what exceeds the noise, too little to be named as what is missing"
 

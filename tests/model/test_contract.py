@@ -474,7 +474,7 @@ def test_all_findings_come_at_once(tmp_path: Path) -> None:
     assert failed == {"zero", "dissipative"}
 
 
-def test_a_class_without_id_is_told_so(tmp_path: Path) -> None:
+def test_a_class_without_id_is_reported(tmp_path: Path) -> None:
     cls = effect_from(tmp_path, KEEL.replace('id = "keel_drag"', ""))
     assert [(f.check, f.message[:13]) for f in check_effect(cls) if not f.ok] == [("id", "id is missing")]
 

@@ -437,7 +437,7 @@ def test_a_mistyped_bundled_vehicle_gets_the_nearest_name() -> None:
         load_vehicle("mini-auw")
 
 
-def test_an_unreadable_file_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def denied(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 

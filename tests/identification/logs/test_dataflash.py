@@ -344,7 +344,7 @@ def test_curves_of_the_t200_have_the_published_ends() -> None:
         assert np.all(np.diff(thrust) >= 0.0)
 
 
-def test_outputs_that_are_taken_for_newtons_are_told(log_path: Path) -> None:
+def test_outputs_that_are_taken_for_newtons_are_reported(log_path: Path) -> None:
     (run,) = read_logs([log_path], load_vehicle("bluerov2"))
     assert any("the vehicle takes them for newtons" in note for note in run.reader_notes)
 

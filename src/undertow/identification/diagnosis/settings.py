@@ -225,7 +225,7 @@ class Settings:
         "times the best error from which another is worse where more than noise is left",
         "a trim error and a compass offset in a roll decay",
         off=1.0,
-        one_case="roll decay of results.md",
+        one_case="roll decay of examples/kvlcc2.md",
     )
     size_change: float = _number(
         0.25, "standard deviation of the size from which it changes", "an effect that begins in mid-run",
