@@ -60,10 +60,10 @@ def test_every_id_reads_back() -> None:
         Planned.read("usv:lifft:x1:n1:open:plain:17")
 
 
-def test_every_round_has_every_effect_outsider_and_complete_model() -> None:
+def test_every_round_has_every_effect_uncatalogued_one_and_complete_model() -> None:
     for cases in (plan(1), plan(2)[len(plan(1)) :]):
         plain = [case for case in cases if not case.aim]
-        hidden = Counter(case.hidden[0] for case in plain if case.kind in ("single", "outsider"))
+        hidden = Counter(case.hidden[0] for case in plain if case.kind in ("single", "uncatalogued"))
         aliens = [name for name, e in EFFECTS.items() if e.kind == "alien"]
         assert hidden == Counter([*SINGLES, *aliens])
         faint = [case for case in cases if case.aim]
@@ -281,11 +281,11 @@ BY_HAND = [
 
 
 def test_scores_of_records_made_by_hand() -> None:
-    strong, weak, quiet, alarm, outsider, pair = scored(BY_HAND)
+    strong, weak, quiet, alarm, uncatalogued, pair = scored(BY_HAND)
     assert (strong.first, strong.in_three, strong.reported, strong.only) == (True,) * 4
     assert (weak.first, weak.in_three, weak.reported, weak.only) == (False, True, False, False)
     assert (quiet.answer.claims, alarm.answer.claims) == (False, True)
-    assert outsider.kind == "outsider"
+    assert uncatalogued.kind == "uncatalogued"
     assert pair.reported
     assert not pair.only
     assert failures(scored(BY_HAND)) == [weak, alarm]
@@ -304,9 +304,9 @@ def test_goals_of_records_made_by_hand() -> None:
     assert found["error after adding over that of the oracle refit, median"].measured == "1.150 of 2 cases"
 
 
-def test_an_effect_that_no_catalogue_has_yet_is_an_outsider() -> None:
+def test_an_effect_that_no_catalogue_has_yet_is_uncatalogued() -> None:
     (case,) = scored([record(LIFT, "unexplained", truth=("lift",), known=False, grade="strong")])
-    assert case.kind == "outsider"
+    assert case.kind == "uncatalogued"
     assert failures([case]) == []
 
 
@@ -338,7 +338,7 @@ def test_every_number_is_switched_off_on_the_same_cases() -> None:
     doing = ablations(sample()[:2])
     assert len(doing) == 2 * (1 + len(switchable()))
     assert len({one.id for one in doing}) == len(doing)
-    assert {case.kind for case in sample()} == {"complete", "single", "pair", "outsider"}
+    assert {case.kind for case in sample()} == {"complete", "single", "pair", "uncatalogued"}
     for one in doing:
         changed = [n for n in Settings.about() if getattr(one.settings, n) != getattr(Settings(), n)]
         assert changed == ([one.number] if one.number else [])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from . import actuation, hull, outsiders, sensors, statics, water  # noqa: F401  (they fill the registry)
+from . import actuation, hull, not_listed, sensors, statics, water  # noqa: F401  (they fill the registry)
 from .belief import hydrodynamic_values, prior_vehicle
 from .drawing import Vehicle
 from .manoeuvres import MANOEUVRES

@@ -95,7 +95,7 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
     add("--rounds", type=int, metavar="N", help="rounds, where not those of the plan")
     add("--seed", type=int, default=BASE_SEED, help="base seed (default %(default)s)")
     add("--part", default="1/1", metavar="I/N", help="every n-th case, from the i-th")
-    add("--kind", action="append", help="only these kinds: complete, single, pair, outsider, hard")
+    add("--kind", action="append", help="only these kinds: complete, single, pair, uncatalogued, hard")
     add("--vehicle", action="append", help="only these vehicles")
 
 

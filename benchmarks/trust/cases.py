@@ -18,7 +18,8 @@ T = TypeVar("T")
 
 #: A number that was not used while the program was developed.
 BASE_SEED = 4711
-#: Rounds of each plan; every round has every effect, every kind of complete model and every outsider once.
+#: Rounds of each plan; every round has every effect, of the catalogue or not, and every kind of complete
+#: model once.
 ROUNDS = {"quick": 1, "full": 12}
 SIZES = (0.4, 1.0, 2.5)
 #: Range of what the truth is worth in cases that are made to be hard (see `sizing`).
@@ -96,10 +97,10 @@ class Planned:
 
     @property
     def kind(self) -> str:
-        """`complete`, `single`, `pair`, `outsider` or `hard` (of `HARD` or `OTHER_FORMS`)."""
+        """`complete`, `single`, `pair`, `uncatalogued` or `hard` (of `HARD` or `OTHER_FORMS`)."""
         kinds = [EFFECTS[name].kind for name in self.hidden if EFFECTS[name].kind not in NOTHING_HIDDEN]
         if "alien" in kinds:
-            return "outsider"
+            return "uncatalogued"
         return "hard" if kinds and self._hardship else ("complete", "single", "pair")[len(kinds)]
 
     @property
@@ -150,11 +151,11 @@ def part(cases: Sequence[T], which: str) -> list[T]:
 def _round(r: int, base: int) -> list[Planned]:
     singles = [_one(name, r, base) for name in SINGLES]
     singles += [_faint(name, r, base) for name in SINGLES]
-    outsiders = [_one(name, r, base) for name, e in EFFECTS.items() if e.kind == "alien"]
+    uncatalogued = [_one(name, r, base) for name, e in EFFECTS.items() if e.kind == "alien"]
     complete = [_complete(label, NULLS_PER_ROUND * r + i, base)
                 for label in COMPLETE for i in range(NULLS_PER_ROUND)]  # fmt: skip
     pairs = [_pair(PAIRS_PER_ROUND * r + i, base) for i in range(PAIRS_PER_ROUND)]
-    usual = mixed([singles, outsiders, complete, pairs], seeded_generator(base, "order", r))
+    usual = mixed([singles, uncatalogued, complete, pairs], seeded_generator(base, "order", r))
     # Between the usual ones, whose order stays what it was.
     return spread([usual, _hard(r, base)])
 

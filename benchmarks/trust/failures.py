@@ -29,7 +29,7 @@ def right(case: Scored) -> bool:
         return not case.answer.claims
     if case.grade not in VISIBLE:
         return not case.false_claim
-    if case.kind == "outsider":
+    if case.kind == "uncatalogued":
         return case.answer.verdict == "unexplained" and not case.answer.claims
     if case.kind == "pair":
         return case.reported
@@ -50,7 +50,7 @@ def why(case: Scored) -> str:
     """What the recorded numbers say about a failure."""
     if case.kind == "complete":
         return f"false alarm on a complete model ({case.record['label']})"
-    if case.kind == "outsider":
+    if case.kind == "uncatalogued":
         return "the effects it names explain enough to pass" if case.answer.claims else "taken for noise"
     if case.false_claim and case.cost <= _AS_GOOD:
         return "what it names predicts the validation data as well as the truth does: they cannot tell"

@@ -78,12 +78,12 @@ def _silent(cases: Sequence[Scored]) -> list[Goal]:
 
 
 def _others(cases: Sequence[Scored]) -> list[Goal]:
-    outsiders, pairs = of_kind(cases, "outsider", *VISIBLE), of_kind(cases, "pair", *VISIBLE)
+    uncatalogued, pairs = of_kind(cases, "uncatalogued", *VISIBLE), of_kind(cases, "pair", *VISIBLE)
     return [
-        at_least("outside the catalogue: unexplained", share(outsiders, _unexplained), 0.95),
+        at_least("outside the catalogue: unexplained", share(uncatalogued, _unexplained), 0.95),
         at_most(
             "outside the catalogue: a catalogue effect claimed",
-            share(outsiders, lambda c: c.answer.claims),
+            share(uncatalogued, lambda c: c.answer.claims),
             0.0,
         ),
         at_least("pairs: both found", share(pairs, lambda c: c.reported), 0.85),

@@ -38,7 +38,7 @@ def page(records: Iterable[Record]) -> str:
         "## Complete models\n",
         _complete(kept),
         "## Effects outside the catalogue and pairs\n",
-        _outsiders(cases),
+        _uncatalogued(cases),
         _pairs(kept),
         "## As hard as real logs\n",
         HARDER,
@@ -73,7 +73,7 @@ _KINDS = {
     "single": "with one effect hidden",
     "pair": "with two",
     "complete": "complete models",
-    "outsider": "with an effect that no catalogue lists",
+    "uncatalogued": "with an effect that no catalogue lists",
     "hard": "with one effect and as hard as real logs",
 }
 
@@ -115,13 +115,13 @@ def _complete(records: Sequence[Record]) -> str:
     return table(("complete model", "adequate", *(f"false alarms, {n}" for n in names)), rows)
 
 
-def _outsiders(cases: Sequence[Scored]) -> str:
+def _uncatalogued(cases: Sequence[Scored]) -> str:
     rows = []
     for grade in (*VISIBLE, HIDDEN):
-        outsiders, pairs = of_kind(cases, "outsider", grade), of_kind(cases, "pair", grade)
-        verdicts = Counter(c.answer.verdict for c in outsiders)
+        uncatalogued, pairs = of_kind(cases, "uncatalogued", grade), of_kind(cases, "pair", grade)
+        verdicts = Counter(c.answer.verdict for c in uncatalogued)
         said = ", ".join(f"{n} {verdict}" for verdict, n in verdicts.most_common()) or "–"
-        claims = str(share(outsiders, lambda c: c.answer.claims))
+        claims = str(share(uncatalogued, lambda c: c.answer.claims))
         both = str(share(pairs, lambda c: c.reported))
         exact = str(share(pairs, lambda c: c.only))
         rows.append([grade, said, claims, both, exact])

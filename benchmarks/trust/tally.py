@@ -68,9 +68,9 @@ class Scored:
 
     @property
     def kind(self) -> str:
-        """`complete`, `single`, `pair`, `hard` or `outsider`; `outsider`: no catalogue lists it."""
+        """`complete`, `single`, `pair`, `hard` or `uncatalogued`; `uncatalogued`: no catalogue lists it."""
         kind = str(self.record["kind"])
-        return kind if kind in ("complete", "hard") or self.record["known"] else "outsider"
+        return kind if kind in ("complete", "hard") or self.record["known"] else "uncatalogued"
 
     @property
     def grade(self) -> str:
