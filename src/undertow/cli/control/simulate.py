@@ -293,7 +293,7 @@ def _facts(result: LoopResult) -> Iterator[str]:
     if result.gate_passed is not None:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
     if result.followed is not None:
-        yield _mission(result.followed)
+        yield _mission(result.followed, result.duration)
     if result.divergence is not None:
         yield f"DIVERGED: {result.divergence.text}; the numbers are of the run up to there"
     if result.turned_thrusters:
@@ -308,9 +308,12 @@ def _facts(result: LoopResult) -> Iterator[str]:
         yield f"the sign of the law, sampled, may leave up to {sizes} (an estimate)"
 
 
-def _mission(followed: FollowedResult) -> str:
-    end = "not reached" if followed.arrived is None else f"reached after {followed.arrived:.4g} s"
-    return f"mission '{followed.mission}' ({followed.kind}): its end is {end}"
+def _mission(followed: FollowedResult, duration: float) -> str:
+    arrived = followed.arrived
+    end = "not reached" if arrived is None else f"reached after {arrived:.4g} s"
+    held = followed.kind != "legs" or arrived is None or math.ceil(arrived) >= duration
+    after = "" if held else f", and not held: --for {math.ceil(arrived)} leaves out what comes after"
+    return f"mission '{followed.mission}' ({followed.kind}): its end is {end}{after}"
 
 
 def _followed(e: FollowedError) -> tuple[str, ...]:
