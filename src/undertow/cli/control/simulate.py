@@ -310,10 +310,12 @@ def _facts(result: LoopResult) -> Iterator[str]:
 
 def _mission(followed: FollowedResult, duration: float) -> str:
     arrived = followed.arrived
-    end = "not reached" if arrived is None else f"reached after {arrived:.4g} s"
-    held = followed.kind != "legs" or arrived is None or math.ceil(arrived) >= duration
-    after = "" if held else f", and not held: --for {math.ceil(arrived)} leaves out what comes after"
-    return f"mission '{followed.mission}' ({followed.kind}): its end is {end}{after}"
+    end = "not reached"
+    if arrived is not None:
+        end = f"reached after {arrived:.4g} s"
+        if followed.kind == "legs" and math.ceil(arrived) < duration:
+            end += f", and not held: --for {math.ceil(arrived)} leaves out what comes after"
+    return f"mission '{followed.mission}' ({followed.kind}): its end is {end}"
 
 
 def _followed(e: FollowedError) -> tuple[str, ...]:

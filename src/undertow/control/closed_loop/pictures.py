@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -154,7 +154,7 @@ def band(t: Array, values: Array, swing: Swing) -> tuple[Array, ...] | None:
     if len(t) < BAND.stretches:
         return None
     parts = np.array_split(np.arange(len(t)), BAND.stretches)
-    given = [
+    given: list[tuple[Callable[[Array], Any], Array]] = [
         (np.mean, t),
         (np.mean, values),
         (np.min, swing.low),

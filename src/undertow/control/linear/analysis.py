@@ -338,7 +338,7 @@ def disks_of_all(loop: ct.StateSpace, omega: Array) -> Array:
     return np.atleast_1d(ct.disk_margins(loop, omega, returnall=True)[0])
 
 
-def disks(gain: Array) -> Array:
+def disks(gain: NDArray[np.complex128]) -> Array:
     """Size of the disk in which loop gains L may vary up to the border of stability: 2 |1 + L| / |1 - L|.
 
     Seiler, Packard, Gahinet (2020), An introduction to disk margins: 1/(|S - T|/2) for zero skew.
