@@ -104,7 +104,8 @@ def track(records: Sequence[Record]) -> Figure:
         axis.plot(first.state["y"][0], first.state["x"][0], "o", color=INK, fillstyle="none", label="start")
         if {"x", "y"} <= set(first.result.to):
             goal = first.result.to
-            axis.plot(goal["y"], goal["x"], "*", color=INK, markersize=9, label="set-point")
+            words = "end" if first.followed else "set-point"
+            axis.plot(goal["y"], goal["x"], "*", color=INK, markersize=9, label=words)
         axis.set_title(f"Track of {plain(first.result.vehicle)} in the plane")
         axis.set(xlabel="position to the east y [m]", ylabel="position to the north x [m]")
         axis.set_aspect("equal", adjustable="datalim")
