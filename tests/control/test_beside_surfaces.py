@@ -12,7 +12,7 @@ from undertow.control.allocation import allocation_of
 from undertow.control.closed_loop import Choices, ClosedLoop, Scenario
 from undertow.control.conditions.tracking import check_mission
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import GainSet, GainTable, gains_from_table
+from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.guidance.mission import MissionTable, mission_from_table
 from undertow.control.linear.family import family
 from undertow.control.linear.systems import close_loop, forces_of
@@ -169,6 +169,11 @@ def test_the_allocation_of_a_rudder_is_its_force_at_the_stated_speed(tmp_path: P
     np.testing.assert_allclose(allocation_of(gains).limits, [30.0, np.radians(15)])
     np.testing.assert_allclose(allocation_of(steered(tmp_path, speed=2.0)).limits, [30.0, np.radians(20)])
     assert {"control_surfaces", "steering_gear"} <= gains.plant.left_out.keys()
+
+
+def test_fins_as_forces_with_the_motion_ask_for_a_speed_as_well() -> None:
+    with pytest.raises(UndertowError, match=r"in heave, pitch, yaw.* state \[allocation\] speed"):
+        load_gains("paper-pd", load_vehicle("remus100"))
 
 
 def test_without_a_speed_a_law_has_no_rudder(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ def test_nyquist_and_nichols_draw_the_loop_that_the_margins_are_of() -> None:
     x, y = line.get_data()
     distances = np.hypot(np.array(x) + 1, y)
     assert distances.min() == pytest.approx(margin.distance, rel=1e-2)
+    disks = picture("disk-margins", found, found.main_channels).axes[0].lines[0].get_ydata()
+    assert np.min(disks) == pytest.approx(margin.disk, rel=1e-3)
     nichols = picture("nichols", found, found.main_channels).axes[0]
     line = next(x for x in nichols.lines if x.get_label() == "force_surge")
     phase, size = line.get_data()

@@ -5,13 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from undertow.control.closed_loop.pictures import band
+from undertow.control.closed_loop.record import Swing
+from undertow.control.closed_loop.scenario import Scenario
+from undertow.control.closed_loop.simulate import ClosedLoop
+from undertow.control.gains import load_gains
+from undertow.model.loading import load_vehicle
 
 T = np.linspace(0, 100, 20_001)
 
 
+def of_samples(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...] | None:
+    """The band of a command of which every sample is a row."""
+    return band(t, values, Swing(values, values, np.abs(np.diff(values, prepend=values[0]))))
+
+
 def test_a_switching_command_is_the_band_that_it_fills() -> None:
     switching = np.where(T > 50, 0.5 + 0.1 * np.sign(np.sin(2 * np.pi * 20 * T + 0.3)), 1.0)
-    edges = band(T, switching)
+    edges = of_samples(T, switching)
     assert edges is not None
     times, mean, low, high = edges
     late, early = times > 52, times < 48
@@ -23,7 +33,20 @@ def test_a_switching_command_is_the_band_that_it_fills() -> None:
 
 
 def test_slow_waves_and_small_noise_are_lines() -> None:
-    assert band(T, np.sin(T)) is None
+    assert of_samples(T, np.sin(T)) is None
     noise = 0.001 * np.random.default_rng(0).normal(size=T.size)
-    assert band(T, np.exp(-T / 20) + noise) is None
-    assert band(T[:100], np.sign(np.sin(50 * T[:100]))) is None  # so few rows are drawn as they are
+    assert of_samples(T, np.exp(-T / 20) + noise) is None
+    assert of_samples(T[:100], np.sign(np.sin(50 * T[:100]))) is None  # so few rows are drawn as they are
+
+
+def test_chattering_between_the_rows_of_a_run_is_a_band() -> None:
+    """Sliding modes switch at every sample; the mean of ten samples shows none of it."""
+    loop = ClosedLoop(load_gains("paper-smc", load_vehicle("mini-auv")))
+    run = loop.run(Scenario((0, 0, 1), duration=4.0, dt=0.001, log_interval=0.01))
+    swing, found = run.swings["f1"], next(c for c in run.result.commands if c.name == "f1")
+    assert max(-swing.low.min(), swing.high.max()) == found.peak
+    np.testing.assert_allclose(swing.travel.sum() / 4.0, found.variation, rtol=1e-3)
+    assert np.ptp(run.commands["f1"][10:]) < 0.2 * np.ptp([swing.low[10:], swing.high[10:]])
+    edges = band(run.t, run.commands["f1"], swing)
+    assert edges is not None
+    assert np.max(edges[3] - edges[2]) > 5.0

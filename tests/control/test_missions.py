@@ -376,6 +376,13 @@ def test_a_leg_is_certified_and_too_short_a_lookahead_is_not(remus: GainSet) -> 
     assert [r.verdict for r in check_mission(remus, on_leg(lookahead=1.5)).rows] == ["holds", "fails"]
 
 
+@pytest.mark.slow
+def test_legs_of_one_direction_are_judged_together(remus: GainSet) -> None:
+    """A lawn mower: out, across, back, across, out; the legs across go the same way."""
+    found = check_mission(remus, load_mission(EXAMPLES / "remus100-survey.toml")).rows
+    assert [r.condition for r in found] == ["current", "leg 1", "legs 2, 4", "leg 3", "leg 5"]
+
+
 # --- behind an observer -----------------------------------------------------------------------------
 def _observer(noise: float, process: str = "model", push: float = 1e-3, **more: float) -> ObserverTable:
     sensors = {name: {"noise": noise, "period": 0.1} for name in ("x", "y", "psi")}

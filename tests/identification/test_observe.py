@@ -53,6 +53,15 @@ def test_reports_stand_at_the_time_when_they_were_true() -> None:
     assert np.isnan(given.y[rows[0], 4]) or given.y[rows[0], 4] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_filter_that_lost_its_track_is_not_honest() -> None:
+    run, _, _ = log(auv(), 20.0, 2, EVERY)
+    still = dict.fromkeys(("u_dot", "v_dot", "w_dot", "r_dot"), 1e-5)
+    stiff = observe(auv(), run, disturbance=still)
+    assert "r" in stiff.lost
+    assert not stiff.honest
+    assert not observe(auv(), run).lost
+
+
 @pytest.mark.slow
 def test_kinematics_is_honest_where_the_model_leans_towards_itself() -> None:
     """A tenth of the buoyancy is missing in the model, and no velocity is measured."""

@@ -15,8 +15,8 @@ from undertow.errors import UndertowError
 from undertow.identification.observe import first_guess, reports_of
 from undertow.model.loading import load_vehicle
 from undertow.observer.consistency import SETTINGS, ljung_box, nis, whiteness
-from undertow.observer.filters import Estimate, Method, Observer, Reports, smoothed
-from undertow.observer.process import Prior, Process, process_of
+from undertow.observer.filters import Estimate, Method, Observer, Reports, most_likely, smoothed
+from undertow.observer.process import UNKNOWN, Prior, Process, process_of
 
 A = np.array([[0.0, 1.0], [-0.09, -0.3]])
 B = np.array([[0.0], [0.5]])
@@ -242,3 +242,23 @@ def test_what_cannot_be_estimated_is_refused(estimated, kind, words) -> None:
 def test_process_noise_must_fit() -> None:
     with pytest.raises(UndertowError, match="one, zero or above"):
         Observer(linear(), [1.0, 2.0])
+
+
+def test_the_noise_is_found_from_a_guess_with_which_the_filter_loses_its_track() -> None:
+    """A turn by an exact gyro: with too little noise all reports are rejected, and less noise is cheaper."""
+    what = process_of(auv(), (), "kinematics")
+    t, rng = 0.04 * np.arange(500), np.random.default_rng(3)
+    y = np.full((500, len(what.channels)), np.nan)
+    y[:, :3] = [0.05, 0.05, 0.01] * rng.standard_normal((500, 3))
+    y[:, what.channels.index("psi")] = 0.8 * (1 - np.exp(-t / 4)) + 0.01 * rng.standard_normal(500)
+    y[:, what.channels.index("r")] = 0.2 * np.exp(-t / 4)
+    noise = dict(zip(what.channels, [0.05, 0.05, 0.01, 0.01, 1, 1, 1, 6e-5], strict=True))
+    reports = Reports(t, np.zeros((500, 4)), y, np.array([noise[n] for n in what.channels]) ** 2)
+    first = np.zeros(len(what.state_names)), UNKNOWN.covariance(what)
+    free = np.ones(4, dtype=bool)
+    lost = Observer(what, np.full(4, 1e-10)).run(reports, *first)
+    assert (reports.there & ~lost.used).sum() > 500
+    found = Observer(what, most_likely(what, reports, *first, np.full(4, 1e-10), free)).run(reports, *first)
+    assert found.used[reports.there].all()
+    usual = Observer(what, most_likely(what, reports, *first, np.full(4, 1e-2), free)).run(reports, *first)
+    assert abs(found.log_likelihood - usual.log_likelihood) < 5

@@ -21,7 +21,7 @@ from undertow.model.units import si_of
 from undertow.model.vehicle import Vehicle
 
 from .laws import LAWS, GainMatrix, Law, LawSignals
-from .plant import Plant
+from .plant import WITH_MOTION, Plant
 
 Coordinate = Literal[POSE]  # type: ignore[valid-type]
 Diagonal = dict[Coordinate, Quantity] | list[Quantity] | Quantity
@@ -144,7 +144,7 @@ def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
         )
     law = LAWS[table.law]()
     plant = Plant(vehicle, _speed(table.allocation))
-    _check_axes(table, plant, bool(vehicle.surfaces))
+    _check_axes(table, plant, bool(vehicle.surfaces) or WITH_MOTION in plant.left_out.values())
     values: dict[str, float] = {}
     for gain in _declared(table, type(law)):
         values |= _values(gain, table.gains[gain.name], vehicle, table.unactuated)

@@ -16,7 +16,7 @@ from undertow.model.symbols import POSE, column, symbol
 from undertow.model.vehicle import Value, Vehicle
 
 _ZERO = sm.Integer(0)
-_WITH_MOTION = "its force depends on inputs and on the motion together"
+WITH_MOTION = "its force depends on inputs and on the motion together"
 
 
 class Plant:
@@ -184,7 +184,7 @@ class Plant:
         reason = self._misfit(effect, wrench, pushed)
         if reason:
             self.left_out[effect.id] = reason
-            if self.speed and reason == _WITH_MOTION:
+            if self.speed and reason == WITH_MOTION:
                 self._inputs += self._at_speed(pushed)
                 self.left_out[effect.id] = f"its force is taken as at {self.speed:g} m/s ahead"
             return
@@ -220,7 +220,7 @@ class Plant:
         if wrench.has(self._composition.signals.t):
             return "it depends on time"
         if pushed.free_symbols & {*self.nu, *self.eta, *self.inputs}:
-            return _WITH_MOTION
+            return WITH_MOTION
         return ""
 
 

@@ -34,6 +34,9 @@ class ObserveSettings:
     least: float = 1e-5
     together: float = 1e-9  # s by which times may differ that are one
     fewest: int = 10  # reports of all channels
+    # Share of the reports of a channel that is rejected by a filter which has lost its track: the gate of an
+    # honest one rejects one in a million, and outliers are rarer than this.
+    lost: float = 0.1
     hour: float = 3600.0
 
 
@@ -60,8 +63,13 @@ class Observed:
 
     @property
     def honest(self) -> bool:
-        """Whether innovations are as large as the filter says, and white."""
-        return self.nis[-1].honest and all(one.white for one in self.white)
+        """Whether innovations are as large as the filter says, white, and of nearly all reports."""
+        return self.nis[-1].honest and all(one.white for one in self.white) and not self.lost
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Reports beyond the gate of channels of which it rejects many."""
+        return _lost(self.nis, self.rejected)
 
     def content(self) -> dict[str, object]:
         """The numbers, for JSON."""
@@ -99,8 +107,8 @@ class ObservedLogs:
 
     @property
     def honest(self) -> bool:
-        """Whether innovations of all logs are as large as the filter says, and white."""
-        return self.nis[-1].honest and all(one.white for one in self.white)
+        """The same of all logs together."""
+        return self.nis[-1].honest and all(one.white for one in self.white) and not self.lost
 
     @property
     def noise(self) -> dict[str, float]:
@@ -117,6 +125,11 @@ class ObservedLogs:
         """Reports beyond the gate by channel, of all logs."""
         names = dict.fromkeys(n for one in self.each for n in one.rejected)
         return {n: sum(one.rejected.get(n, 0) for one in self.each) for n in names}
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Reports beyond the gate of channels of which it rejects many."""
+        return _lost(self.nis, self.rejected)
 
     def content(self) -> dict[str, object]:
         """The numbers, for JSON: those of the log where it is one, else by log and over all."""
@@ -135,6 +148,11 @@ class ObservedLogs:
 def _root_mean_squares(each: Sequence[Mapping[str, float]]) -> dict[str, float]:
     names = dict.fromkeys(n for one in each for n in one)
     return {n: float(np.sqrt(np.mean([one[n] ** 2 for one in each if n in one]))) for n in names}
+
+
+def _lost(nis: Sequence[Normalised], rejected: Mapping[str, int]) -> dict[str, int]:
+    used = {one.name: one.count for one in nis}
+    return {n: k for n, k in rejected.items() if k > SETTINGS.lost * (k + used.get(n, 0))}
 
 
 def _tests(nis: Sequence[Normalised], white: Sequence[Whiteness]) -> dict[str, object]:

@@ -443,22 +443,28 @@ def most_likely(
     at = np.flatnonzero(free)
     base, tried = np.asarray(start, dtype=float), 0
 
+    def within(decades: Array) -> Array:
+        return np.clip(decades, -SEARCH.decades, SEARCH.decades)
+
     def cost(decades: Array) -> float:
         nonlocal tried
         tried += 1
         progress(min(tried / (SEARCH.tries * max(len(at), 1)), 1.0), "process noise")
         q = base.copy()
-        q[at] *= 10.0**decades
+        q[at] *= 10.0 ** within(decades)
         try:
             return -Observer(process, q, compiled=True).run(reports, mean, covariance).log_likelihood
         except UndertowError:
             return -log(np.finfo(float).tiny) * len(reports.t)
 
-    limits = [(-SEARCH.decades, SEARCH.decades)] * len(at)
+    # With too little noise a filter loses its track and rejects all that follows: less noise is then cheaper
+    # still. So a common factor comes first, and then a descent that brackets and so never ends higher.
+    factors = np.linspace(-SEARCH.decades, SEARCH.decades, SEARCH.factors)
+    first = min(factors, key=lambda decades: cost(np.full(len(at), decades)))
     options = {"xtol": SEARCH.step, "ftol": 1e-7, "maxfev": SEARCH.tries * len(at)}
-    done = minimize(cost, np.zeros(len(at)), method="Powell", bounds=limits, options=options)
+    done = minimize(cost, np.full(len(at), first), method="Powell", options=options)
     found = base.copy()
-    found[at] *= 10.0 ** np.atleast_1d(done.x)
+    found[at] *= 10.0 ** within(np.atleast_1d(done.x))
     return found
 
 
@@ -467,6 +473,7 @@ class SearchSettings:
     """How process noise is looked for."""
 
     decades: float = 6.0  # to either side of the first guess
+    factors: int = 9  # of all densities at once, in these decades, that are tried first
     step: float = 0.05  # decades that do not matter
     tries: int = 40  # filters for each density
     rows: int = 1000  # of the log that are filtered, at most

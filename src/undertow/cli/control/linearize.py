@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from undertow.control.linear.report import Analysis, Channel
     from undertow.model.vehicle import Vehicle
 
-Plot = Literal["bode", "nyquist", "nichols", "singular-values", "step", "poles", "root-locus"]
+Plot = Literal["bode", "nyquist", "nichols", "singular-values", "disk-margins", "step", "poles", "root-locus"]
 _AT = typer.Option(metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
 _FREE = typer.Option(
     metavar="NAME", help="u, v: need not hover; r: may turn; w: may rise or sink; z: depth is found."

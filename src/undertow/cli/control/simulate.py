@@ -293,7 +293,7 @@ def _facts(result: LoopResult) -> Iterator[str]:
     if result.gate_passed is not None:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
     if result.followed is not None:
-        yield _mission(result.followed)
+        yield _mission(result.followed, result.duration)
     if result.divergence is not None:
         yield f"DIVERGED: {result.divergence.text}; the numbers are of the run up to there"
     if result.turned_thrusters:
@@ -308,8 +308,13 @@ def _facts(result: LoopResult) -> Iterator[str]:
         yield f"the sign of the law, sampled, may leave up to {sizes} (an estimate)"
 
 
-def _mission(followed: FollowedResult) -> str:
-    end = "not reached" if followed.arrived is None else f"reached after {followed.arrived:.4g} s"
+def _mission(followed: FollowedResult, duration: float) -> str:
+    arrived = followed.arrived
+    end = "not reached"
+    if arrived is not None:
+        end = f"reached after {arrived:.4g} s"
+        if followed.kind == "legs" and math.ceil(arrived) < duration:
+            end += f", and not held: --for {math.ceil(arrived)} leaves out what comes after"
     return f"mission '{followed.mission}' ({followed.kind}): its end is {end}"
 
 

@@ -191,6 +191,7 @@ def verdict(found: Observed | ObservedLogs) -> str:
     if found.honest:
         return f"innovations are as large as expected (NIS {whole.mean:.3f}) and white"
     faults = [] if whole.honest else [f"NIS {whole.mean:.3f}, not {whole.low:.3f} to {whole.high:.3f}"]
+    faults += [f"{count} reports of {name} are rejected" for name, count in found.lost.items()]
     coloured = [one.name for one in found.white if not one.white]
     faults += [f"innovations of {', '.join(coloured)} are not white"] if coloured else []
     what = "noise or model are not as stated" if found.process == "model" else _KINEMATIC

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from scipy.ndimage import binary_closing, maximum_filter1d, minimum_filter1d
 from undertow.figures import COLOURS, FAINT, INK, figure, look, plain
 from undertow.typing import Array
 
-from .record import Record
+from .record import Record, Swing
 
 _STYLES = ("-", "--", "-.", ":")
 _TITLES = {
@@ -36,7 +36,8 @@ class BandSettings:
     """When a command is drawn as the band that it fills: lines closer than the paper resolves are a blot."""
 
     stretches: int = 300  # parts of the picture's width, each a few pixels wide
-    turns: int = 3  # turning points in a stretch from which it is a band; a smooth motion has one at most
+    # Way to and fro in a stretch, in heights of it, from which it is a band; a smooth motion turns once.
+    travel: float = 3.0
     height: float = 0.02  # least height of a band, as a part of the range of the command
     gap: int = 7  # stretches over which a band is closed and its edges are taken: six are 2 % of the width
 
@@ -103,7 +104,8 @@ def track(records: Sequence[Record]) -> Figure:
         axis.plot(first.state["y"][0], first.state["x"][0], "o", color=INK, fillstyle="none", label="start")
         if {"x", "y"} <= set(first.result.to):
             goal = first.result.to
-            axis.plot(goal["y"], goal["x"], "*", color=INK, markersize=9, label="set-point")
+            words = "end" if first.followed else "set-point"
+            axis.plot(goal["y"], goal["x"], "*", color=INK, markersize=9, label=words)
         axis.set_title(f"Track of {plain(first.result.vehicle)} in the plane")
         axis.set(xlabel="position to the east y [m]", ylabel="position to the north x [m]")
         axis.set_aspect("equal", adjustable="datalim")
@@ -145,23 +147,27 @@ def _line(i: int) -> dict[str, Any]:
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": _STYLES[i % len(_STYLES)]}
 
 
-def band(t: Array, values: Array) -> tuple[Array, ...] | None:
-    """Times, mean, lower and upper edge of a line that chatters, or None for one that can be drawn.
+def band(t: Array, values: Array, swing: Swing) -> tuple[Array, ...] | None:
+    """Times, mean, lower and upper edge of a command that chatters, or None for one that is drawn as a line.
 
     Where it does not chatter the edges are the mean.
     """
-    if len(t) < BAND.stretches * (BAND.turns + 2):
+    if len(t) < BAND.stretches:
         return None
     parts = np.array_split(np.arange(len(t)), BAND.stretches)
-    turns = [np.count_nonzero(np.diff(np.sign(np.diff(values[p])))) for p in parts]
-    times, mean, low, high = (
-        np.array([f(a[p]) for p in parts])
-        for f, a in ((np.mean, t), (np.mean, values), (np.min, values), (np.max, values))
-    )
-    chatters = (np.array(turns) >= BAND.turns) & (high - low > BAND.height * np.ptp(values))
+    given: list[tuple[Callable[[Array], Any], Array]] = [
+        (np.mean, t),
+        (np.mean, values),
+        (np.min, swing.low),
+        (np.max, swing.high),
+        (np.sum, swing.travel),
+    ]
+    times, mean, low, high, travel = (np.array([f(a[p]) for p in parts]) for f, a in given)
+    height = high - low
+    chatters = (travel >= BAND.travel * height) & (height > BAND.height * (high.max() - low.min()))
     if not chatters.any():
         return None
-    # Rows that fall in step with the switching show none of it for a moment: the band goes on there.
+    # Where the switching slows down for a moment the band goes on.
     closed = binary_closing(chatters, np.ones(BAND.gap)) | chatters
     low, high = minimum_filter1d(low, BAND.gap), maximum_filter1d(high, BAND.gap)
     return times, mean, np.where(closed, low, mean), np.where(closed, high, mean)
@@ -170,7 +176,7 @@ def band(t: Array, values: Array) -> tuple[Array, ...] | None:
 def _draw(axis: Any, record: Record, name: str, i: int) -> None:
     """A command as a line, or as its mean with the band that it fills."""
     t, values, words = record.t, record.commands[name], plain(record.result.controller)
-    edges = band(t, values)
+    edges = band(t, values, record.swings[name])
     if edges is None:
         axis.plot(t, values, label=words, **_line(i))
         return

@@ -82,6 +82,15 @@ class LoopResult:
 
 
 @dataclass(frozen=True)
+class Swing:
+    """What a command does from each row to the next, which its mean does not show; shape (n,) each."""
+
+    low: np.ndarray
+    high: np.ndarray
+    travel: np.ndarray  # sum of the magnitudes of its changes from sample to sample
+
+
+@dataclass(frozen=True)
 class Record:
     """A run.
 
@@ -105,6 +114,8 @@ class Record:
         What an observer predicts for the next sample, by state; empty without one.
     followed : Followed, optional
         The mission beside the run: what was desired, and the errors.
+    swings : mapping
+        What each command does from its row to the next, by name.
     """
 
     t: np.ndarray
@@ -116,6 +127,7 @@ class Record:
     result: LoopResult
     estimated: Mapping[str, np.ndarray] = field(default_factory=dict)
     followed: Followed | None = None
+    swings: Mapping[str, Swing] = field(default_factory=dict)
 
     def to_csv(self) -> str:
         """A log as undertow reads it: t, what the sensors report, and the commands."""
@@ -137,7 +149,7 @@ class Record:
 
 
 class Recorder:
-    """Keeps every so many-th row of a run, with the mean of the commands up to the next."""
+    """Keeps every so many-th row of a run, with mean and swing of the commands up to the next."""
 
     def __init__(self, parts: Parts, scenario: Scenario, mission: Mission | None = None) -> None:
         self._parts, self._scenario, self._stride = parts, scenario, scenario.stride
@@ -145,6 +157,9 @@ class Recorder:
         rows = -(-scenario.samples // self._stride)
         self._sums = np.zeros((rows, parts.functions.u.numel()))
         self._counts = np.zeros(rows)
+        self._low, self._high = np.full_like(self._sums, np.inf), np.full_like(self._sums, -np.inf)
+        self._travel = np.zeros_like(self._sums)
+        self._last: np.ndarray | None = None
         self._kept: list[tuple[np.ndarray, ...]] = []
 
     def add(self, begin: int, rows: Rows) -> None:
@@ -156,8 +171,14 @@ class Recorder:
         self._kept.append((samples[every], *(part[every] for part in (rows.x, rows.y, rows.tau, rows.s))))
         bins = samples // self._stride
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
-        self._sums[bins[starts]] += np.add.reduceat(rows.u, starts)
-        self._counts[bins[starts]] += np.diff(starts, append=len(samples))
+        into = bins[starts]
+        self._sums[into] += np.add.reduceat(rows.u, starts)
+        self._counts[into] += np.diff(starts, append=len(samples))
+        self._low[into] = np.minimum(self._low[into], np.minimum.reduceat(rows.u, starts))
+        self._high[into] = np.maximum(self._high[into], np.maximum.reduceat(rows.u, starts))
+        before = rows.u[:1] if self._last is None else self._last
+        self._travel[into] += np.add.reduceat(np.abs(np.diff(rows.u, axis=0, prepend=before)), starts)
+        self._last = rows.u[-1:]
 
     def record(self, start: Mapping[str, float], to: Mapping[str, float], measures: Measures) -> Record:
         """The rows and the result."""
@@ -167,6 +188,8 @@ class Recorder:
         means = (self._sums / np.maximum(self._counts, 1)[:, None])[samples // self._stride]
         if len(means) > 1 and self._counts[samples[-1] // self._stride] < self._stride:
             means[-1] = means[-2]  # of its interval there is a part only, one sample as a rule
+        swings = (self._low, self._high, self._travel)
+        named = list(zip(parts.controller.command_names, parts.commanded, strict=True))
         errors = measures.errors(x)
         state = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=False))
         followed = self._followed(t, state, s)
@@ -175,12 +198,13 @@ class Recorder:
             t,
             state,
             dict(zip(parts.reported_names, y.T, strict=True)),
-            {n: means[:, i] for n, i in zip(parts.controller.command_names, parts.commanded, strict=True)},
+            {n: means[:, i] for n, i in named},
             dict(zip(known.degrees_of_freedom, tau.T, strict=True)),
             errors,
             replace(result, followed=_judged(self._mission, t, followed)) if followed else result,
             parts.estimates(s),
             followed,
+            {n: Swing(*(part[samples // self._stride, i] for part in swings)) for n, i in named},
         )
 
     def _followed(self, t: np.ndarray, state: dict[str, np.ndarray], s: np.ndarray) -> Followed | None:

@@ -353,20 +353,21 @@ def _leg_rows(gains: GainSet, mission: Mission, reference: LineOfSight) -> Itera
     )  # fmt: skip
     vehicle = Choices(current=mission.current).in_current(gains.plant.vehicle)
     steps = np.diff(mission.points, axis=0)
-    seen: set[tuple[float, ...]] = set()
+    alike: dict[tuple[float, ...], list[int]] = {}  # legs by their direction, by which their poles differ
     for number, step in enumerate(steps, 1):
-        way = tuple((step / np.linalg.norm(step)).round(4))
-        if way not in seen:
-            seen.add(way)
-            yield _leg_row(gains, vehicle, mission, reference, number, step / np.linalg.norm(step))
+        alike.setdefault(tuple((step / np.linalg.norm(step)).round(4)), []).append(number)
+    for numbers in alike.values():
+        yield _leg_row(gains, vehicle, mission, reference, numbers)
 
 
 def _leg_row(
-    gains: GainSet, vehicle: Vehicle, mission: Mission, reference: LineOfSight, number: int, way: Array
+    gains: GainSet, vehicle: Vehicle, mission: Mission, reference: LineOfSight, numbers: list[int]
 ) -> MissionRow:
-    """Poles of vehicle, autopilot and guidance together on a leg that does not end."""
+    """Poles of vehicle, autopilot and guidance together on a leg without end, for all of its direction."""
     far = 10 * TRACKING.longest * mission.limits.speed
-    begin = mission.points[number - 1]
+    begin, end = mission.points[numbers[0] - 1 : numbers[0] + 1]
+    way = (end - begin) / np.linalg.norm(end - begin)
+    leg = f"leg{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
     endless = LineOfSight(
         reference.names,
         np.array([begin, begin + far * way]),
@@ -378,14 +379,14 @@ def _leg_row(
     parts = Parts(vehicle, Controller(gains, endless))
     step, names = _sample(parts)
     state, change = _steady(parts, mission, endless, step)
-    statement = f"all poles on leg {number} decay"
+    statement = f"all poles on {leg} decay"
     about = (
         "Vehicle, autopilot and line of sight, linearised at their steady motion along the leg in the "
         "current of the mission: small errors die out. It says nothing of turns and of limits that are met."
     )
     if not change <= TRACKING.still:
         text = f"no steady motion was found: it still changes by {change:.3g} in a second"
-        return MissionRow(f"leg {number}", statement, about, "linearisation", -change, FAILS, text)
+        return MissionRow(leg, statement, about, "linearisation", -change, FAILS, text)
     slope = np.asarray(ca.Function("A", [step.z], [ca.jacobian(step.following, step.z)])(state))
     slope = _along_the_leg(slope, names, way)
     kept = _that_count(slope, names, vehicle)
@@ -393,7 +394,7 @@ def _leg_row(
     slowest = poles[int(np.argmax(poles.real))]
     where = f"the slowest is {slowest.real:.4g} ± {abs(slowest.imag):.4g}i 1/s"
     margin = -float(slowest.real) - SETTINGS.slowest
-    return _row(f"leg {number}", statement, about, margin, True, where, "linearisation of the sampled loop")
+    return _row(leg, statement, about, margin, True, where, "linearisation of the sampled loop")
 
 
 @dataclass(frozen=True)

@@ -330,20 +330,25 @@ def disk_margin_of_all(loop: ct.StateSpace) -> float:
         )
     if not _closes_stably(loop):
         return 0.0
-    return _least(loop, lambda omega: float(ct.disk_margins(loop, np.array([omega]))[0]))
+    return _least(loop, lambda omega: float(disks_of_all(loop, np.array([omega]))[0]))
+
+
+def disks_of_all(loop: ct.StateSpace, omega: Array) -> Array:
+    """What `disk_margin_of_all` is the least of, at each frequency, rad/s."""
+    return np.atleast_1d(ct.disk_margins(loop, omega, returnall=True)[0])
+
+
+def disks(gain: NDArray[np.complex128]) -> Array:
+    """Size of the disk in which loop gains L may vary up to the border of stability: 2 |1 + L| / |1 - L|.
+
+    Seiler, Packard, Gahinet (2020), An introduction to disk margins: 1/(|S - T|/2) for zero skew.
+    """
+    return np.asarray(2 * np.abs(1 + gain) / np.maximum(np.abs(1 - gain), 1e-300))
 
 
 def _disk_margin(loop: ct.StateSpace) -> float:
-    """Least 2 |1 + L| / |1 - L| over all frequencies.
-
-    Seiler, Packard, Gahinet (2020), An introduction to disk margins: 1/max |S - T|/2 for zero skew.
-    """
-
-    def at(omega: float) -> float:
-        gain = complex(np.squeeze(loop(at_frequencies(loop, np.array(omega)))))
-        return float(2 * abs(1 + gain) / max(abs(1 - gain), 1e-300))
-
-    return _least(loop, at)
+    """The least disk over all frequencies."""
+    return _least(loop, lambda omega: float(disks(np.squeeze(loop(at_frequencies(loop, np.array(omega)))))))
 
 
 def _least(loop: ct.StateSpace, disk: Callable[[float], float]) -> float:

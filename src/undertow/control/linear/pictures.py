@@ -13,7 +13,17 @@ from undertow.errors import UndertowError
 from undertow.figures import BEFORE, COLOURS, FAINT, INK, figure, look, plain, unit_text
 from undertow.typing import Array
 
-from .analysis import Line, duration, frequencies, locus, response, singular_values, step
+from .analysis import (
+    Line,
+    disks,
+    disks_of_all,
+    duration,
+    frequencies,
+    locus,
+    response,
+    singular_values,
+    step,
+)
 from .report import Analysis, Channel
 
 # Ratio of the largest to the smallest pole from which axes are logarithmic.
@@ -21,10 +31,10 @@ _SPREAD = 100.0
 
 
 def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
-    """A picture: "bode", "nyquist", "nichols", "singular-values", "step", "poles" or "root-locus"."""
+    """A picture of a kind that `undertow linearize --plot` has."""
     draw = {
         **{"bode": _bode, "nyquist": _nyquist, "nichols": _nichols, "singular-values": _singular_values},
-        **{"step": _steps, "poles": _poles, "root-locus": _loci},
+        **{"disk-margins": _disk_margins, "step": _steps, "poles": _poles, "root-locus": _loci},
     }[kind]
     alive = [c for c in channels if c.system.nstates]
     if not channels and kind != "poles":
@@ -151,6 +161,29 @@ def _singular_values(found: Analysis, channels: Sequence[Channel]) -> Figure:
     axis.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
     axis.set(xlabel="frequency [rad/s]", ylabel="singular value [dB re SI]", xlim=(omega[0], omega[-1]))
     return _titled(shown, axes, _title(found, f"singular values, {words}"))
+
+
+def _disk_margins(found: Analysis, channels: Sequence[Channel]) -> Figure:
+    """Disks at each frequency, the least of which is the margin: of each force and, if asked for, of all."""
+    loop = found.loop
+    if loop is None:
+        raise UndertowError("disk margins are those of a closed loop: state --gains")
+    systems = {f: loop.cut(f) for f in loop.forces}
+    omega = frequencies([s for s in systems.values() if s.nstates])
+    shown, axes = figure(4.6)
+    axis = axes[0, 0]
+    for colour, (force, system) in zip(_cycle(len(systems)), systems.items(), strict=True):
+        m = loop.margins[force]
+        words = f"least {m.disk:.3g}" if m.stable else "unstable: no margin"
+        values = disks(response(force, system, omega).y)
+        axis.semilogx(omega, values, color=colour, label=plain(f"{force}, {words}"))
+    if found.disk_of_all is not None:
+        values = disks_of_all(loop.acting, omega)
+        axis.semilogx(omega, values, "--", color=INK, label=f"all at once, least {found.disk_of_all:.3g}")
+    axis.set(
+        xlabel="frequency [rad/s]", ylabel="size of the disk", xlim=(omega[0], omega[-1]), ylim=(0, None)
+    )
+    return _titled(shown, axes, _title(found, "disk margins, loop of each force, the others closed"))
 
 
 def _listed(names: Sequence[str]) -> str:

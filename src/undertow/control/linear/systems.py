@@ -503,11 +503,16 @@ class LinearLoop:
         return minimal(like(rest, rest.A, rest.B[:, [i]], rest.C[[i]], rest.D[[i]][:, [i]]))
 
     @cached_property
+    def acting(self) -> ct.StateSpace:
+        """The loop cut at the forces that commands give, minimal."""
+        places, whole = list(self._system.acting), self.opened
+        cut = like(whole, whole.A, whole.B[:, places], whole.C[places], whole.D[np.ix_(places, places)])
+        return minimal(cut)
+
+    @cached_property
     def disk(self) -> float:
         """Disk margin of the loops of all forces at once, which `disk_margin_of_all` describes."""
-        places, whole = list(self._system.acting), self.opened
-        acting = like(whole, whole.A, whole.B[:, places], whole.C[places], whole.D[np.ix_(places, places)])
-        return disk_margin_of_all(minimal(acting))
+        return disk_margin_of_all(self.acting)
 
     @cached_property
     def margins(self) -> dict[str, Margins]:
