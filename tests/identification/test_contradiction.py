@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import pytest
@@ -46,6 +47,7 @@ class _Tried(NamedTuple):
         return surpassed([self.finding], other, self.bench, self.validator)
 
 
+@cache
 def _tried(hidden: tuple[str, ...], effect: str) -> _Tried:
     case = make_case("usv", hidden, 5, duration=50.0)
     given, runs = vehicle_of(case), runs_of(case)
