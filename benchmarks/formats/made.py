@@ -82,19 +82,19 @@ def _glider(end: str) -> Callable[[Path], Path]:
 
 
 KINDS = (
-    Kind("`.bin`", "dive.bin", write_bin, _OUTPUTS),
-    Kind("`.tlog`", "dive.tlog", write_tlog, _OUTPUTS),
-    Kind("`.ulg`", "dive.ulg", lambda path: ulog(_short()).write(path), _OUTPUTS),
-    Kind("`.bag`", "dive.bag", lambda path: bag(path, _short())),
-    Kind("`.db3`", "dive.db3", lambda path: bag(path, _short())),
-    Kind("`.mcap`", "dive.mcap", lambda path: bag(path, _short())),
-    Kind("`.mat`", "dive.mat", lambda path: mat(path, _short())),
-    Kind("`.mat` 7.3", "dive-73.mat", lambda path: mat73(path, _short())),
-    Kind("`.nc`", "dive.nc", lambda path: netcdf(path, _short())),
+    Kind("`.bin`", "dive-2026-05-01.bin", write_bin, _OUTPUTS),
+    Kind("`.tlog`", "dive-2026-05-01.tlog", write_tlog, _OUTPUTS),
+    Kind("`.ulg`", "dive-2026-05-01.ulg", lambda path: ulog(_short()).write(path), _OUTPUTS),
+    Kind("`.bag`", "dive-2026-05-01.bag", lambda path: bag(path, _short())),
+    Kind("`.db3`", "dive-2026-05-01.db3", lambda path: bag(path, _short())),
+    Kind("`.mcap`", "dive-2026-05-01.mcap", lambda path: bag(path, _short())),
+    Kind("`.mat`", "dive-2026-05-01.mat", lambda path: mat(path, _short())),
+    Kind("`.mat` 7.3", "dive-73-2026-05-01.mat", lambda path: mat73(path, _short())),
+    Kind("`.nc`", "dive-2026-05-01.nc", lambda path: netcdf(path, _short())),
     Kind("`.dbd`", "real.dbd", _glider(".dbd"), "glider"),
     Kind("`.ebd`", "real.ebd", _glider(".ebd"), "glider"),
-    Kind("`.alog`", "dive.alog", _alog),
-    Kind("`.csv`", "dive.csv", _csv),
+    Kind("`.alog`", "dive-2026-05-01.alog", _alog),
+    Kind("`.csv`", "dive-2026-05-01.csv", _csv),
     Kind("`.parquet`", "dive-2026-05-01.parquet", _parquet),
 )
 

@@ -12,10 +12,14 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from scipy.io import savemat
 
 from benchmarks.fleet.made import log
 from undertow.cli.main import main
 from undertow.fleet import rollouts as predicted
+from undertow.fleet.partitions import partition_of
+from undertow.fleet.reduction import Job, reduce_log, with_fingerprint
+from undertow.identification.logs.mapping import LogMapping
 from undertow.model.symbols import FASTEST
 
 Capture = pytest.CaptureFixture[str]
@@ -67,6 +71,24 @@ def test_what_cannot_be_used_is_named_and_the_rest_counts(small: Path, capsys: C
     assert str(days[0]) in Path("report/report.md").read_text()
 
 
+def test_own_logs_of_vehicles_count_as_tables_do(small: Path) -> None:
+    """A day as a .mat file, of which the path says the vehicle and the day."""
+    day = min((small / "logs/vehicle=bravo").iterdir())
+    table = pl.read_parquet(day / "part.parquet")
+    own = small / "own" / "bravo" / f"{day.name.removeprefix('day=')}.mat"
+    own.parent.mkdir(parents=True)
+    savemat(own, {name: table[name].to_numpy() for name in table.columns if table[name].dtype.is_numeric()})
+    job = with_fingerprint(Job("craft.toml"))[0]
+    assert partition_of(own, LogMapping()).day == partition_of(day / "part.parquet", LogMapping()).day
+    first, second = (reduce_log(job, str(path)) for path in (day / "part.parquet", own))
+    assert second.samples == first.samples
+    grams = (one.factor.T @ one.factor for one in (first, second))
+    np.testing.assert_allclose(*grams, rtol=1e-9)
+    words = ["fleet", "diagnose", "craft.toml", str(own), "--workers", "0", "--out", "report"]
+    assert main(words) == 0
+    assert report()["vehicles"][0]["vehicle"] == "bravo"
+
+
 @pytest.mark.slow
 def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -> None:
     (small / "own").mkdir()
@@ -85,7 +107,7 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
     [
         (["craft.toml", "nothing/*.parquet"], "no file fits 'nothing/*.parquet'"),
         (["craft.tom", "logs"], "'craft.tom' is neither a file nor a bundled vehicle"),
-        (["craft.toml", "craft.toml"], "is not a Parquet file"),
+        (["craft.toml", "craft.toml"], "neither a Parquet file nor a vehicle's own log"),
         (["mini-auv", "logs"], "none of 4 files could be used"),
         (["craft.toml", "logs", "--daily", "lag"], "'lag' is not an effect"),
         (["craft.toml", "logs", "--out", "craft.toml"], "is not a folder"),

@@ -64,7 +64,7 @@ def test_what_is_no_parquet_file_is_refused(tmp_path: Path) -> None:
     csv, broken = tmp_path / "2026-02-03.parquet", tmp_path / "2026-02-04.parquet"
     csv.write_text("t,u\n0,1\n")
     broken.write_bytes(b"PAR1 and no more")
-    with pytest.raises(UndertowError, match="not a Parquet file"):
+    with pytest.raises(UndertowError, match="neither a Parquet file"):
         partition_of(csv, LogMapping())
     with pytest.raises(UndertowError, match="cannot be read"):
         partition_of(broken, LogMapping())

@@ -74,18 +74,20 @@ def partition_of(path: Path, mapping: LogMapping) -> Partition:
     """Whose and which day's log a file is.
 
     The path says so (`vehicle=V/day=D/part.parquet`), or columns `vehicle` and `day` do, or the folder (the
-    vehicle) with a date in the file's name or a time that counts from 1970 (the day).
+    vehicle) with a date in the file's name or a time that counts from 1970 (the day). Of a vehicle's own log
+    (.bin, .ulg, ...) the path does.
     """
     from undertow.identification.logs.formats.registry import format_of
     from undertow.identification.logs.table import is_parquet
 
+    own = format_of(path) is not None
     with path.open("rb") as stream:
-        if not is_parquet(stream.read(4)):
-            own = format_of(path) is not None
-            remedy = f"undertow import {path} --out NEW.parquet" if own else "write the table as Parquet"
-            raise UndertowError(f"{path} is not a Parquet file: {remedy}")
+        if not own and not is_parquet(stream.read(4)):
+            raise UndertowError(
+                f"{path} is neither a Parquet file nor a vehicle's own log: write the table as Parquet"
+            )
     keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
-    head = {} if len(keys) == 2 else _said_inside(path, mapping)
+    head = {} if own or len(keys) == 2 else _said_inside(path, mapping)
     vehicle = keys.get("vehicle", head.get("vehicle", path.parent.name))
     if vehicle is None or not str(vehicle).strip():
         raise UndertowError(f"{path} has an empty vehicle name: name its folder, such as vehicle=rov7")
@@ -141,8 +143,8 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     if stated is None and isinstance(time, int | float) and time > _EPOCH:
         return _date_of(path, time)
     raise UndertowError(
-        f"{path} does not say its day: name its folder day=2026-05-01, its file 2026-05-01.parquet, or give "
-        "it a column day"
+        f"{path} does not say its day: name its folder day=2026-05-01, its file 2026-05-01{path.suffix}, or "
+        "give a table a column day"
     )
 
 

@@ -47,7 +47,10 @@ _LISTEN = typer.Option(
 _FLEET_VEHICLE = typer.Argument(
     metavar="VEHICLE", help="Vehicle file or bundled vehicle; {vehicle} in a path stands for each name."
 )
-_PATTERNS = typer.Argument(metavar="LOGS", help="Patterns of Parquet files, or folders; quote the patterns.")
+_PATTERNS = typer.Argument(
+    metavar="LOGS",
+    help="Patterns of logs (Parquet or a vehicle's own), or folders of Parquet files; quote the patterns.",
+)
 _OUT = typer.Option(metavar="FOLDER", help="Folder for the report, and for results to go on from.")
 _DAILY = typer.Option(
     metavar="EFFECT",
@@ -101,9 +104,10 @@ def diagnose(
 ) -> int:
     """A table for each vehicle and month: parameters, and which effect grew (fouling, thruster wear).
 
-    Every Parquet file is the log of one vehicle and day: logs/vehicle=V/day=2026-05-01/part.parquet. Without
+    Every file is the log of one vehicle and day: logs/vehicle=V/day=2026-05-01/part.parquet. Without
     such folders, columns `vehicle` and `day` say so, or the folder's name (the vehicle) with a date in the
-    file's name or a time that counts from 1970.
+    file's name or a time that counts from 1970. A vehicle's own log (.bin, .ulg, ...) has folders or a date
+    in its name.
 
     \b
         undertow fleet diagnose rov.toml 'logs/**/*.parquet' --out fleet-2026
