@@ -17,10 +17,10 @@ from undertow.control.conditions.attitude import Interval, enclose
 from undertow.control.conditions.definite import Work, sums_positive
 from undertow.control.conditions.embedding import certainly_positive
 from undertow.control.conditions.problem import Problem
-from undertow.control.conditions.program import SETTINGS, Bounds, Program
+from undertow.control.conditions.program import SETTINGS, Bounds, Kind, Program
 from undertow.control.conditions.quadratic import Search, search
 from undertow.control.conditions.region import region
-from undertow.control.conditions.result import Region
+from undertow.control.conditions.result import Quadratic
 from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
@@ -52,21 +52,20 @@ def rates(problem: Problem, way: dict[sm.Symbol, int], states: np.ndarray) -> np
     return np.array(found)
 
 
-def value(found: Region, states: np.ndarray) -> np.ndarray:
+def value(found: Quadratic, states: np.ndarray) -> np.ndarray:
     """V by (heading, error, integral, nu): translations turn by the heading alone; P is the set-point's."""
-    assert found.quadratic is not None
     psi, error, integral, nu = states[:, 0], states[:, 1:5], states[:, 5:9], states[:, 9:]
     turn = np.tile(np.eye(4), (len(psi), 1, 1))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(psi)
     turn[:, 0, 1], turn[:, 1, 0] = -np.sin(psi), np.sin(psi)
-    if found.quadratic.frame == "body":
+    if found.frame == "body":
         back = np.swapaxes(turn, 1, 2)
         parts = [np.einsum("kij,kj->ki", back, integral), np.einsum("kij,kj->ki", back, error), nu]
     else:
         parts = [integral, error, np.einsum("kij,kj->ki", turn, nu)]
     z = np.concatenate(parts, axis=1)
-    P = np.array([found.quadratic.at(goal) for goal in psi + error[:, 3]])
-    return np.asarray(np.einsum("ki,kij,kj->k", z, P, z))
+    P = np.array([found.at(goal) for goal in psi + error[:, 3]])
+    return np.asarray(np.einsum("ki,kfij,kj->kf", z, P, z).max(axis=1))
 
 
 @pytest.mark.parametrize(("gains", "frame"), first_quick([(STRONG, "body"), (UNEQUAL, "earth")]))
@@ -79,6 +78,10 @@ def test_v_falls_along_the_model_from_every_state_below_its_level(
     found = region(problem, False, start)
     assert found.quadratic is not None
     assert (found.quadratic.frame, found.start_held) == (frame, True)
+    _assert_falls(problem, found.quadratic)
+
+
+def _assert_falls(problem: Problem, found: Quadratic) -> None:
     rng, count = np.random.default_rng(8), 500
     states = rng.normal(size=(count, 13)) * (rng.random((count, 13)) < rng.choice([0.2, 1.0], (count, 1)))
     states[:, 5:9] *= 20
@@ -86,7 +89,7 @@ def test_v_falls_along_the_model_from_every_state_below_its_level(
     states[:, 1] += 1e-3  # no state is zero
     share = rng.choice([0.999, 0.5, 0.01], count)
     states[:, 1:] *= np.sqrt(share / value(found, states))[:, None]
-    assert np.all(np.abs(states[:, 9:]) <= list(found.speeds.values()))
+    assert np.all(np.abs(states[:, 9:]) <= found.speeds)
     for sign in (1, -1):
         way = dict.fromkeys(problem.plant.reversing, sign)
         own = states.copy()
@@ -96,6 +99,30 @@ def test_v_falls_along_the_model_from_every_state_below_its_level(
         assert np.all(value(found, own + step) < value(found, own - step))
 
 
+def test_the_largest_of_several_forms_falls_and_each_keeps_its_own_bounds() -> None:
+    """One for the bounds about the same axes: speeds, commands and half a turn, each kept by one form."""
+    problem = thick_water(STRONG, 50.0)
+    found = Search(problem, START, Kind(several=True)).found()
+    assert found is not None
+    assert found.P.shape[1] == 4
+    _assert_falls(problem, found)
+    assert np.all(found.commands <= 50.0)
+
+
+def test_several_forms_hold_no_smaller_start_than_one() -> None:
+    """Each keeps some of the bounds that one form keeps all of."""
+    start, speeds = dict.fromkeys(START, 0.5), np.full(4, 0.3)
+    found = []
+    for several in (False, True):
+        looked = Search(Problem(law(sinker(), "pid"), np.pi / 3), start, Kind(several=several))
+        program = Program(looked, Bounds(speeds, dict.fromkeys(looked.loop.angles, 0.3)))
+        found.append(program.proposals())
+    (one,), forms = found
+    assert len(forms) == len(START)
+    assert all(f.start < one.start for f in forms)
+    assert max(f.start for f in forms) < 0.9 * one.start
+
+
 def test_the_start_box_is_below_the_level_at_every_heading() -> None:
     for gains in (STRONG, UNEQUAL):
         found = region(thick_water(gains, 5.2), False, {c: 0.3 * e for c, e in START.items()})
@@ -103,8 +130,8 @@ def test_the_start_box_is_below_the_level_at_every_heading() -> None:
         states = np.zeros((500, 13))
         states[:, 0] = rng.uniform(-np.pi, np.pi, 500)
         states[:, 1:5] = rng.choice((-1.0, 1.0), (500, 4)) * 0.3 * np.array(list(START.values()))
-        heights = value(found, states)
         assert found.quadratic is not None
+        heights = value(found.quadratic, states)
         assert np.all(heights <= found.quadratic.start * (1 + 1e-6))
         assert found.quadratic.start < 1
 
@@ -254,10 +281,8 @@ def test_products_read_in_other_ways_hold_a_larger_start() -> None:
     start = dict.fromkeys(("x", "y", "z", "psi"), 0.3)
     free, plain = _program(law(sinker(), "pid"), start), _program(law(sinker(), "pid"), start)
     plain.__dict__["identities"] = free.identities[:0]
-    found, without = free.solve(), plain.solve()
-    assert found is not None
-    assert without is not None
-    assert found.start < 0.5
+    (found,), (without,) = free.proposals(), plain.proposals()
+    assert found.start < 0.51
     assert without.start > 1
 
 
@@ -266,12 +291,10 @@ def test_a_full_p_holds_no_smaller_start_where_the_heading_couples_axes() -> Non
     problem, start = thick_water(UNEQUAL, 5.2), dict.fromkeys(("x", "y", "z", "psi"), 0.05)
     found = []
     for coupled in (False, True):
-        looked = Search(problem, start, coupled=coupled)
+        looked = Search(problem, start, Kind(coupled=coupled))
         looked.centre = np.pi / 4
         program = Program(looked, Bounds(np.full(4, 0.3), {"psi": 0.3}))
-        proposal = program.solve()
-        assert proposal is not None
-        found.append(proposal)
+        found += program.proposals()
     separate, full = found
     x, y = 4, 5  # errors
     assert separate.P[x, y] == 0
@@ -283,7 +306,7 @@ def test_thrusters_that_push_and_turn_either_way_both_have_room_left() -> None:
     """With coupled axes V changes when surge alone turns round: each of a pair has its own bound."""
     limited = HEAVE.replace("LIMIT", "").replace("0.16]", "0.16]\nlimit = 0.2")
     coupled = loaded(limited + "[effects.added_mass_coupling]\nY_rdot = -0.3\n")
-    program = _program(law(coupled, "pid"), dict.fromkeys(("x", "y", "z", "psi"), 0.1))
-    found = program.solve()
-    assert found is not None
+    program = _program(law(coupled, "pid"), dict.fromkeys(("x", "y", "z", "psi"), 0.2))
+    (found,) = program.proposals()
+    assert found.start > 2 * SETTINGS.low_enough
     assert list(program.moves(found)) == pytest.approx([0.2 * (1 - SETTINGS.slack)] * 2, rel=2e-3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -30,10 +30,14 @@ class QuadraticSettings:
     # V has to fall at this part of the slowest rate of the loop at rest: room for rounding and for attitudes
     # between those of the program.
     decay: float = 0.3
-    # Room in every bound of the program, relative: what the solver leaves and what boxes of angles add.
-    slack: float = 0.05
-    # Where A depends on the heading: a P for each of so many ranges of set-points in half a turn.
+    # Room in every bound of the program, relative: what the solver leaves and what boxes of angles add, which
+    # are halved until they add less.
+    slack: float = 0.01
+    stated: float = 0.05  # room in what is stated, and proved, of commands below their limits, relative
+    # Where A depends on the heading: a V for each of so many ranges of set-points in half a turn, and for so
+    # many where axes share a P.
     sectors: int = 6
+    sectors_coupled: int = 12
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
     most: int = 100_000  # matrices that one proof may look at: seconds
@@ -43,10 +47,11 @@ class QuadraticSettings:
     looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     starts: int = 3  # eigenvectors from which that corner is looked for, and
     steps: int = 4  # turns between the corner and its eigenvector
-    most_forms: int = 2000  # matrix inequalities that the solver is given in one search: seconds
+    most_forms: int = 3000  # matrix inequalities that the solver is given in one search: seconds
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
+    low_enough: float = 0.5  # of the start's level, which is not lowered further: V has room for other things
     rise: float = 0.02  # of the start's level from a round to the next, below which the level is known
     tries: int = 40  # boxes of speeds that are tried
     first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
@@ -61,8 +66,8 @@ class QuadraticSettings:
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
     tilt: float = 2.0  # roll and pitch that are allowed for, times those of the start
-    # Degrees of freedom up to which P is a full matrix. Beyond, it has a block for each axis, as gains have:
-    # the program takes seconds then instead of minutes.
+    # Degrees of freedom up to which P may be a full matrix, and V the largest of several forms. Beyond, V is
+    # one form with a block for each axis, as gains have: the search takes seconds then instead of minutes.
     most_full: int = 4
 
 
@@ -73,9 +78,26 @@ Key = tuple[int, int, tuple[int, ...]]
 """A corner: its attitude, its case of the signs, and the end of each velocity."""
 
 
+class Share(NamedTuple):
+    """The bounds that one quadratic form keeps: those about the same axes, or all of them."""
+
+    angles: tuple[str, ...]
+    speeds: tuple[int, ...]
+    commands: tuple[int, ...]
+
+
+class Kind(NamedTuple):
+    """What V may be."""
+
+    every_reading: bool = True  # products of velocities may be read in every way (`identities`)
+    several: bool = False  # the largest of several quadratic forms, one for the bounds about the same axes
+    coupled: bool = False  # axes that are coupled by motion and heading alone may share a P
+
+
 class Proposal(NamedTuple):
     """What the program came to in scaled states."""
 
+    share: Share
     P: Array
     free: Array  # N of scaled states and body velocities: sum over k of nu_k z' N_k z = 0, (n, size, size)
     levels: Array  # of V by group of errors: it is below the sum of these times squares of the errors
@@ -114,10 +136,10 @@ class Asked(Protocol):
     loop: Embedding
     commands: Commands
     start: Array  # largest errors to begin with
-    chosen: set[Key]  # corners that the programs so far were about
+    kind: Kind
+    chosen: dict[Share, set[Key]]  # corners that the programs so far were about
     centre: float  # heading in the middle of those of the set-point, rad
-    every_reading: bool  # whether products of velocities may be read in every way
-    coupled: bool  # whether P may couple axes that are coupled by motion and heading alone
+    sectors: int  # ranges of set-points' headings in half a turn
 
     def filled(self, values: Array) -> Array:
         """At least a share of the largest of a kind."""
@@ -140,7 +162,7 @@ class Program:
         """Roll and pitch, and headings near those of the set-point."""
         found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
         if "psi" in found:
-            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + PROOFS.room)
+            half = self.bounds.tilts["psi"] + 0.5 * np.pi / self.search.sectors * (1 + PROOFS.room)
             found["psi"] = (self.search.centre - half, self.search.centre + half)
         return found
 
@@ -174,7 +196,7 @@ class Program:
     @property
     def _apart(self) -> bool:
         """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
-        own = self.search.problem.decoupled and not self.search.coupled
+        own = self.search.problem.decoupled and not self.search.kind.coupled
         return own or self.loop.n > SETTINGS.most_full
 
     @cached_property
@@ -210,9 +232,8 @@ class Program:
     def identities(self) -> Array:
         """Forms of scaled states and body velocities that vanish, shape (m, n, size, size)."""
         n, size = self.loop.n, self.loop.size
-        return (
-            identities(self.corners, n, size) if self.search.every_reading else np.zeros((0, n, size, size))
-        )
+        every = self.search.kind.every_reading
+        return identities(self.corners, n, size) if every else np.zeros((0, n, size, size))
 
     @cached_property
     def _bodies(self) -> Array:
@@ -236,25 +257,55 @@ class Program:
         slowest = -float(np.max(np.linalg.eigvals(self._pieces[0]).real))
         return SETTINGS.decay * slowest
 
-    def solve(self, best: float = np.inf) -> Proposal | None:
+    @cached_property
+    def shares(self) -> list[Share]:
+        """Which bounds the forms keep that V is the largest of; those that no state meets are kept anyway."""
+        bounds: list[tuple[str, Any, Array]] = [("angles", c, row[None]) for c, row, _ in self._turns()]
+        bounds += [("speeds", i, self.speed_rows[:, i]) for i in range(self.loop.n)]
+        bounds += [("commands", i, self.command_rows[:, i]) for i in range(self.command_rows.shape[1])]
+        found: dict[tuple[int, ...], dict[str, list[Any]]] = {}
+        for kind, which, rows in bounds:
+            axes = self._axes(rows) if self.search.kind.several else (0,)
+            if axes:
+                found.setdefault(axes, {}).setdefault(kind, []).append(which)
+        return [Share(**{k: tuple(own.get(k, ())) for k in Share._fields}) for own in found.values()]
+
+    def _axes(self, rows: Array) -> tuple[int, ...]:
+        """The axes whose states these rows are about."""
+        size = np.abs(rows).reshape(-1, self.loop.size // self.loop.n, self.loop.n).max(axis=(0, 1))
+        return tuple(map(int, np.flatnonzero(size > PROOFS.room * size.max())))
+
+    def proposals(self, best: float = np.inf) -> list[Proposal]:
+        """A form for each share of the bounds; fewer where one has none, or comes above `best`."""
+        found: list[Proposal] = []
+        for share in self.shares:
+            one = self.solve(share, best)
+            if one is None:
+                break
+            found.append(one)
+            if one.start >= best:
+                break
+        return found
+
+    def solve(self, share: Share, best: float = np.inf) -> Proposal | None:
         """P by cutting planes: corners come in as they are violated, and go where they do not matter.
 
         Corners only raise the start's level, so that a program that comes above `best` has said enough, and
         one above one, too, once the corners that matter are among them.
         """
-        known = bool(self.search.chosen)  # by the programs of other speeds
-        chosen, last = self.search.chosen or self._first_corners(), 0.0
+        known = share in self.search.chosen  # by the programs of other speeds
+        chosen, last = self.search.chosen.get(share) or self._first_corners(), 0.0
         for turn in range(SETTINGS.rounds):
-            proposal = self._solved(sorted(chosen))
+            proposal = self._solved(share, sorted(chosen))
             if proposal is None or proposal.start >= best:
                 return proposal
             worst = set(self._violated(proposal, turn))
             rises = proposal.start > last * (1 + SETTINGS.rise)
             active = proposal.active if rises else chosen
-            self.search.chosen = active | worst
+            self.search.chosen[share] = active | worst
             if worst <= chosen or (proposal.start > 1 and (known or not rises)):
                 return proposal
-            chosen, last = self.search.chosen, proposal.start
+            chosen, last = self.search.chosen[share], proposal.start
         return None
 
     def _first_corners(self) -> set[Key]:
@@ -307,15 +358,15 @@ class Program:
         except np.linalg.LinAlgError:
             return unit, unit
 
-    def _solved(self, keys: Sequence[Key]) -> Proposal | None:
+    def _solved(self, share: Share, keys: Sequence[Key]) -> Proposal | None:
         (T, C), size, n = self._balance, self.loop.size, self.loop.n
         back = np.linalg.inv(T)
         B = back.T @ self.basis @ back  # of P; the program's own unknown is Q = T' P T
         groups, start = self.loop.groups, self.search.start / self.scale[size - 2 * n : size - n]
         k, g, m = self._unknowns
-        cost = np.zeros(k + g + m)
-        cost[k : k + g] = [float(np.sum(start[own][:1] ** 2)) for own in groups]
-        rows = self._rows()
+        level = np.zeros(k + g + m)
+        level[k : k + g] = [float(np.sum(start[own][:1] ** 2)) for own in groups]
+        rows = self._rows(share)
         forms = self._falls(keys, B, C)
         forms += [Form(-1e-6 * np.eye(size), self._filled(self.basis))]
         forms += [self._within(r.states @ T, r.bound) for r in rows]
@@ -324,11 +375,15 @@ class Program:
         for s, own in zip(slots, groups, strict=True):
             s[own, own] = 1.0
         forms.append(Form(np.zeros((n, n)), self._filled(-B[:, errors, errors], slots)))
+        # The start's level, where it can be brought below, stays there: V has room then.
+        forms.append(Form(np.array([[-SETTINGS.low_enough]]), level[:, None, None]))
         self.search.spend(len(forms))
-        solution = solved(cost, forms)
+        solution = solved(level, forms)
         if solution is None:
             return None
         P = np.tensordot(solution.x[:k], B, 1)
+        if np.linalg.eigvalsh(P)[0] <= 0:  # the solver came to its border, and no further
+            return None
         free = np.tensordot(solution.x[k + g :], self.identities, 1)
         slopes = self._slopes(P, free, C, keys, solution.duals)
         for row, dual in zip(rows, solution.duals[len(keys) + 1 :], strict=False):
@@ -337,7 +392,7 @@ class Program:
                 slopes[row.velocity] += 2 * float(dual[-1, :-1] @ states[touched(B, states)]) / row.bound
         sizes = np.array([np.abs(dual).max() for dual in solution.duals[: len(keys)]])
         active = {key for key, size in zip(keys, sizes, strict=True) if size > SETTINGS.idle * sizes.max()}
-        return Proposal(P, free, solution.x[k : k + g], float(cost @ solution.x), slopes, active)
+        return Proposal(share, P, free, solution.x[k : k + g], float(level @ solution.x), slopes, active)
 
     def _falls(self, keys: Sequence[Key], B: Array, C: Array) -> list[Form]:
         """V falls at these corners."""
@@ -387,13 +442,13 @@ class Program:
         constant[m, m] = (1 - SETTINGS.slack) ** 2
         return Form(constant, self._filled(forms))
 
-    def _rows(self) -> list[Row]:
+    def _rows(self, share: Share) -> list[Row]:
         """What has to stay within its bound: speeds, tilts, half a turn, commands."""
-        found = [Row(row, bound) for row, bound in self.fixed_rows()]
+        found = [Row(row, bound) for row, bound in self.fixed_rows(share)]
         for speeds in self.speed_rows:
-            found += map(Row, speeds, self.bounds.speeds, range(self.loop.n))
+            found += [Row(speeds[i], self.bounds.speeds[i], i) for i in share.speeds]
         for commands in self.command_rows:
-            found += map(Row, commands, self.left)
+            found += [Row(commands[i], self.left[i]) for i in share.commands]
         kept: dict[bytes, Row] = {}
         for row in found:
             kept.setdefault(np.round(self._upright(row.states) / row.bound, 9).tobytes(), row)
@@ -427,16 +482,18 @@ class Program:
         """What the limits leave beside the weight, within the tilts."""
         return thrust_left(self.search.problem, self.commands, self.bounds.tilts)
 
-    def fixed_rows(self) -> list[tuple[Array, float]]:
+    def fixed_rows(self, share: Share) -> list[tuple[Array, float]]:
+        """Tilts and half a turn, as far as they are in the share."""
+        return [(row, bound) for c, row, bound in self._turns() if c in share.angles]
+
+    def _turns(self) -> Iterator[tuple[str, Array, float]]:
         n, size = self.loop.n, self.loop.size
         ends = {"psi": np.pi} | self.bounds.tilts
-        found = []
         for i, c in enumerate(self.search.problem.coordinates):
             if c in ends:
                 row = np.zeros(size)
                 row[size - 2 * n + i] = self.scale[size - 2 * n + i]
-                found.append((row, ends[c]))
-        return found
+                yield c, row, ends[c]
 
     # --- what V allows ----------------------------------------------------------------------------
     def _largest(self, P: Array, rows: Array) -> Array:
@@ -458,21 +515,34 @@ class Program:
         """Largest of what each limited command adds to that at rest on V < 1, over the samples."""
         return np.asarray(self._largest(proposal.P, self.command_rows).max(axis=0))
 
-    def narrowed(self, proposal: Proposal) -> tuple[Program, Proposal]:
+    def asked(self, found: Sequence[Proposal], room: float) -> Bounds:
+        """The box that the start needs, each bound as the form says that keeps it, with some room."""
+        speeds, tilts = self.bounds.speeds.copy(), dict(self.bounds.tilts)
+        for one in found:
+            size = np.sqrt(one.start * (1 + room)) * (1 + room)
+            own = list(one.share.speeds)
+            speeds[own] = size * self.speeds(one)[own]
+            reach = dict(zip(self.search.problem.coordinates, size * self.reach(one), strict=True))
+            tilts |= {a: float(reach[a]) for a in one.share.angles if a in tilts}
+        return Bounds(speeds, tilts)
+
+    def narrowed(self, found: Sequence[Proposal]) -> tuple[Program, list[Proposal]]:
         """The same V, of whose level set only as much is claimed as the start needs, on the box of that."""
+        box = self.asked(found, SETTINGS.slack)
+        tilts = {a: min(t, box.tilts[a]) for a, t in self.bounds.tilts.items()}
+        other = Program(self.search, Bounds(np.minimum(box.speeds, self.bounds.speeds), tilts))
+        return other, [self._scaled_to(other, one) for one in found]
+
+    def _scaled_to(self, other: Program, proposal: Proposal) -> Proposal:
+        """As much of a form as the start needs, in the states of another program."""
         level = proposal.start * (1 + SETTINGS.slack)
-        size = np.sqrt(level) * (1 + SETTINGS.slack)
-        reach = dict(zip(self.search.problem.coordinates, size * self.reach(proposal), strict=True))
-        tilts = {a: min(t, float(reach[a])) for a, t in self.bounds.tilts.items()}
-        speeds = np.minimum(size * self.speeds(proposal), self.bounds.speeds)
-        other = Program(self.search, Bounds(speeds, tilts))
         ratio = other.scale / self.scale
         both = np.outer(ratio, ratio)
         free = proposal.free * ratio[-self.loop.n :, None, None] * both / level
         errors = ratio[self.loop.size - 2 * self.loop.n : -self.loop.n]
         levels = proposal.levels * errors[[g[0] for g in self.loop.groups]] ** 2 / level
         P, start = proposal.P * both / level, proposal.start / level
-        return other, proposal._replace(P=P, free=free, levels=levels, start=start)
+        return proposal._replace(P=P, free=free, levels=levels, start=start)
 
 
 def _worst(own: Array, added: Sequence[Array], x: Array) -> tuple[Array, Array]:

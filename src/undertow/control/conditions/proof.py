@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -13,20 +14,33 @@ from .definite import SETTINGS as PROOFS
 from .definite import Work, bounded, flat, rows_of, sums_positive
 from .embedding import Boxes, certainly_positive, corners_of, count_of, halved
 from .program import SETTINGS, Program, Proposal
-from .result import Quadratic
+from .result import Quadratic, largest_of
 
 
-def proved(program: Program, proposal: Proposal) -> Quadratic | None:
+def proved(program: Program, found: Sequence[Proposal]) -> Quadratic | None:
     """V with everything that was asked of it proved in interval arithmetic, or None.
 
     What the start needs of the level set is proved first. Where that succeeds, the whole of it is tried, with
     not much more work.
     """
-    narrow = Proof(*program.narrowed(proposal), SETTINGS.most)
-    found = narrow.result()
-    if found is None:
+    narrow, forms = program.narrowed(found)
+    proofs = [Proof(narrow, one, SETTINGS.most) for one in forms]
+    needed = _largest(proofs)
+    if needed is None:
         return None
-    return Proof(program, proposal, SETTINGS.whole * narrow.used).result() or found
+    used = SETTINGS.whole * max(p.used for p in proofs)
+    return _largest([Proof(program, one, used) for one in found]) or needed
+
+
+def _largest(proofs: Sequence[Proof]) -> Quadratic | None:
+    """The largest of the forms, or None where one of them is not proved."""
+    found: list[Quadratic] = []
+    for proof in proofs:
+        one = proof.result()
+        if one is None:
+            return None
+        found.append(one)
+    return largest_of(found)
 
 
 class Proof:
@@ -58,7 +72,7 @@ class Proof:
     def _fixed_proved(self) -> bool:
         return all(
             bounded(self.P, enclose(row[None, None]), np.array([b])).all()
-            for row, b in self.program.fixed_rows()
+            for row, b in self.program.fixed_rows(self.proposal.share)
         )
 
     def _start_weights(self) -> tuple[Array, float]:
@@ -97,12 +111,23 @@ class Proof:
 
     def _within_bounds(self, boxes: Boxes) -> Flags:
         """Speeds and commands, at every attitude in each box."""
-        speeds = bounded(self.P, self._by(self.loop.speeds_of(boxes)), self.program.bounds.speeds)
-        if not len(self.program.left):
-            return speeds
-        return speeds & bounded(
-            self.P, self._by(self.loop.commands_of(self.program.commands, boxes)), self.program.left
-        )
+        share, commands = self.proposal.share, self.program.commands
+        kept = [(self.loop.speeds_of(boxes), self.program.bounds.speeds, share.speeds)]
+        if share.commands:
+            kept.append((self.loop.commands_of(commands, boxes), self._moves, share.commands))
+        held = np.ones(count_of(boxes), dtype=bool)
+        for rows, bounds, own in kept:
+            chosen = Interval(rows.lo[:, list(own)], rows.hi[:, list(own)])
+            held &= bounded(self.P, self._by(chosen), bounds[list(own)])
+        return held
+
+    @cached_property
+    def _moves(self) -> Array:
+        """What is claimed of each command of the share beside that at rest, no bound of the others."""
+        found, own = np.full(len(self.program.left), np.inf), list(self.proposal.share.commands)
+        moves = self.program.moves(self.proposal) * (1 + SETTINGS.stated)
+        found[own] = np.minimum(moves, self.program.left)[own]
+        return found
 
     def _falls(self, boxes: Boxes) -> Flags:
         """Whether V falls at every corner of velocities at every attitude in each box.
@@ -163,18 +188,15 @@ class Proof:
         """The proof's result in the units of the states."""
         program, n, size = self.program, self.loop.n, self.loop.size
         inverse, limits = 1 / self.scale, program.commands.limits
-        largest = np.zeros(0)
-        if len(limits):
-            moves = program.moves(self.proposal) * (1 + SETTINGS.slack)
-            largest = np.minimum(limits - program.left + moves, limits)
+        rest = limits - program.left if len(limits) else limits
         own = weights * inverse[size - 2 * n : size - n] ** 2
         return Quadratic(
-            P=(self.P * np.outer(inverse, inverse))[None],
+            P=(self.P * np.outer(inverse, inverse))[None, None],
             frame=self.loop.frame_name,
             errors=program.reach(self.proposal),
             speeds=program.bounds.speeds,
             starts=1 / np.sqrt(own),
-            commands=largest,
+            commands=rest + self._moves if len(limits) else rest,
             start=start,
         )
 

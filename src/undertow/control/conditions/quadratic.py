@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +14,25 @@ from undertow.typing import Array
 from .commands import Commands
 from .embedding import Embedding, point
 from .problem import Problem
-from .program import SETTINGS, Bounds, Key, Program, Proposal, thrust_left
+from .program import SETTINGS, Bounds, Key, Kind, Program, Proposal, Share, thrust_left
 from .proof import proved
 from .result import Quadratic, together
+
+_USUAL = Kind()
+
+
+class _Step(NamedTuple):
+    """What the programs of one box of speeds came to."""
+
+    bounds: Bounds
+    program: Program
+    found: list[Proposal]
+
+    @property
+    def start(self) -> float:
+        """The start's level of the largest form; infinite where a bound has none."""
+        whole = len(self.found) == len(self.program.shares)
+        return max(p.start for p in self.found) if whole else np.inf
 
 
 class _Slopes:
@@ -26,69 +43,69 @@ class _Slopes:
     """
 
     def __init__(self) -> None:
-        self._rows: list[Array] = []  # slope and value at the origin
+        self._steps: list[tuple[_Step, Array]] = []  # by form the slope, and the value at the origin
 
-    def add(self, place: Array, found: Proposal) -> None:
-        """Take what a program came to at some speeds; one that was left early bounds the level, too."""
-        slope = found.slopes / found.start
-        self._rows.append(np.append(slope, np.log(found.start) - slope @ place))
+    def add(self, step: _Step) -> None:
+        """Take what programs came to at some speeds; one that was left early bounds the level, too."""
+        place = np.log(step.bounds.speeds)
+        slopes = np.array([one.slopes / one.start for one in step.found]).reshape(-1, len(place))
+        levels = np.log([one.start for one in step.found]) - slopes @ place
+        self._steps.append((step, np.column_stack([slopes, levels])))
 
-    def step(self, place: Array, radius: float) -> tuple[Array, float]:
-        """The change of each logarithm, up to the radius, that brings the maximum down most, and to what."""
-        from scipy.optimize import linprog
+    def step(self, best: _Step, radius: float) -> Array | None:
+        """The change of each logarithm, up to the radius, that brings the maximum down most; None if hardly.
 
-        rows, n = np.array(self._rows), len(place)
-        left = np.column_stack([rows[:, :n], -np.ones(len(rows))])
-        cost, limits = np.append(np.zeros(n), 1.0), [(-radius, radius)] * n + [(None, None)]
-        found = linprog(cost, left, -(rows[:, n] + rows[:, :n] @ place), bounds=limits)
-        if not found.success:
-            return -radius * np.sign(rows[-1, :n]), -np.inf
-        return np.asarray(found.x[:n]), float(found.x[n])
+        Where the level is not convex, tangents from elsewhere cut away what is better: then only those at
+        the best speeds count.
+        """
+        for steps in (self._steps, [pair for pair in self._steps if pair[0] is best]):
+            change, level = _lowest(np.concatenate([rows for _, rows in steps]), best, radius)
+            if level <= np.log(best.start) - SETTINGS.least_fall:
+                return change
+        return None
+
+
+def _lowest(rows: Array, best: _Step, radius: float) -> tuple[Array, float]:
+    from scipy.optimize import linprog
+
+    place, n = np.log(best.bounds.speeds), len(best.bounds.speeds)
+    left = np.column_stack([rows[:, :n], -np.ones(len(rows))])
+    cost, limits = np.append(np.zeros(n), 1.0), [(-radius, radius)] * n + [(None, None)]
+    found = linprog(cost, left, -(rows[:, n] + rows[:, :n] @ place), bounds=limits)
+    return (np.asarray(found.x[:n]), float(found.x[n])) if found.success else (np.zeros(n), np.inf)
 
 
 def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
     """A proved V whose level set holds every error up to `start` at rest, integrals at zero; None if none.
 
-    Products of velocities are read in one way first: where that does, it is several times as quick. Last
-    comes a full P where the heading alone couples the axes at rest: gains tell north from east.
+    What is quickest comes first: one form with products of velocities read in one way, then in every way;
+    then several forms, and last those in which axes share a P that motion or the heading alone couples.
 
     Raises
     ------
     UndertowError
         If the solver is not installed, or the model has no form that the method covers.
     """
-    with suppress(UndertowError):
-        if (found := Search(problem, start, every_reading=False).found()) is not None:
-            return found
-    last = Search(problem, start)
-    if "psi" in last.loop.angles and problem.decoupled and last.loop.n <= SETTINGS.most_full:
+    kinds, n = [Kind(every_reading=False), Kind()], len(problem.coordinates)
+    if 1 < n <= SETTINGS.most_full:
+        kinds += [Kind(several=True, coupled=coupled) for coupled in (False, True)[: 1 + problem.decoupled]]
+    *others, last = kinds
+    for kind in others:
         with suppress(UndertowError):
-            if (found := last.found()) is not None:
+            if (found := Search(problem, start, kind).found()) is not None:
                 return found
-        last = Search(problem, start, coupled=True)
-    return last.found()
+    return Search(problem, start, last).found()
 
 
 class Search:
-    """The search for one start box.
+    """The search for one start box."""
 
-    every_reading: whether products of velocities may be read in every way (`identities`).
-    coupled: whether P may couple axes that are coupled by motion and heading alone.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        start: Mapping[str, float],
-        *,
-        every_reading: bool = True,
-        coupled: bool = False,
-    ) -> None:
-        self.problem, self.loop = problem, Embedding(problem)
-        self.every_reading, self.coupled = every_reading, coupled
+    def __init__(self, problem: Problem, start: Mapping[str, float], kind: Kind = _USUAL) -> None:
+        self.problem, self.loop, self.kind = problem, Embedding(problem), kind
+        self.sectors = SETTINGS.sectors_coupled if kind.coupled else SETTINGS.sectors
         self.commands = Commands(problem)
         self.forms = 0  # what the solver was given so far
-        self.chosen: set[Key] = set()  # corners that the programs so far were about
+        self.chosen: dict[Share, set[Key]] = {}  # corners that the programs so far were about
         self.centre = 0.0  # heading in the middle of those of the set-point, rad
         self.start = self._mixed(np.array([start.get(c, 0.0) for c in problem.coordinates]))
 
@@ -119,39 +136,36 @@ class Search:
         """The middle of each range of set-points' headings; the second half of a turn is as the first."""
         if "psi" not in self.loop.angles:
             return np.zeros(1)
-        return (np.arange(SETTINGS.sectors) + 0.5) * np.pi / SETTINGS.sectors
+        return (np.arange(self.sectors) + 0.5) * np.pi / self.sectors
 
     def _in_sector(self, bounds: Bounds) -> tuple[Bounds, Quadratic] | None:
         """V is searched for on smaller speeds until there is one, then on those that its start asks for."""
-        best: tuple[Bounds, Program, Proposal] | None = None
+        best: _Step | None = None
         least = SETTINGS.least_speed * bounds.speeds
         slopes, radius = _Slopes(), SETTINGS.first_step
         for _ in range(SETTINGS.tries):
             program = Program(self, bounds)
             if program.rate <= 0:
                 raise UndertowError("the loop at rest is not stable at every attitude")
-            proposal = program.solve(np.inf if best is None else best[2].start)
-            if proposal is not None and proposal.start < 1:
-                proof = proved(program, proposal)
+            step = _Step(bounds, program, program.proposals(np.inf if best is None else best.start))
+            if step.start < 1:
+                proof = proved(program, step.found)
                 if proof is not None:
                     return bounds, proof
-            if best is None and (proposal is None or proposal.start < 1):
+            if best is None and not 1 <= step.start < np.inf:
                 bounds = self._smaller(bounds)
                 if (bounds.speeds < least).all():
                     return None
                 continue
-            better = proposal is not None and (best is None or proposal.start < best[2].start)
+            better = best is None or step.start < best.start
             radius *= 1.0 if best is None else 1.5 if better else 0.5
-            if proposal is not None:
-                slopes.add(np.log(bounds.speeds), proposal)
-                best = (bounds, program, proposal) if better else best
-            if best is None or radius < SETTINGS.least_step:
-                return None
+            slopes.add(step)
+            best = step if best is None or better else best
             radius = min(radius, np.log(SETTINGS.most_more))
-            step, level = slopes.step(np.log(best[0].speeds), radius)
-            if level > np.log(best[2].start) - SETTINGS.least_fall:
+            change = None if radius < SETTINGS.least_step else slopes.step(best, radius)
+            if change is None:
                 return None
-            bounds = self._moved(*best, step, radius)
+            bounds = self._moved(best, change, radius)
         return None
 
     def spend(self, forms: int) -> None:
@@ -165,14 +179,24 @@ class Search:
         tilts = {a: max(SETTINGS.smaller * t, self._tilt(a, least[a])) for a, t in bounds.tilts.items()}
         return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
 
-    def _moved(
-        self, bounds: Bounds, program: Program, proposal: Proposal, step: Array, radius: float
-    ) -> Bounds:
+    def _moved(self, best: _Step, change: Array, radius: float) -> Bounds:
         """Speeds changed by these logarithms, and tilts that the start asks for, at most by the radius."""
-        reach = program.reach(proposal) * np.sqrt(proposal.start) * SETTINGS.more
+        bounds = best.bounds
+        asked = best.program.asked(best.found, SETTINGS.more - 1).tilts
         most = {a: v * float(np.exp(radius)) for a, v in bounds.tilts.items()}
-        tilts = {a: self._tilt(a, min(v, most[a])) for a, v in self._tilted(reach).items()}
-        return Bounds(bounds.speeds * np.exp(step), tilts)
+        tilts = {a: self._tilt(a, min(v, most[a])) for a, v in asked.items()}
+        return Bounds(bounds.speeds * np.exp(change), self._held(tilts))
+
+    def _held(self, tilts: dict[str, float]) -> dict[str, float]:
+        """Roll and pitch at which thrusters hold the weight with something left, or those of the start."""
+        starts = self._tilted(self.filled(self.start))
+        least = {a: self._tilt(a, starts[a]) for a in tilts if a != "psi"}
+        while any(tilts[a] > e for a, e in least.items()):
+            with suppress(UndertowError):
+                thrust_left(self.problem, self.commands, tilts)
+                return tilts
+            tilts = tilts | {a: max(SETTINGS.smaller * tilts[a], e) for a, e in least.items()}
+        return tilts
 
     def _require_thrust(self) -> None:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
@@ -202,7 +226,7 @@ class Search:
             speeds[group] = speeds[group].max()
         angles = self._tilted(self.filled(self.start))
         tilts = {a: self._tilt(a, SETTINGS.tilt * e) for a, e in angles.items()}
-        return Bounds(speeds, tilts)
+        return Bounds(speeds, self._held(tilts))
 
     def _tilted(self, values: Array) -> dict[str, float]:
         pairs = zip(self.problem.coordinates, values, strict=True)
