@@ -231,8 +231,10 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
             f"everywhere: inertia and damping do not depend on speed or attitude; V is proved {_PARAMETERS}",
             quadratic=found,
         )
+    forms = found.P.shape[1]
+    V = "V = z' P z" if forms == 1 else f"V, the largest of {forms} forms z' P z,"
     text = (
-        f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
+        f"motions that begin with {V} < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
         f"every attitude and every motion in it, {_PARAMETERS}"
     )
