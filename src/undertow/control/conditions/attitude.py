@@ -55,6 +55,9 @@ class Interval:
         return -self + other
 
     def __mul__(self, other: Any) -> Interval:
+        if isinstance(other, float):  # the same numbers in half the time
+            ends = self.lo * other, self.hi * other
+            return _out(*ends) if other >= 0 else _out(*ends[::-1])
         o = enclose(other)
         products = [self.lo * o.lo, self.lo * o.hi, self.hi * o.lo, self.hi * o.hi]
         return _out(np.minimum.reduce(products), np.maximum.reduce(products))
