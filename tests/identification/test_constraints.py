@@ -352,3 +352,18 @@ def test_priors_of_tied_parameters_count_in_their_own_units() -> None:
     total = (1 / 0.5) ** 2 + (1 / 0.2) ** 2
     assert weight[1] == pytest.approx(np.sqrt(total))
     assert centre[1] == pytest.approx(-(0.3 / 0.5**2 + 0.4 / 0.2**2) / total)
+
+
+def test_a_guessed_mass_is_found_by_the_weight_it_has() -> None:
+    """A float whose mass is a guess, 2.5 % too large: 7.5 N of weight that is not there.
+
+    Truth of the simulator: 30 kg, which its buoyancy of 294.3 N holds.
+    """
+    made = make_case("float", (), 77991989)
+    body = made.vehicle["effects"]["rigid_body"]
+    body["m"] = {"value": 1.025 * body["m"], "estimate": True, "sigma": 0.05 * body["m"]}
+    vehicle = vehicle_of(made)
+    fit = fit_weak(vehicle, prepare(runs_of(made)[:-1], vehicle))
+    assert fit.vehicle.values["m"].value == pytest.approx(30.0, rel=1e-4)
+    assert fit.vehicle.values["W"].value == pytest.approx(294.3, rel=1e-4)
+    assert not fit.vehicle.values["W"].estimate

@@ -7,8 +7,11 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import casadi as ca
+import numpy as np
 import pytest
 
+from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -203,14 +206,14 @@ def test_what_is_taken_is_not_written(load: Load, tmp_path: Path) -> None:
     assert again.values == vehicle.values
 
 
-def test_a_refitted_mass_leaves_the_weight_and_moment_as_they_were(
+def test_a_refitted_mass_has_its_weight_and_leaves_the_moment_as_it_was(
     load: Load, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     vehicle = load("z_g = 0.08")
     moved = vehicle.with_values({"m": Value(13.0, True), "mz_g": Value(13.0 * 0.08, True)})
     again, tables = _saved(moved, tmp_path)
-    assert tables["restoring"]["W"]["override"] is True
-    assert again.values["W"].value == pytest.approx(112.815)
+    assert "W" not in tables["restoring"]
+    assert again.values["W"].value == pytest.approx(13.0 * 9.81)
     assert again.values["S_z"].value == pytest.approx(vehicle.values["S_z"].value)
     assert again.values["m"].value == 13.0
     assert caplog.messages == []
@@ -250,3 +253,45 @@ def test_restoring_that_a_fit_found_has_the_weight_of_the_mass(tmp_path: Path) -
     assert again.values["B"].sigma == pytest.approx(0.1)
     assert "W" not in tables["restoring"]
     assert _moment(again, 0.1) == pytest.approx(_moment(vehicle, 0.1))
+
+
+# --- what a fit moves -----------------------------------------------------------------------------
+GUESS = "{ value = 11.5, estimate = true, sigma = 0.6 }"
+
+
+def test_the_weight_follows_a_mass_that_is_estimated(load: Load, tmp_path: Path) -> None:
+    """W = m g in values and equations: half a kilogram is 4.9 N, and the file need not say it."""
+    file = tmp_path / "guessed.toml"
+    file.write_text(ROV.format(centre="", restoring="B = 112.815").replace("m = 11.5", f"m = {GUESS}"))
+    vehicle = load_vehicle(file)
+    assert vehicle.tied == {"W": ("m", 9.81)}
+    heavier = vehicle.with_values({"m": Value(12.0, estimate=True)})
+    assert heavier.values["W"].value == pytest.approx(12.0 * 9.81, rel=1e-14)
+    assert vehicle.with_values({"W": Value(100.0)}).values["W"].value == 100.0
+    save_vehicle(heavier, file, tmp_path / "saved.toml")
+    saved = tomllib.loads((tmp_path / "saved.toml").read_text())
+    assert "W" not in saved["effects"]["restoring"]
+    assert load_vehicle(tmp_path / "saved.toml").values["W"].value == pytest.approx(12.0 * 9.81, rel=1e-14)
+
+
+def test_a_stated_weight_or_a_known_mass_is_tied_to_nothing(load: Load) -> None:
+    assert load().tied == {}
+    assert load("", "W = 112.8\nB = 112.815").follows == {}
+
+
+def test_equations_have_the_weight_of_the_mass_that_is_estimated(load: Load, tmp_path: Path) -> None:
+    """The heave force at rest changes by g with a kilogram of m, and by nothing with W's own entry."""
+    file = tmp_path / "guessed.toml"
+    file.write_text(ROV.format(centre="", restoring="B = 112.815").replace("m = 11.5", f"m = {GUESS}"))
+    vehicle = load_vehicle(file)
+    functions = Functions(vehicle)
+    forcing = ca.Function("f", [functions.x, functions.u, functions.p], [functions.forcing])
+    still = np.zeros(functions.x.shape[0]), np.zeros(functions.u.shape[0])
+    p = np.array(functions.values(), dtype=float)
+    m, W = (vehicle.parameter_names.index(n) for n in ("m", "W"))
+    more, other = p.copy(), p.copy()
+    more[m] += 1.0
+    other[W] += 50.0
+    before, heavier, unmoved = (np.array(forcing(*still, q))[:, 0] for q in (p, more, other))
+    np.testing.assert_allclose(heavier - before, 9.81 * np.eye(6)[2], atol=1e-9)
+    np.testing.assert_array_equal(unmoved, before)

@@ -18,17 +18,27 @@ from .convert import Converter
 from .rewriting import Collector, Inertia, find_inertia, is_galilean, kirchhoff
 
 
+def _with_tied(vehicle: Vehicle, equal: Mapping[str, tuple[str, float]]) -> dict[str, tuple[str, float]]:
+    """Equalities with what the vehicle ties itself, in terms of parameters that follow no other."""
+    found = dict(equal)
+    for name, (other, factor) in vehicle.tied.items():
+        leader, share = equal.get(other, (other, 1.0))
+        found.setdefault(name, (leader, factor * share))
+    return found
+
+
 class Functions:
     """Everything numeric that follows from a vehicle, as CasADi expressions and functions.
 
     The state is x = (pose, velocity, states that effects own) in the vehicle's degrees of freedom, u the
     commands (thrusters, surfaces, known forces, logged inputs), p the parameters as in `parameter_names`, t
     the time in s. `equal` has parameters that are a multiple of another one: name to (name of the other,
-    factor), SNAME signs; their own entry of p has no effect.
+    factor), SNAME signs, what the vehicle's file leaves to another one among them; their own entry of p has
+    no effect.
     """
 
     def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:
-        self.vehicle, self.equal = vehicle, dict(equal or {})
+        self.vehicle, self.equal = vehicle, _with_tied(vehicle, equal or {})
         composition = vehicle.composition
         self._actuator_output, self._actuator_rates, self._actuator_rest = composition.chain
         self._memory = composition.wrench_states

@@ -156,14 +156,29 @@ class Statements:
         }
 
     def _from_owner(self, taken: Taken) -> float | None:
+        known = self._known(taken)
+        formula = next((f for f in taken.formulas if f.free_symbols <= known.keys()), None)
+        return None if formula is None else float(formula.subs(known))
+
+    def _known(self, taken: Taken) -> dict[sm.Symbol, sm.Float]:
+        """What the owner states, water density and gravity; nothing where the owner is not there."""
         stated = self._own.get(taken.owner)
-        if stated is None:
-            return None
-        known = {symbol(n): sm.Float(v) for n, v in {**self.environment, **stated}.items()}
-        for formula in taken.formulas:
-            if formula.free_symbols <= known.keys():
-                return float(formula.subs(known))
-        return None
+        numbers = {} if stated is None else {**self.environment, **stated}
+        return {symbol(n): sm.Float(v) for n, v in numbers.items()}
+
+    def multiples(self) -> dict[str, tuple[str, float]]:
+        """Parameters taken from others that are a multiple of one, with its name and the factor: W = g m."""
+        return dict(pair for effect in self.effects for pair in self._multiples_of(effect))
+
+    def _multiples_of(self, effect: Effect) -> Iterator[tuple[str, tuple[str, float]]]:
+        own, left_open = {p.name for p in effect.parameters}, self.taken(effect)
+        constants = {symbol(n): sm.Float(v) for n, v in self.environment.items()}
+        for taken in (t for t in effect.taken if t.key in own and t.key in left_open):
+            known = self._known(taken)
+            formula = next(f for f in taken.formulas if f.free_symbols <= known.keys()).subs(constants)
+            factors = [(str(s), formula / s) for s in formula.free_symbols]
+            if len(factors) == 1 and factors[0][1].is_number:
+                yield taken.key, (factors[0][0], float(factors[0][1]))
 
     def differing(self) -> Iterator[str]:
         """One line for every value that another table states otherwise, unless it says that it overrides."""
@@ -338,6 +353,7 @@ def _vehicle_and_remarks(
         environment=environment,
         surfaces=surfaces,
         inputs=inputs,
+        follows=statements.multiples(),
     )
     vehicle = replace(vehicle, fitted_to=_fitted_to(table.history, vehicle))
     check_vehicle(vehicle)

@@ -104,6 +104,8 @@ class Vehicle:
         Logged quantities that effects take as inputs (wind, voltage ...), with their SI units.
     fitted_to : mapping
         Hashes (sha256) of the logs that values with their standard deviations were fitted to, by name.
+    follows : mapping
+        Parameters that the file leaves to another one, with its name and the factor, SI: W = 9.81 m.
     velocity_along_earth : bool
         Whether what the logs have as body velocity was reported along the axes of the earth, and turned into
         the body by the attitude as reported: then an error of the attitude turns the velocity, too.
@@ -120,6 +122,7 @@ class Vehicle:
     surfaces: tuple[Surface, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     fitted_to: Mapping[str, frozenset[str]] = field(default_factory=dict, compare=False)
+    follows: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     velocity_along_earth: bool = False
 
     def __repr__(self) -> str:
@@ -377,14 +380,30 @@ class Vehicle:
 
     # --- other vehicles -----------------------------------------------------------------------
     def with_values(self, values: Mapping[str, Value]) -> Vehicle:
-        """The same vehicle with some values replaced; thrust per command goes to its thruster."""
+        """The same vehicle with some values replaced, and what follows them.
+
+        Thrust per command goes to its thruster.
+        """
         thrusters = tuple(
             replace(t, thrust_per_command=values.get(f"thrust_{t.name}", t.thrust_per_command))
             for t in self.thrusters
         )
         hardware = {f"thrust_{t.name}" for t in thrusters}
         changed = dict(self.values) | {k: v for k, v in values.items() if k not in hardware}
+        for name, (other, factor) in self.follows.items():
+            if other in values and name in changed and name not in values:
+                changed[name] = replace(changed[name], value=factor * values[other].value)
         return replace(self, values=changed, thrusters=thrusters)
+
+    @property
+    def tied(self) -> dict[str, tuple[str, float]]:
+        """Parameters in the equations that follow one that a fit may move."""
+        names = set(self.parameter_names)
+        return {
+            name: (other, factor)
+            for name, (other, factor) in self.follows.items()
+            if {name, other} <= names and self.values[other].estimate
+        }
 
     def constrained(self, free: Iterable[str], moved: Iterable[str] = (), *, pushed: bool = False) -> Vehicle:
         """The vehicle on a rig (towing carriage, planar motion mechanism) that leaves some motions free.

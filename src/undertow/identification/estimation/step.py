@@ -465,15 +465,20 @@ def _sign(name: str, vehicle: Vehicle) -> float:
 
 
 def followers(model: WeakModel, values: Mapping[str, float]) -> dict[str, float]:
-    """Values of the parameters that are tied to others, from those of the free ones."""
+    """Values of the parameters that a fit ties to others, from those of the free ones."""
     f = model.functions
     known = {n: f.vehicle.value_of(n).value for n in f.parameter_names} | dict(values)
-    return {name: factor * known[other] for name, (other, factor) in f.equal.items()}
+    return {name: factor * known[other] for name, (other, factor) in _tied_by_fit(f).items()}
+
+
+def _tied_by_fit(f: Functions) -> dict[str, tuple[str, float]]:
+    """What is tied by a constraint and not by the vehicle, whose values follow by themselves."""
+    return {name: pair for name, pair in f.equal.items() if name not in f.vehicle.tied}
 
 
 def follower_errors(model: WeakModel, errors: Mapping[str, float]) -> dict[str, float]:
     """Standard errors of the parameters that are tied to others; zero where those are known."""
-    tied = model.functions.equal.items()
+    tied = _tied_by_fit(model.functions).items()
     return {name: abs(factor) * errors.get(other, 0.0) for name, (other, factor) in tied}
 
 
