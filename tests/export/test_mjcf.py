@@ -6,16 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import casadi as ca
 import numpy as np
 import pytest
 
+from tests.export.support import cross, force_of, rotation
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen import Functions
 from undertow.export.mjcf import Mjcf
 from undertow.model.loading import bundled_vehicles, load_vehicle
-from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle import Value
 
 FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
 WHOLE = ["bluerov2", "remus100", "bluerov2-6"]
@@ -25,33 +25,20 @@ def _numbers(element: ET.Element, name: str) -> np.ndarray:
     return np.array(element.get(name).split(), float)
 
 
-def _cross(r: np.ndarray) -> np.ndarray:
-    return np.cross(np.eye(3), -r).T  # S(r) with S(r) a = r x a
-
-
 def _mass_matrix(root: ET.Element) -> np.ndarray:
     """Sum of the bodies of a file about the origin, forward-left-up."""
     total = np.zeros((6, 6))
     for inertial in root.iter("inertial"):
         m, r, j = float(inertial.get("mass")), _numbers(inertial, "pos"), _numbers(inertial, "fullinertia")
-        about, s = np.array([[j[0], j[3], j[4]], [j[3], j[1], j[5]], [j[4], j[5], j[2]]]), _cross(r)
+        about, s = np.array([[j[0], j[3], j[4]], [j[3], j[1], j[5]], [j[4], j[5], j[2]]]), cross(r)
         total += np.block([[m * np.eye(3), -m * s], [m * s, about - m * s @ s]])
     return total
 
 
-def _model(vehicle: Vehicle, ids: set[str]) -> ca.Function:
-    """Sum of the wrenches of effects at (x, nu_dot), without commands."""
-    f = Functions(vehicle)
-    total = sum((f.wrenches[e] for e in ids & {*f.wrenches}), ca.SX(f.nu.numel(), 1))
-    total = ca.substitute(total, f.actuation, 0 * f.actuation)
-    made = ca.Function("force", [f.x, f.nu_dot, f.p, f.t], [ca.densify(total)])
-    return lambda x, nu_dot: made(x, nu_dot, f.values(), 0).full().ravel()
-
-
 @pytest.mark.parametrize("name", first_quick(WHOLE))
-def test_the_bodies_of_the_file_are_the_rigid_body_of_the_model(name: str) -> None:
+def test_the_bodies_of_the_file_are_the_rigid_body_of_theforce_of(name: str) -> None:
     vehicle = load_vehicle(name)
-    ours = _model(vehicle, {"rigid_body"})
+    ours = force_of(vehicle, {"rigid_body"})
     n = Functions(vehicle).x.numel()
     expected = -np.array([ours(np.zeros(n), row) for row in np.eye(6)]).T
     found = _mass_matrix(ET.fromstring(Mjcf(vehicle).text)) * np.outer(FLIP, FLIP)
@@ -70,16 +57,16 @@ def test_motors_at_their_sites_have_the_wrench_of_the_thrusters(name: str) -> No
 
 
 @pytest.mark.parametrize("name", first_quick(WHOLE))
-def test_mujoco_has_the_mass_matrix_restoring_forces_and_thrust_of_the_model(name: str) -> None:
+def test_mujoco_has_the_mass_matrix_restoring_forces_and_thrust_of_theforce_of(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     vehicle = load_vehicle(name)
     loaded = mujoco.MjModel.from_xml_string(Mjcf(vehicle).text)
     data = mujoco.MjData(loaded)
-    ours = _model(vehicle, {"restoring", "net_buoyancy"})
-    mass, n = _model(vehicle, {"rigid_body"}), Functions(vehicle).x.numel()
+    ours = force_of(vehicle, {"restoring", "net_buoyancy"})
+    mass, n = force_of(vehicle, {"rigid_body"}), Functions(vehicle).x.numel()
     rng = np.random.default_rng(5)
     for phi, theta, psi in rng.uniform(-1.2, 1.2, (8, 3)):
-        turned = _rotation(phi, -theta, -psi)  # forward-left-up to ENU: angles about y and z change sign
+        turned = rotation(phi, -theta, -psi)  # forward-left-up to ENU: angles about y and z change sign
         mujoco.mju_mat2Quat(data.qpos[3:], turned.ravel())
         data.ctrl[:] = rng.uniform(-1, 1, loaded.nu)
         mujoco.mj_forward(loaded, data)
@@ -96,14 +83,6 @@ def test_mujoco_has_the_mass_matrix_restoring_forces_and_thrust_of_the_model(nam
         mujoco.mj_mulM(loaded, data, row, unit)
     expected = -np.array([mass(np.zeros(n), row) for row in np.eye(6)]).T
     np.testing.assert_allclose(full * np.outer(FLIP, FLIP), expected, rtol=1e-8, atol=1e-8)
-
-
-def _rotation(phi: float, theta: float, psi: float) -> np.ndarray:
-    """Rz(psi) Ry(theta) Rx(phi)."""
-    (c1, s1), (c2, s2), (c3, s3) = ((np.cos(a), np.sin(a)) for a in (phi, theta, psi))
-    rx = np.array([[1, 0, 0], [0, c1, -s1], [0, s1, c1]])
-    ry = np.array([[c2, 0, s2], [0, 1, 0], [-s2, 0, c2]])
-    return np.array([[c3, -s3, 0], [s3, c3, 0], [0, 0, 1]]) @ ry @ rx
 
 
 def _in_body(force: np.ndarray, turned: np.ndarray) -> np.ndarray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cached_property
-from math import inf
+from math import asin, atan2, inf
 from xml.etree import ElementTree as ET
 
 import casadi as ca
@@ -20,14 +20,20 @@ from undertow.typing import Array
 
 # Forward-left-up out of forward-starboard-down, for forces and for velocities: half a turn about x.
 FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
+RIGID = ("rigid_body", "rigid_body_coriolis")
+ADDED_MASS = ("added_mass", "added_mass_coupling", "added_mass_coriolis")
 STATICS = ("restoring", "net_buoyancy")
 
 
 class Body:
     """A vehicle as a rigid body with what water adds to it, for a program, and what is lost on the way."""
 
-    def __init__(self, vehicle: Vehicle, program: str) -> None:
+    _root: ET.Element  # of the file
+
+    def __init__(self, vehicle: Vehicle, program: str, gravity: float | None = None) -> None:
+        # gravity: m/s^2, of a program that has one of its own
         self.vehicle, self.program = vehicle, program
+        self.gravity = vehicle.environment["g"] if gravity is None else gravity
         self.functions = Functions(vehicle)
         self.values = dict(zip(self.functions.parameter_names, self.functions.values(), strict=True))
         self.rows = list(vehicle.dof_indices)
@@ -37,6 +43,12 @@ class Body:
             raise UndertowError(
                 f"vehicle '{vehicle.name}' has no mass m: {program} needs one, add rigid_body"
             )
+
+    @property
+    def text(self) -> str:
+        """The file."""
+        ET.indent(self._root)
+        return f'<?xml version="1.0"?>\n{ET.tostring(self._root, encoding="unicode")}\n'
 
     # --- the model's numbers ------------------------------------------------------------------
     def wrench(self, ids: tuple[str, ...], nu: Array, nu_dot: Array) -> Array:
@@ -67,7 +79,7 @@ class Body:
     @cached_property
     def added_mass(self) -> Array:
         """Added mass, positive, body frame of undertow, shape (6, 6)."""
-        ids = ("added_mass", "added_mass_coupling")
+        ids = ADDED_MASS[:2]
         either = [self._mass(ids, np.full(6, way)) for way in (0.1, -0.1)]
         if not np.allclose(either[0], either[1]):
             self.losses.append("added mass differs forward and backward: its mean is taken")
@@ -94,7 +106,7 @@ class Body:
         about = np.diag([v.get(n, stands) for n in ("I_x", "I_y", "I_z")])
         for i, j, name in ((0, 1, "I_xy"), (0, 2, "I_xz"), (1, 2, "I_yz")):
             about[i, j] = about[j, i] = -v.get(name, 0.0)
-        centred = about - v["m"] * (r @ r * np.eye(3) - np.outer(r, r))
+        centred = about - v["m"] * steiner(r)
         if np.linalg.eigvalsh(centred).min() <= 0:
             raise UndertowError(
                 f"inertia of '{self.vehicle.name}' about its centre of gravity is not positive "
@@ -104,8 +116,11 @@ class Body:
 
     @cached_property
     def buoyancy(self) -> tuple[float, Array] | None:
-        """Buoyancy in N and its centre in m, body frame; None where the model has no weight."""
-        v, weight = self.values, self.values["m"] * self.vehicle.environment["g"]
+        """Buoyancy in N and its centre in m, body frame; None where the model has no weight.
+
+        With the weight under the program's gravity they give the forces and moments of the model.
+        """
+        v, weight = self.values, self.values["m"] * self.gravity
         present = {e.id for e in self.vehicle.all_effects}
         if not present & set(STATICS):
             return None
@@ -121,7 +136,7 @@ class Body:
     def edge(self, lift: float) -> float:
         """Edge of the cube that displaces as much water as buoyancy needs, m; it stands for the hull."""
         self.losses.append("the collision shape is a cube with the displaced volume, not the hull")
-        return float((lift / (self.vehicle.environment["rho"] * self.vehicle.environment["g"])) ** (1 / 3))
+        return float((lift / (self.vehicle.environment["rho"] * self.gravity)) ** (1 / 3))
 
     def most_thrust(self, thruster: Thruster) -> float:
         """Largest thrust of a thruster either way, N; infinite without a limit, or where a curve has it.
@@ -132,6 +147,23 @@ class Body:
             return inf
         return abs(self.values.get(f"thrust_{thruster.name}", 1.0)) * thruster.limit
 
+    def line_of_thrust(self, thruster: Thruster) -> tuple[float, Array, Array] | None:
+        """Size of the force per newton of thrust, its direction and a point of its line, body frame.
+
+        None where no single force has the wrench, which is then lost; so is a curve.
+        """
+        wrench = np.array(thruster.wrench, dtype=float)
+        force, moment = wrench[:3], wrench[3:]
+        size = float(np.linalg.norm(force))
+        if not size or abs(force @ moment) > 1e-9 * size:
+            self.losses.append(f"thruster {thruster.name} is left out: no single force has its wrench")
+            return None
+        if thruster.law is not None:
+            self.losses.append(
+                f"thruster {thruster.name}: {self.program} takes newtons, its curve is left out"
+            )
+        return size, force / size, point_of_action(force, moment)
+
     # --- what is lost --------------------------------------------------------------------------
     def free_motions(self) -> Iterator[str]:
         """A line on the motions that only the other program has."""
@@ -139,6 +171,14 @@ class Body:
         if locked:
             names = ", ".join(locked)
             yield f"{names} are free in {self.program}, without damping: the model has no such motion"
+
+    def added_coriolis(self) -> Iterator[str]:
+        """A line on the Coriolis forces of added mass of a program that always has them."""
+        present = {e.id for e in self.vehicle.all_effects}
+        if "added_mass" in present and "added_mass_coriolis" not in present:
+            yield (
+                f"added mass brings its Coriolis and Munk forces along in {self.program}; the model has none"
+            )
 
     def not_exported(self, exported: Collection[str]) -> list[Effect]:
         """The effects that no part of the file stands for."""
@@ -151,12 +191,28 @@ def point_of_action(force: Array, moment: Array) -> Array:
     return np.cross(force, moment) / size if size else np.zeros(3)
 
 
+def steiner(r: Array) -> Array:
+    """Inertia of a unit mass at r about the origin, shape (3, 3)."""
+    return np.asarray(r @ r * np.eye(3) - np.outer(r, r))
+
+
+def angles_of(direction: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw that turn the first axis into a direction of length one, rad."""
+    return 0.0, -asin(max(-1.0, min(1.0, direction[2]))), atan2(direction[1], direction[0])
+
+
 # --- XML ------------------------------------------------------------------------------------------
 def leaves(parent: ET.Element, values: Mapping[str, object]) -> None:
     """Append elements with a text or number each."""
     for name, value in values.items():
         shown = value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
         ET.SubElement(parent, name).text = shown
+
+
+def attributes(parent: ET.Element, name: str, keys: Iterable[str], values: Iterable[float]) -> None:
+    """Append an element with numbers as attributes."""
+    shown = {key: numbers(value) for key, value in zip(keys, values, strict=True)}
+    ET.SubElement(parent, name, shown)
 
 
 def numbers(*values: float) -> str:

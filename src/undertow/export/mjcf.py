@@ -13,9 +13,9 @@ from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .body import FLIP, STATICS, Body, numbers, point_of_action
+from .body import FLIP, RIGID, STATICS, Body, numbers, point_of_action, steiner
 
-_EXPORTED = ("rigid_body", "rigid_body_coriolis", *STATICS, "thrusters")
+_EXPORTED = (*RIGID, *STATICS, "thrusters")
 # Motions that a coordinate in the world's axes stands for only if these are there, too.
 _NEEDS = {"yaw": {"surge", "sway"}, "pitch": {"surge", "heave"}, "roll": {"sway", "heave"}}
 _AXES = {
@@ -53,12 +53,6 @@ class Mjcf(Body):
         self.settings = settings or MjcfSettings()
         self._root = self._model()
         self.losses += self._what_is_left()
-
-    @property
-    def text(self) -> str:
-        """The file."""
-        ET.indent(self._root)
-        return f"{ET.tostring(self._root, encoding='unicode')}\n"
 
     def _model(self) -> ET.Element:
         root = ET.Element("mujoco", {"model": self.name})
@@ -107,13 +101,13 @@ class Mjcf(Body):
         small = self.settings.float_share * m
         own = small * self.settings.float_radius**2 * np.eye(3)
         rest, centre = m - small, (m * r - small * at) / (m - small)
-        about_origin = self.inertia + m * _steiner(r) - own - small * _steiner(at)
+        about_origin = self.inertia + m * steiner(r) - own - small * steiner(at)
         element = ET.SubElement(body, "body", {"name": "float", "gravcomp": repr(lift / (small * g))})
         element.append(_inertial(small, at, own))
         half = numbers(*[self.edge(lift) / 2] * 3)
         shape = {"type": "box", "size": half, "pos": numbers(*FLIP[:3] * at), "mass": "0"}
         ET.SubElement(element, "geom", shape)
-        return rest, centre, about_origin - rest * _steiner(centre)
+        return rest, centre, about_origin - rest * steiner(centre)
 
     # --- thrusters ------------------------------------------------------------------------------
     def _motor(self, actuators: ET.Element, thruster: Thruster) -> None:
@@ -151,8 +145,3 @@ def _inertial(mass: float, centre: Array, about: Array) -> ET.Element:
     full = numbers(*np.diag(turned), turned[0, 1], turned[0, 2], turned[1, 2])
     position = numbers(*FLIP[:3] * centre)
     return ET.Element("inertial", {"pos": position, "mass": repr(float(mass)), "fullinertia": full})
-
-
-def _steiner(r: Array) -> Array:
-    """Inertia of a unit mass at a point about the origin, m^2."""
-    return np.asarray(r @ r * np.eye(3) - np.outer(r, r))

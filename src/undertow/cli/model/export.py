@@ -1,8 +1,10 @@
-"""Write a vehicle for other programs: a functional mock-up unit, Gazebo, MuJoCo, a C library.
+"""Write a vehicle for other programs: functional mock-up unit, Gazebo, MuJoCo, Stonefish, auv_controllers, C.
 
     undertow export fmu bluerov2 --out bluerov2.fmu
     undertow export sdf bluerov2 --out bluerov2.sdf
     undertow export mujoco bluerov2 --out bluerov2.xml
+    undertow export stonefish bluerov2 --out bluerov2.scn
+    undertow export auv-controllers bluerov2 --out bluerov2.urdf
     undertow export c mini-auv --controller paper-pid
 
 What the other program cannot say is listed; docs/export.md has the whole of it.
@@ -11,9 +13,9 @@ What the other program cannot say is listed; docs/export.md has the whole of it.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
 
@@ -25,6 +27,10 @@ from .._terminal import progress, say, section, table
 if TYPE_CHECKING:
     from undertow.codegen.library import Library
     from undertow.codegen.manifest import Report
+    from undertow.export.body import Body
+    from undertow.model.vehicle import Vehicle
+
+B = TypeVar("B", bound="Body")
 
 app = typer.Typer(add_completion=False)
 
@@ -85,14 +91,9 @@ def sdf(
     (Thruster), turned into forward-left-up. What these cannot say is listed as a warning.
     """
     from undertow.export.sdf import Sdf
-    from undertow.files import write_whole
-    from undertow.model.loading import load_vehicle
 
-    with progress("writing SDF", None):
-        world = Sdf(load_vehicle(vehicle, effect_files=effects or []))
-        target = new_file(out or Path(f"{world.name}.sdf"), force, [vehicle])
-    write_whole(target, world.text)
-    say(f"wrote {target}: {len(world.drag.elements())} terms of damping and lift")
+    world = _body(Sdf, vehicle, out, "sdf", force, effects)
+    say(f"{len(world.drag)} terms of damping and lift")
     _lost(world.losses)
 
 
@@ -113,15 +114,72 @@ def mujoco(
     is thrust in newtons. What MuJoCo cannot say, added mass and damping above all, is listed as a warning.
     """
     from undertow.export.mjcf import Mjcf
+
+    model = _body(Mjcf, vehicle, out, "xml", force, effects)
+    say(f"{len(model.vehicle.thrusters)} motors")
+    _lost(model.losses)
+
+
+@app.command()
+def stonefish(
+    vehicle: VehicleArgument,
+    out: Annotated[Path | None, _out("scn")] = None,
+    force: NewForceOption = False,
+    effects: EffectsOption = None,
+) -> None:
+    """Write a scenario for Stonefish with the body of the vehicle, its drag along the axes and its thrusters.
+
+    \b
+    undertow export stonefish bluerov2 --out bluerov2.scn
+
+    Inertia, weight, buoyancy at its centre and a push for each thruster, NED and forward-starboard-down.
+    Stonefish has its fluid forces from a shape, here a cube with the volume that the vehicle displaces: what
+    of the model that cannot be is listed as a warning, added mass above all.
+    """
+    from undertow.export.stonefish import Stonefish
+
+    _lost(_body(Stonefish, vehicle, out, "scn", force, effects).losses)
+
+
+@app.command()
+def auv_controllers(
+    vehicle: VehicleArgument,
+    out: Annotated[Path | None, _out("urdf")] = None,
+    force: NewForceOption = False,
+    effects: EffectsOption = None,
+) -> None:
+    """Write the robot description that the ROS 2 package auv_controllers reads.
+
+    \b
+    undertow export auv-controllers bluerov2 --out bluerov2.urdf
+
+    The element hydrodynamics: mass and inertia, added mass, linear and quadratic damping of each motion,
+    buoyancy; NED and forward-starboard-down, SNAME signs. It goes into the description of the robot. What it
+    cannot say is listed as a warning.
+    """
+    from undertow.export.auv_controllers import AuvControllers
+
+    _lost(_body(AuvControllers, vehicle, out, "urdf", force, effects).losses)
+
+
+def _body(
+    program: Callable[[Vehicle], B],
+    vehicle: str,
+    out: Path | None,
+    ending: str,
+    force: bool,
+    effects: list[Path] | None,
+) -> B:
+    """The vehicle for a program that builds it from parts, written to a file."""
     from undertow.files import write_whole
     from undertow.model.loading import load_vehicle
 
-    with progress("writing MJCF", None):
-        model = Mjcf(load_vehicle(vehicle, effect_files=effects or []))
-        target = new_file(out or Path(f"{model.name}.xml"), force, [vehicle])
-    write_whole(target, model.text)
-    say(f"wrote {target}: {len(model.vehicle.thrusters)} motors")
-    _lost(model.losses)
+    with progress("writing", None):
+        body = program(load_vehicle(vehicle, effect_files=effects or []))
+        target = new_file(out or Path(f"{body.name}.{ending}"), force, [vehicle])
+    write_whole(target, body.text)
+    say(f"wrote {target}")
+    return body
 
 
 _CONTROLLER = typer.Option(

@@ -1,0 +1,145 @@
+"""Scenarios for Stonefish: rigid body, weight, buoyancy and thrusters; drag along the axes, no added mass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import asin, atan2, isfinite
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from undertow.model.effect import Flow
+from undertow.model.vehicle import Thruster, Vehicle
+from undertow.typing import Array
+from undertow.version import __version__
+
+from .body import ADDED_MASS, RIGID, STATICS, Body, angles_of, numbers
+from .drag import fit, on_the_diagonal
+
+_GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
+_HULL = "hull"  # link, material and look
+
+
+@dataclass(frozen=True)
+class StonefishSettings:
+    """Numbers of the export."""
+
+    depth: float = 2.0  # of the origin at the start, edges of the cube that displaces the water
+    gray: float = 0.5  # of the cube
+    roughness: float = 0.5  # of the cube
+
+
+class Stonefish(Body):
+    """A vehicle as a scenario for Stonefish, NED and forward-starboard-down.
+
+    References
+    ----------
+    Stonefish documentation, dynamic bodies and actuators, https://stonefish.readthedocs.io; what its drag is
+    per face of a body stands in `SolidEntity.cpp` (1.4 and later).
+    """
+
+    def __init__(self, vehicle: Vehicle, settings: StonefishSettings | None = None) -> None:
+        super().__init__(vehicle, "Stonefish", _GRAVITY)
+        self.settings = settings or StonefishSettings()
+        lift, self._centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
+        self._edge = self.edge(lift)
+        self._root = self._scenario()
+        self.losses += self._what_is_left()
+
+    def _scenario(self) -> ET.Element:
+        root = ET.Element("scenario")
+        root.append(ET.Comment(f" '{self.name}' by undertow {__version__}: NED, forward-starboard-down "))
+        environment, density = ET.SubElement(root, "environment"), numbers(self.vehicle.environment["rho"])
+        ET.SubElement(environment, "ned", {"latitude": "0.0", "longitude": "0.0"})
+        ocean = ET.SubElement(environment, "ocean")
+        ET.SubElement(ocean, "waves", {"height": "0.0"})
+        ET.SubElement(ocean, "water", {"density": density})
+        hull = {"name": _HULL, "density": density, "restitution": "0.0"}
+        ET.SubElement(ET.SubElement(root, "materials"), "material", hull)
+        look = {"gray": numbers(self.settings.gray), "roughness": numbers(self.settings.roughness)}
+        ET.SubElement(ET.SubElement(root, "looks"), "look", {"name": _HULL, **look})
+        self._robot(root)
+        return root
+
+    def _robot(self, root: ET.Element) -> None:
+        kind = {"name": self.name, "fixed": "false", "self_collisions": "false"}
+        robot = ET.SubElement(root, "robot", kind)
+        self._link(robot)
+        for thruster in self.vehicle.thrusters:
+            self._push(robot, thruster)
+        _transform(robot, "world_transform", np.array([0.0, 0.0, self.settings.depth * self._edge]))
+
+    def _link(self, robot: ET.Element) -> None:
+        """A cube that displaces as much water as the model's buoyancy says, with the body's own inertia."""
+        physics = {"type": "box", "physics": "floating", "buoyant": "true"}
+        link = ET.SubElement(robot, "base_link", {"name": _HULL, **physics})
+        moments, angles = _principal(self.inertia)
+        ET.SubElement(link, "dimensions", {"xyz": numbers(*[self._edge] * 3)})
+        _transform(link, "origin", self._centre)
+        ET.SubElement(link, "material", {"name": _HULL})
+        ET.SubElement(link, "look", {"name": _HULL})
+        ET.SubElement(link, "mass", {"value": numbers(self.values["m"])})
+        ET.SubElement(link, "inertia", {"xyz": numbers(*moments)})
+        _transform(link, "cg", self.centre_of_gravity, angles)
+        viscous, quadratic = self._drag()
+        drag = {"viscous_drag": numbers(*viscous), "quadratic_drag": numbers(*quadratic)}
+        ET.SubElement(link, "hydrodynamics", drag)
+
+    def _drag(self) -> Array:
+        """Coefficients of viscous and quadratic drag that brake the cube along each axis, shape (2, 3).
+
+        Along an axis four faces give rho C_f A v, and one gives 1/2 rho C_d A v^2 times the speed in m/s.
+        """
+        drags = fit(self)
+        area = self.vehicle.environment["rho"] * self._edge**2
+        found = -on_the_diagonal(self, drags, 3) / (area * np.array([[4.0], [0.5]]))
+        if (found < 0).any():
+            self.losses.append("damping that drives the motion is left out")
+        if found[1].any():
+            self.losses.append(
+                "quadratic drag grows with the third power of the speed in Stonefish: right at 1 m/s"
+            )
+        return np.maximum(found, 0.0)
+
+    def _push(self, robot: ET.Element, thruster: Thruster) -> None:
+        line = self.line_of_thrust(thruster)
+        if line is None:
+            return
+        size, direction, point = line
+        push = ET.SubElement(robot, "actuator", {"name": thruster.name, "type": "push"})
+        if isfinite(most := size * self.most_thrust(thruster)):
+            limits = {"lower_limit": numbers(-most), "upper_limit": numbers(most)}
+            ET.SubElement(push, "specs", {**limits, "inverted": "false"})
+        _transform(push, "origin", point, angles_of(direction))
+        ET.SubElement(push, "link", {"name": _HULL})
+
+    # --- what is lost --------------------------------------------------------------------------
+    def _what_is_left(self) -> Iterator[str]:
+        """Lines on the effects that no part of the file stands for."""
+        yield from self.free_motions()
+        if self.effects("damping"):
+            yield "drag acts at the centre of buoyancy, and that of rotation and oblique motion is the cube's"
+        if "added_mass" in {e.id for e in self.vehicle.all_effects}:
+            yield "added mass is left out: Stonefish knows one mean of what it estimates from a shape"
+        named = {"thrusters", *(e.id for e in self.effects("damping"))}
+        for effect in self.not_exported({*RIGID, *ADDED_MASS, *STATICS, *named}):
+            yield f"{effect.id} is left out" + (
+                ": give <ocean> a <current>" if isinstance(effect, Flow) else ""
+            )
+
+
+def _principal(inertia: Array) -> tuple[Array, tuple[float, float, float]]:
+    """Principal moments, and roll, pitch and yaw of their axes; those of the body where they are such."""
+    if not np.count_nonzero(inertia - np.diag(np.diag(inertia))):
+        return np.diag(inertia), (0.0, 0.0, 0.0)
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.linalg.det(axes)  # right-handed
+    pitch = -asin(max(-1.0, min(1.0, axes[2, 0])))
+    return moments, (atan2(axes[2, 1], axes[2, 2]), pitch, atan2(axes[1, 0], axes[0, 0]))
+
+
+def _transform(
+    parent: ET.Element, name: str, position: Array, angles: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> None:
+    ET.SubElement(parent, name, {"xyz": numbers(*position), "rpy": numbers(*angles)})
