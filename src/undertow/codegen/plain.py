@@ -138,7 +138,8 @@ class _Body:
         sizes = zip(self._outputs, self._place, strict=True)
         partly = {n: size for n, (size, _) in sizes if self._written[n] < size}
         return [
-            f"for (int i = 0; i < {size}; i++) {n}[i] = {self._spread('0')};" for n, size in partly.items()
+            f"for (int i = 0; i < {size}; i++) {{ {n}[i] = {self._spread('0')}; }}"
+            for n, size in partly.items()
         ]
 
     def _instruction(self, k: int) -> None:

@@ -404,11 +404,14 @@ _HEADING = "@REAL@ @LOWER@_heading(@REAL@ x_0, @REAL@ y_0, @REAL@ x_d, @REAL@ y_
 _RULES = {
     "atan2": "  return @CALL@(atan2)(y_d - y_0, x_d - x_0);",
     "atan": """\
-  const @REAL@ north = x_d - x_0, east = y_d - y_0, zero = (@REAL@)0;
-  if (!(north < zero) && !(north > zero)) {
-    return (east > zero) ? @CALL@(acos)(zero) : ((east < zero) ? -@CALL@(acos)(zero) : zero);
+  const @REAL@ north = x_d - x_0;
+  const @REAL@ east = y_d - y_0;
+  const @REAL@ zero = (@REAL@)0;
+  @REAL@ heading = (east > zero) ? @CALL@(acos)(zero) : ((east < zero) ? -@CALL@(acos)(zero) : zero);
+  if ((north < zero) || (north > zero)) {
+    heading = @CALL@(atan)(east / north);
   }
-  return @CALL@(atan)(east / north);""",
+  return heading;""",
 }
 
 

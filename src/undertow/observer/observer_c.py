@@ -28,7 +28,8 @@ _UPDATES = {
   return nis;
 """,
     "ukf": """\
-  @REAL@ s[@COUNT@ * @N@], z[@COUNT@];
+  @REAL@ s[@COUNT@ * @N@];
+  @REAL@ z[@COUNT@];
   @NAME@_points(x, P, s);
   for (int k = 0; k < @COUNT@; k++) {
     @NAME@_reported_@SENSOR@(&s[k * @N@], u, p, t, &z[k]);

@@ -3,24 +3,24 @@ static void @NAME@_points(const @REAL@ *x, const @REAL@ *P, @REAL@ *s) {
   @REAL@ *column = &s[@N@];
   for (int j = 0; j < @N@; j++) {
     for (int i = 0; i < @N@; i++) {
-      @REAL@ rest = (i < j) ? @ZERO@ : P[i * @N@ + j];
+      @REAL@ rest = (i < j) ? @ZERO@ : P[(i * @N@) + j];
       for (int k = 0; (k < j) && (i >= j); k++) {
-        rest -= column[k * @N@ + i] * column[k * @N@ + j];
+        rest -= column[(k * @N@) + i] * column[(k * @N@) + j];
       }
-      column[j * @N@ + i] = rest;
+      column[(j * @N@) + i] = rest;
     }
-    const @REAL@ pivot = column[j * @N@ + j];
-    const @REAL@ scale = (pivot > @ROUNDING@ * P[j * @N@ + j]) ? @ONE@ / @CALL@(sqrt)(pivot) : @ZERO@;
+    const @REAL@ pivot = column[(j * @N@) + j];
+    const @REAL@ scale = (pivot > (@ROUNDING@ * P[(j * @N@) + j])) ? @ONE@ / @CALL@(sqrt)(pivot) : @ZERO@;
     for (int i = j; i < @N@; i++) {
-      column[j * @N@ + i] *= scale;
+      column[(j * @N@) + i] *= scale;
     }
   }
   for (int i = 0; i < @N@; i++) {
     s[i] = x[i];
   }
-  for (int k = 0; k < @N@ * @N@; k++) {
+  for (int k = 0; k < (@N@ * @N@); k++) {
     const @REAL@ off = @REACH@ * column[k];
-    column[@N@ * @N@ + k] = x[k % @N@] - off;
+    column[(@N@ * @N@) + k] = x[k % @N@] - off;
     column[k] = x[k % @N@] + off;
   }
 }
@@ -31,7 +31,7 @@ static @REAL@ @NAME@_centred(@REAL@ *s, int width) {
   for (int k = 1; k < @COUNT@; k++) {
     mean += s[k * width];
   }
-  mean = @SHARE@ * mean + @CENTRE@ * s[0];
+  mean = (@SHARE@ * mean) + (@CENTRE@ * s[0]);
   for (int k = 0; k < @COUNT@; k++) {
     s[k * width] -= mean;
   }
@@ -43,7 +43,7 @@ static @REAL@ @NAME@_covariance(const @REAL@ *a, int wide, const @REAL@ *b, int 
   for (int k = 1; k < @COUNT@; k++) {
     sum += a[k * wide] * b[k * width];
   }
-  return @SHARE@ * sum + @SPREAD@ * a[0] * b[0];
+  return (@SHARE@ * sum) + (@SPREAD@ * a[0] * b[0]);
 }
 
 void @NAME@_predict(const @REAL@ *x, const @REAL@ *P, const @REAL@ *u, const @NAME@_parameters *p, @REAL@ t,
@@ -57,7 +57,7 @@ void @NAME@_predict(const @REAL@ *x, const @REAL@ *P, const @REAL@ *u, const @NA
   for (int i = 0; i < @N@; i++) {
     xn[i] = @NAME@_centred(&s[i], @N@);
   }
-  for (int k = 0; k < @N@ * @N@; k++) {
+  for (int k = 0; k < (@N@ * @N@); k++) {
     Pn[k] += @NAME@_covariance(&s[k / @N@], @N@, &s[k % @N@], @N@);
   }
 }
@@ -67,26 +67,26 @@ static @REAL@ @NAME@_update_by(@REAL@ *x, @REAL@ *P, @REAL@ *s, @REAL@ *z, @REAL
                              int angle) {
   @REAL@ gain[@N@];
   const @REAL@ error = y - @NAME@_centred(z, 1);
-  const @REAL@ turns = (angle != 0) ? @CALL@(floor)(error / @TURN@ + @HALF@) : @ZERO@;
-  const @REAL@ innovation = error - @TURN@ * turns;
+  const @REAL@ turns = (angle != 0) ? @CALL@(floor)((error / @TURN@) + @HALF@) : @ZERO@;
+  const @REAL@ innovation = error - (@TURN@ * turns);
   const @REAL@ variance = @NAME@_covariance(z, 1, z, 1) + r;
   const @REAL@ nis = innovation * innovation / variance;
-  if (nis > gate) {
-    return nis;
-  }
-  for (int i = 0; i < @N@; i++) {
-    for (int k = 0; k < @COUNT@; k++) {
-      s[k * @N@ + i] -= x[i];
+  if (!(nis > gate)) {
+    for (int i = 0; i < @N@; i++) {
+      for (int k = 0; k < @COUNT@; k++) {
+        s[(k * @N@) + i] -= x[i];
+      }
+      gain[i] = @NAME@_covariance(&s[i], @N@, z, 1) / variance;
+      for (int k = 0; k < @COUNT@; k++) {
+        s[(k * @N@) + i] -= z[k] * gain[i];
+      }
+      x[i] += gain[i] * innovation;
     }
-    gain[i] = @NAME@_covariance(&s[i], @N@, z, 1) / variance;
-    for (int k = 0; k < @COUNT@; k++) {
-      s[k * @N@ + i] -= z[k] * gain[i];
+    for (int k = 0; k < (@N@ * @N@); k++) {
+      const int i = k / @N@;
+      const int j = k % @N@;
+      P[k] = @NAME@_covariance(&s[i], @N@, &s[j], @N@) + (gain[i] * gain[j] * r);
     }
-    x[i] += gain[i] * innovation;
-  }
-  for (int k = 0; k < @N@ * @N@; k++) {
-    const int i = k / @N@, j = k % @N@;
-    P[k] = @NAME@_covariance(&s[i], @N@, &s[j], @N@) + gain[i] * gain[j] * r;
   }
   return nis;
 }

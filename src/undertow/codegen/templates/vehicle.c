@@ -5,16 +5,18 @@ void @LOWER@_vehicle_step(@LOWER@_real *x, const @LOWER@_real *u, const @LOWER@_
   static const @LOWER@_real reach[5] = {(@LOWER@_real)0, (@LOWER@_real)0.5, (@LOWER@_real)0.5, (@LOWER@_real)1,
                                         (@LOWER@_real)0};
   static const @LOWER@_real weight[4] = {(@LOWER@_real)1, (@LOWER@_real)2, (@LOWER@_real)2, (@LOWER@_real)1};
-  @LOWER@_real stage[@UPPER@_STATES], rate[@UPPER@_STATES], total[@UPPER@_STATES];
+  @LOWER@_real stage[@UPPER@_STATES];
+  @LOWER@_real rate[@UPPER@_STATES];
+  @LOWER@_real total[@UPPER@_STATES];
   for (int i = 0; i < @UPPER@_STATES; i++) {
     stage[i] = x[i];
     total[i] = (@LOWER@_real)0;
   }
   for (int k = 0; k < 4; k++) {
-    @LOWER@_dynamics(stage, u, p, t + reach[k] * h, rate);
+    @LOWER@_dynamics(stage, u, p, t + (reach[k] * h), rate);
     for (int i = 0; i < @UPPER@_STATES; i++) {
       total[i] += weight[k] * rate[i];
-      stage[i] = x[i] + reach[k + 1] * h * rate[i];
+      stage[i] = x[i] + (reach[k + 1] * h * rate[i]);
     }
   }
   for (int i = 0; i < @UPPER@_STATES; i++) {

@@ -1,0 +1,99 @@
+"""MISRA C:2012 in exported C, as cppcheck's addon sees it: nothing beyond what docs/export.md lists."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.codegen.test_library import _auv
+from tests.control.test_controller_export import table as gain_table
+from undertow.codegen.library import Library
+from undertow.control.api import library_of
+from undertow.control.gains import gains_from_table, load_gains
+from undertow.control.guidance.mission import load_mission
+from undertow.control.laws import LAWS
+from undertow.model.loading import bundled_vehicles, load_vehicle
+from undertow.observer.design import ObserverTable, design
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "export.md"
+MISSIONS = ROOT / "examples" / "missions"
+# cppcheck follows every path of a function; on longer ones it takes many minutes.
+LONGEST = 1500  # lines of a source
+
+pytestmark = pytest.mark.skipif(shutil.which("cppcheck") is None, reason="needs cppcheck")
+
+
+def listed() -> set[str]:
+    """Rules whose deviations the page lists."""
+    return set(re.findall(r"^\| (\d+\.\d+) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def violated(folder: Path) -> set[str]:
+    """Rules that the sources of a library violate, with where, by number."""
+    found: set[str] = set()
+    for source in sorted((folder / "src").glob("*.c")):
+        if source.read_text().count("\n") > LONGEST:
+            continue
+        command = ["cppcheck", "--addon=misra", "--std=c99", "--quiet", "--template={file}:{line} {id}"]
+        words = subprocess.run(
+            [*command, "-I.", source.name], cwd=source.parent, capture_output=True, text=True
+        )
+        assert words.returncode == 0, words.stderr
+        assert "_real.h:" in words.stderr  # that the addon has run: what all sources include deviates
+        found |= set(re.findall(r"\S+ misra-c2012-\S+", words.stderr))
+    return found
+
+
+def hull() -> Library:
+    """One degree of freedom, with both filters."""
+    vehicle = load_vehicle("box-hull")
+    content = {
+        "schema": "undertow/observer/1",
+        "sensors": {"x": {"noise": "5 cm"}},
+        "disturbance": {"u": 0.01},
+    }
+    tables = [{**content, "name": f"gps {kind}", "filter": kind} for kind in ("ekf", "ukf")]
+    return library_of(vehicle, [], [design(ObserverTable.model_validate(t), vehicle) for t in tables])
+
+
+def laws() -> Library:
+    vehicle = load_vehicle("mini-auv")
+    tables = [gain_table(law, unactuated=["sway"]) for law in LAWS]
+    return library_of(vehicle, [gains_from_table(table, vehicle) for table in tables])
+
+
+def survey() -> Library:
+    """Line of sight and fins."""
+    vehicle = replace(load_vehicle("remus100"), name="survey")
+    gains = load_gains(MISSIONS / "remus100-gains.toml", vehicle)
+    return library_of(vehicle, [gains], [], load_mission(MISSIONS / "remus100-survey.toml"))
+
+
+def beyond(found: set[str]) -> set[str]:
+    return {violation for violation in found if violation.rpartition("-")[2] not in listed()}
+
+
+def test_the_rules_that_are_violated_are_those_that_are_listed(tmp_path: Path) -> None:
+    found = violated(hull().write(tmp_path).folder)
+    assert {violation.rpartition("-")[2] for violation in found} == listed()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("library", [_auv, laws, survey])
+def test_nor_are_others_in_laws_guidance_and_allocation(
+    library: Callable[[], Library], tmp_path: Path
+) -> None:
+    assert not beyond(violated(library().write(tmp_path).folder))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", bundled_vehicles())
+def test_nor_in_any_bundled_vehicle(name: str, tmp_path: Path) -> None:
+    assert not beyond(violated(Library(load_vehicle(name)).write(tmp_path).folder))
