@@ -195,7 +195,8 @@ def draw(problem: Problem, found: Run, names: Sequence[str], path: Path) -> None
     plane.set_xlim(-6, 6)
     plane.legend(loc="lower right")
     for i in range(u.shape[1]):
-        thrust.step(t, u[:, i], where="post", label=names[i])
+        # Dashed, as the two side thrusters are told the same.
+        thrust.step(t, u[:, i], "--" if i == u.shape[1] - 1 else "-", where="post", label=names[i])
     for side in (-1, 1):
         thrust.axhline(side * problem.limit, color="0.5", linestyle=":")
     thrust.set(xlabel="time [s]", ylabel="thrust [N]", title="Commands; dotted: limits")

@@ -19,6 +19,7 @@ from tests.quick import first_quick
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import slug
 from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario
+from undertow.control.closed_loop.pictures import track
 from undertow.control.conditions.problem import Problem
 
 # Private: C of the conditions, in a derivative that is worked out by differences.
@@ -29,7 +30,7 @@ from undertow.control.gains import GainSet, GainTable, gains_from_table, load_ga
 from undertow.control.guidance.line_of_sight import Guidance, LineOfSight
 from undertow.control.guidance.mission import Mission, MissionTable, load_mission, mission_from_table
 from undertow.control.guidance.reference import Kinematics, Limits
-from undertow.control.laws import LAWS
+from undertow.control.laws import JUMPING, LAWS
 from undertow.control.linear.systems import SettledObserver, close_loop
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -169,6 +170,18 @@ def test_a_vehicle_that_begins_on_its_spline_stays_there(law: str) -> None:
     sampled = loop.run(Scenario(duration=60.0, dt=0.05)).result.followed
     assert sampled is not None
     assert 1e-8 < max(e.largest for e in sampled.errors) < 0.01  # commands that are held are late
+
+
+@pytest.mark.parametrize("law", JUMPING)
+def test_a_law_that_jumps_stays_within_what_its_samples_leave(law: str) -> None:
+    found = (
+        ClosedLoop(ship(law), mission=mission("spline", SQUARE)).run(Scenario(duration=60.0, dt=0.02)).result
+    )
+    assert found.followed is not None
+    assert found.followed.arrived is not None
+    left = {c.name: c.sampling_offset for c in found.coordinates}
+    for error in found.followed.errors:
+        assert 0 < error.largest < left[error.name]
 
 
 def _rates(gains: GainSet, seed: int, iota: float) -> tuple[float, float]:
@@ -374,6 +387,27 @@ def test_a_leg_is_certified_and_too_short_a_lookahead_is_not(remus: GainSet) -> 
     slow = np.roots([1, 1.5 * math.cos(psi) * k, 1.5 * math.cos(psi) * k**2 * 0.1]).max()
     assert good.rows[1].margin == pytest.approx(-slow, rel=0.05)
     assert [r.verdict for r in check_mission(remus, on_leg(lookahead=1.5)).rows] == ["holds", "fails"]
+
+
+@pytest.mark.parametrize("law", JUMPING)
+def test_a_law_that_jumps_is_not_linearised_on_legs(law: str) -> None:
+    """Sampled it has no steady motion, which says nothing against it."""
+    rows = check_mission(ship(law), mission("legs", SQUARE, guidance={"lookahead": 3, "acceptance": 1})).rows
+    assert [(r.condition, r.verdict) for r in rows] == [("current", "holds"), ("legs", "not proved")]
+    assert f"law '{law}' jumps" in rows[-1].where
+
+
+def test_the_track_is_drawn_up_to_the_end_of_the_legs() -> None:
+    """Which is not held: what comes after is no part of the mission."""
+    legs = mission("legs", SQUARE, guidance={"lookahead": 3, "acceptance": 1})
+    record = ClosedLoop(ship("sliding-mode-boundary-layer"), mission=legs).run(
+        Scenario(duration=60.0, dt=0.1)
+    )
+    assert record.result.followed is not None
+    arrived = record.result.followed.arrived
+    assert arrived is not None
+    line = next(line for line in track([record]).axes[0].lines if len(line.get_xdata()) > 10)
+    assert len(line.get_xdata()) == np.count_nonzero(record.t <= arrived) < record.t.size
 
 
 @pytest.mark.slow

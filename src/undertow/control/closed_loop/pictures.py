@@ -100,7 +100,8 @@ def track(records: Sequence[Record]) -> Figure:
         if first.followed is not None:
             axis.plot(first.followed.way[:, 1], first.followed.way[:, 0], ":", color=INK, label="mission")
         for i, record in enumerate(records):
-            axis.plot(record.state["y"], record.state["x"], label=plain(record.result.controller), **_line(i))
+            kept, name = _on_the_way(record), plain(record.result.controller)
+            axis.plot(record.state["y"][kept], record.state["x"][kept], label=name, **_line(i))
         axis.plot(first.state["y"][0], first.state["x"][0], "o", color=INK, fillstyle="none", label="start")
         if {"x", "y"} <= set(first.result.to):
             goal = first.result.to
@@ -128,15 +129,20 @@ def errors(records: Sequence[Record]) -> Figure:
                     axis.plot(record.t, units[unit] * values, label=label, **_line(i))
             axis.set_ylabel(f"desired less true [{unit}]")
             axis.grid()
-            axis.legend(loc="best", ncols=3)
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)  # above: the errors fill it
         axes[-1, 0].set_xlabel("time [s]")
     return picture
 
 
+def _on_the_way(record: Record) -> np.ndarray:
+    """Rows up to the end of the mission, which is not always held after it; all without one."""
+    followed = record.result.followed
+    return np.asarray(record.t <= ((followed.arrived if followed else None) or record.t[-1]))
+
+
 def _errors_by_unit(record: Record) -> dict[str, dict[str, np.ndarray]]:
     assert record.followed is not None
-    until = (record.result.followed.arrived if record.result.followed else None) or record.t[-1]
-    kept = record.t <= until
+    kept = _on_the_way(record)
     by: dict[str, dict[str, np.ndarray]] = {"m": {}, "deg": {}}
     for name, values in record.followed.errors.items():
         by["deg" if name in ("phi", "theta", "psi") else "m"][name] = np.where(kept, values, np.nan)

@@ -19,6 +19,7 @@ from undertow.control.gains import GainSet
 from undertow.control.guidance.line_of_sight import LineOfSight
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.reference import TimedReference
+from undertow.control.laws import JUMPING
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -351,6 +352,9 @@ def _leg_rows(gains: GainSet, mission: Mission, reference: LineOfSight) -> Itera
         "current", "speed > current", "A slower vehicle has no heading that keeps it on every leg.",
         speed - water, True, f"{speed:.4g} m/s against {water:.4g} m/s", "kinematics",
     )  # fmt: skip
+    if gains.law.id in JUMPING:
+        yield _jumping_row(gains)
+        return
     vehicle = Choices(current=mission.current).in_current(gains.plant.vehicle)
     steps = np.diff(mission.points, axis=0)
     alike: dict[tuple[float, ...], list[int]] = {}  # legs by their direction, by which their poles differ
@@ -358,6 +362,18 @@ def _leg_rows(gains: GainSet, mission: Mission, reference: LineOfSight) -> Itera
         alike.setdefault(tuple((step / np.linalg.norm(step)).round(4)), []).append(number)
     for numbers in alike.values():
         yield _leg_row(gains, vehicle, mission, reference, numbers)
+
+
+def _jumping_row(gains: GainSet) -> MissionRow:
+    return MissionRow(
+        "legs",
+        "all poles on every leg decay",
+        "A law that jumps has no linear form on its surface, and sampled no steady motion either.",
+        "linearisation",
+        0.0,
+        UNPROVED,
+        f"law '{gains.law.id}' jumps: simulate it, or take 'sliding-mode-boundary-layer'",
+    )
 
 
 def _leg_row(
