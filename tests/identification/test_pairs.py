@@ -75,3 +75,15 @@ def test_an_antenna_off_the_origin_is_named_where_slow_forces_act() -> None:
     found = diagnose(vehicle_of(case), runs[:-1], runs[-1:]).diagnosis
     assert found.effects == ["position_lever_arm"]
     assert "the position over" in found.headline
+
+
+@pytest.mark.slow
+def test_what_stood_in_for_an_effect_found_later_is_dropped() -> None:
+    """Lift gains something while the memory in surge is missing, and nothing beside it."""
+    case = make_case("usv", ("radiation_memory", "thruster_asymmetry"), 19888640, noise=0.3)
+    names = ("thruster_asymmetry", "lift", "radiation_memory", "constant_force", "propeller_walk")
+    runs = runs_of(case)
+    known = {n: catalogue()[n] for n in names}
+    found = diagnose(vehicle_of(case), runs[:-1], runs[-1:], known=known).diagnosis
+    assert found.verdict == "missing_effect"
+    assert sorted(found.effects) == ["radiation_memory", "thruster_asymmetry"]
