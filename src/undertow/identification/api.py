@@ -146,7 +146,7 @@ class Refit:
     train, test : list of Run
         Logs that were fitted, and validation logs.
     before, after : Prediction
-        Kept-aside logs predicted by the model as given and as refitted.
+        Validation logs predicted by the model as given and as refitted.
     """
 
     stated: Vehicle
