@@ -8,7 +8,7 @@ from collections.abc import Callable
 Report = Callable[[float, str], None]
 
 
-def teller(part: str) -> Report:
+def progress_line(part: str) -> Report:
     """A line on stderr that is rewritten on a terminal; one line per step elsewhere.
 
     The step is what stands before the colon in what is told.

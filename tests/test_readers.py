@@ -37,11 +37,11 @@ from undertow.control.linear.report import Snapshot
 from undertow.errors import UndertowError
 from undertow.fleet.diagnose import Store
 from undertow.fleet.reduction import Reduced
+from undertow.identification.diagnosis.result import Diagnosis, read_diagnosis
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.reading import read_log
-from undertow.identification.planning.rivals import read_diagnosis as read_for_plan
-from undertow.identification.report.scaffold import read_diagnosis
+from undertow.identification.planning.rivals import Diagnosed
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.saving import save_vehicle
 from undertow.paper.tables import _numbers, appendix  # the reader of one cell
@@ -303,8 +303,8 @@ def test_gains_come_back(values: list[dict[str, float]], gate: float, tmp_path: 
 def test_a_diagnosis_comes_back(seed: int, tmp_path: Path) -> None:
     path, found = tmp_path / "found.json", diagnosis(seed)
     path.write_text(found.model_dump_json(indent=1))
-    assert read_diagnosis(path) == found
-    for_plan = read_for_plan(path)
+    assert read_diagnosis(path, Diagnosis) == found
+    for_plan = read_diagnosis(path, Diagnosed)
     assert for_plan.values("constant_force") == {e.name: e.value for e in found.parameters}
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
-from ..progress import clear, teller
+from ..progress import clear, progress_line
 from .page import Material, page
 from .pictures import draw
 from .runs import long_pid, paper_run, read, sampled_signs, six
@@ -20,7 +20,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.closed_loops", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs/closed-loops.md"), help="default: %(default)s")
     options = parser.parse_args(arguments)
-    tell = teller("closed loops")
+    tell = progress_line("closed loops")
     try:
         material = Material(paper_run(), long_pid(), read(tell), sampled_signs(), six(tell))
     except UndertowError as error:

@@ -9,7 +9,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 
-from benchmarks.progress import clear, teller
+from benchmarks.progress import clear, progress_line
 
 from .cases import case
 from .run import LIMIT, Done, one, results
@@ -63,7 +63,7 @@ def _again(name: str, keep: Path) -> int:
 
 def _reported(found: Iterable[Done], count: int) -> list[Done]:
     """All results, with a line on how far it is."""
-    tell, done, failed = teller("fuzz"), [], 0
+    tell, done, failed = progress_line("fuzz"), [], 0
     for one_done in found:
         done.append(one_done)
         failed += one_done.outcome.said == "failed"

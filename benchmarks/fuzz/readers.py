@@ -18,12 +18,12 @@ from undertow.control.linear.report import Snapshot, changes
 from undertow.errors import UndertowError
 from undertow.fleet.diagnose import Store
 from undertow.fleet.partitions import partition_of
+from undertow.identification.diagnosis.result import Diagnosis, read_diagnosis
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.identification.planning.rivals import read_diagnosis as read_for_plan
-from undertow.identification.report.scaffold import read_diagnosis
+from undertow.identification.planning.rivals import Diagnosed
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.shape.mesh import read_hull
@@ -124,13 +124,13 @@ def _gains(path: Path) -> Any:
 
 # --- what undertow itself has written -------------------------------------------------------------
 def _diagnosis(path: Path) -> Any:
-    found = read_diagnosis(path)
+    found = read_diagnosis(path, Diagnosis)
     assert type(found).model_validate_json(found.model_dump_json()) == found, "not what it says"
     return found
 
 
 def _for_plan(path: Path) -> Any:
-    found = read_for_plan(path)
+    found = read_diagnosis(path, Diagnosed)
     assert found.rivals is not None
     assert len(found.in_every_rival) <= len(found.effects)
     return found

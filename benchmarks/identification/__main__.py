@@ -9,7 +9,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from benchmarks.progress import clear, teller
+from benchmarks.progress import clear, progress_line
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
@@ -41,9 +41,9 @@ def main(arguments: list[str] | None = None) -> int:
         box = estimates(folder) if folder.is_dir() else []
         basin = options.data / "ntnu-cse1"
         towed = towing(basin) if basin.is_dir() else None
-        levels = study(options.draws, teller("profile P"))
-        variables = biases(options.more, teller("errors in variables"))
-        hard = hardships(options.more, teller("outliers and disturbances"))
+        levels = study(options.draws, progress_line("profile P"))
+        variables = biases(options.more, progress_line("errors in variables"))
+        hard = hardships(options.more, progress_line("outliers and disturbances"))
         clear()
     except UndertowError as error:
         print(f"error: {error}", file=sys.stderr)

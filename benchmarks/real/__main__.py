@@ -83,8 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     for command in (doing, listing, one):
         _add_data(command)
     paging = commands.add_parser("page", help="the tables of a run")
-    telling = commands.add_parser("unsaid", help="what could not be said of the logs as they are, and why")
-    for command in (paging, telling):
+    unsaid = commands.add_parser("unsaid", help="what could not be said of the logs as they are, and why")
+    for command in (paging, unsaid):
         add = command.add_argument
         add("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
         add("--out", type=Path, metavar="FILE.md", help="printed where it is not given")

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.progress import clear, teller
+from benchmarks.progress import clear, progress_line
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _diagnosed(data: Path) -> list[CaseResult]:
-    report, results = teller(FOLDER), []
+    report, results = progress_line(FOLDER), []
     for i, case in enumerate(CASES):
         results.append(run_case(data, case, lambda done, words, i=i, case=case: report(
             (i + done) / len(CASES), f"{case}: {words}")))  # fmt: skip

@@ -10,7 +10,7 @@ from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.shape.panels import PANEL_RULES
 
-from ..progress import clear, teller
+from ..progress import clear, progress_line
 from .bodies import measure
 from .page import page
 
@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("docs/shape.md"), help="default: %(default)s")
     options = parser.parse_args(arguments)
     try:
-        measured = measure(options.panels, teller("bodies"))
+        measured = measure(options.panels, progress_line("bodies"))
     except UndertowError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from undertow.files import write_whole
 from undertow.shape.mesh import load_capytaine
 
-from ..progress import clear, teller
+from ..progress import clear, progress_line
 
 Array = NDArray[np.float64]
 RATIOS = 2.0 ** (np.arange(6) / 2)
@@ -87,7 +87,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.shape.box_table", description=__doc__)
     parser.add_argument("--out", type=Path, default=OUT, help="default: %(default)s")
     out: Path = parser.parse_args(arguments).out
-    tell, rows, most = teller("boxes"), [], 0
+    tell, rows, most = progress_line("boxes"), [], 0
     for i, (longer, wider) in enumerate(pairs := [(a, b) for a in RATIOS for b in RATIOS]):
         tell(i / len(pairs), f"{longer:.3g} x {wider:.3g}")
         found, error, panels = extrapolated(np.array([longer * wider, wider, 1.0]))

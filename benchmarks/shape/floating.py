@@ -20,7 +20,7 @@ from undertow.shape.bodies import AddedMass
 from undertow.shape.floating import Afloat, FloatingBody
 from undertow.typing import Progress
 
-from ..progress import clear, teller
+from ..progress import clear, progress_line
 from .hulls import ball
 from .hulme import ADDED, DAMPING
 from .usv import CG, MASS, usv_hull
@@ -216,7 +216,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.what == "run":
         try:
-            stored = measure(options.panels, teller("hulls"))
+            stored = measure(options.panels, progress_line("hulls"))
         except UndertowError as error:
             print(f"error: {error}", file=sys.stderr)
             return 2

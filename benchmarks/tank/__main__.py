@@ -12,7 +12,7 @@ from undertow.errors import UndertowError
 from undertow.figures import save_png
 from undertow.files import write_whole
 
-from ..progress import clear, teller
+from ..progress import clear, progress_line
 from .bodies import BODIES, drawing, results, run, shelf, ship
 from .chain import compare
 from .page import CHAIN, page
@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     for name in options.bodies or BODIES:
         try:
-            found = run(name, options.work, teller(name))
+            found = run(name, options.work, progress_line(name))
         except UndertowError as error:
             print(f"error: {error}", file=sys.stderr)
             return 2

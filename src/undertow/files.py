@@ -103,11 +103,11 @@ def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     return content
 
 
-def read_json(path: str | os.PathLike[str], kind: str, limits: TextLimits = RESULTS) -> str:
+def read_json(path: str | os.PathLike[str], kind: str) -> str:
     """Read the text of a JSON file of reasonable size and depth; what it holds is for the caller to check."""
-    text = read_text(path, kind, limits)
-    if _depth(_QUOTED.sub("_", text)) > limits.depth:
-        raise UndertowError(_too_deep(os.fspath(path), kind, limits))
+    text = read_text(path, kind, RESULTS)
+    if _depth(_QUOTED.sub("_", text)) > RESULTS.depth:
+        raise UndertowError(_too_deep(os.fspath(path), kind, RESULTS))
     return text
 
 

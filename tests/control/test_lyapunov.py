@@ -16,7 +16,7 @@ from undertow.control.conditions.lyapunov import (
     compare,
     derivatives,
     equilibria_without_thrust,
-    one_direction,
+    filled,
 )
 from undertow.control.laws import LAWS, LawSignals, sliding_surface
 from undertow.control.plant import Plant
@@ -31,6 +31,11 @@ CORIOLIS = ("rigid_body_coriolis", "added_mass_coriolis")
 def plant(*without: str) -> Plant:
     vehicle = load_vehicle("mini-auv")
     return Plant(replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in without)))
+
+
+def one_direction(p: Plant) -> Plant:
+    """A plant with every switched parameter at its forward value."""
+    return filled(p, {sm.sign(v): sm.Integer(1) for v in p.reversing})
 
 
 def assert_zero(expression: sm.Expr) -> None:

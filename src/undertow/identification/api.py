@@ -21,7 +21,7 @@ from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
-from .diagnosis.result import Role, RunInfo, ValuesByRun, run_info
+from .diagnosis.result import Role, RunInfo, ValuesByRun, read_diagnosis, run_info
 from .diagnosis.validation import training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
@@ -47,7 +47,7 @@ from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
-from .planning.rivals import NONE, RivalSpec, read_diagnosis, specs_of
+from .planning.rivals import NONE, Diagnosed, RivalSpec, specs_of
 from .planning.separation import plan_separation
 from .report.results import AdditionResult, FitResult, FittedParameter, addition_result, channel_errors
 
@@ -146,7 +146,7 @@ class Refit:
     train, test : list of Run
         Logs that were fitted, and validation logs.
     before, after : Prediction
-        Kept-aside logs predicted by the model as given and as refitted.
+        Validation logs predicted by the model as given and as refitted.
     """
 
     stated: Vehicle
@@ -590,7 +590,7 @@ def plan(
         return plan_parameters(vehicle, runs, request, only, trust_log=trust_log)
     effects = catalogue() if known is None else known
     if diagnosis is not None:
-        specs = specs_of(read_diagnosis(diagnosis), vehicle, effects)
+        specs = specs_of(read_diagnosis(diagnosis, Diagnosed), vehicle, effects)
     else:
         specs = [RivalSpec(name, {}) for name in (between if len(between) > 1 else [*between, NONE])]
     return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)

@@ -369,7 +369,7 @@ def _residual(view: View, found: Mapping[str, Any], again: Any) -> None:
         return
     dof, regime = view.cell
     candidates = _with_force(view)
-    variables = _telling_first(found, dof)
+    variables = [p["variable"] for p in found["profiles"] if p["dof"] == dof] or list(found["variables"])
     view.variable = view.variable if view.variable in found["variables"] else variables[0]
     view.run = min(view.run, len(found["runs"]) - 1)
     view.curve = view.curve if view.curve in candidates else next(iter(candidates), "")
@@ -411,14 +411,3 @@ def _with_force(view: View) -> dict[str, Any]:
     if not current:  # that of another model would be drawn over the residual of this one
         return {}
     return {c["effect"]: c["supplied"] for c in (found or {}).get("candidates", []) if c["supplied"]}
-
-
-def _telling_first(found: Mapping[str, Any], dof: str) -> list[str]:
-    """Variables in the order in which the residual of a degree of freedom correlates with them."""
-    own = [p for p in found["profiles"] if p["dof"] == dof]
-    return [p["variable"] for p in sorted(own, key=_telling, reverse=True)] or list(found["variables"])
-
-
-def _telling(profile: Mapping[str, Any]) -> float:
-    pairs = [(f, e) for f, e in zip(profile["force"], profile["error"], strict=True) if e]
-    return sum((f / e) ** 2 for f, e in pairs) / max(len(pairs), 1)

@@ -12,7 +12,7 @@ from typing import Any
 from nicegui import ui
 
 from undertow.figures import unit_text
-from undertow.identification.report.page import parameter_text
+from undertow.identification.report.page import meanings, parameter_text
 from undertow.identification.report.sentences import CommandLine
 from undertow.model.describe import equations_on
 from undertow.model.effect import Effect
@@ -23,15 +23,6 @@ from undertow.model.vehicle import Vehicle
 from . import figures
 from .session import FORCE, REFITTED, ModelStep, Workspace, near
 from .view import View, action, equation, heading, lines, measures, shown, stale, words_of
-
-_VERDICTS = {
-    "adequate": "Nothing is missing that these logs could show",
-    "missing_effect": "An effect is missing",
-    "indistinguishable": "Something is missing, and these logs cannot tell which of several effects",
-    "helps_prediction": "An effect helps to predict, and is not established as the cause",
-    "unexplained": "Something is missing that the catalogue does not explain",
-    "not_identifiable": "Something is missing, and these logs cannot say what",
-}
 
 
 # --- What is missing ------------------------------------------------------------------------------
@@ -71,7 +62,7 @@ def _verdict(found: Mapping[str, Any], current: bool) -> None:
     if not current:
         stale()
     diagnosis = found["diagnosis"]
-    ui.label(_VERDICTS[diagnosis["verdict"]]).classes("text-base font-medium").mark("verdict")
+    ui.label(meanings()[diagnosis["verdict"]].title).classes("text-base font-medium").mark("verdict")
     ui.label(diagnosis["headline"]).classes("text-sm")
     for text in diagnosis["warnings"]:
         ui.label(text).classes("text-sm text-amber-900 bg-amber-1 px-2 rounded")

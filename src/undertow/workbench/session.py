@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_text, write_whole
@@ -20,6 +20,7 @@ from undertow.identification.doctor.findings import as_toml, edits_of, into_file
 from undertow.identification.logs.checks import MEASURABLE
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping, place_beside, read_mapping
 from undertow.identification.logs.run import Run
+from undertow.identification.long_logs.result import ResultTable
 from undertow.identification.report.sentences import CommandLine
 from undertow.model.loading import load_vehicle, resolve_vehicle
 
@@ -31,11 +32,7 @@ REFITTED = "refitted"  # what a model is called that has other values only
 _FILE = "session.json"
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class Stretch(_Table):
+class Stretch(ResultTable):
     """What is done with a part of a log; times in s."""
 
     start: float
@@ -43,7 +40,7 @@ class Stretch(_Table):
     role: Role
 
 
-class LogChoice(_Table):
+class LogChoice(ResultTable):
     """A log and what is done with it and with stretches of it; of stretches that overlap the last counts.
 
     `part` numbers the runs of a file that holds several.
@@ -105,14 +102,14 @@ def _part(piece: Run, run: Run, span: Stretch) -> Run:
     return replace(piece, name=name, part_of=run.origin)
 
 
-class Remedy(_Table):
+class Remedy(ResultTable):
     """A change of the mapping that the doctor proposed and the user took."""
 
     id: str
     lines: str
 
 
-class ModelStep(_Table):
+class ModelStep(ResultTable):
     """One version of the vehicle.
 
     `file` is a vehicle file in the folder of the session ("" for the one given), `effect` what was added,
@@ -131,7 +128,7 @@ class ModelStep(_Table):
     asked: list[str] = Field(default_factory=list)
 
 
-class Session(_Table):
+class Session(ResultTable):
     """All that was chosen, and the names of what was found."""
 
     schema_: Literal["undertow/workbench/1"] = Field(alias="schema", default=SCHEMA)

@@ -30,7 +30,7 @@ from undertow.identification.report.page import estimate_text, render_report
 from undertow.identification.report.pictures import thinned
 from undertow.identification.report.results import addition_sentence
 from undertow.identification.report.scaffold import check_id, effect_file, suggested
-from undertow.identification.report.tables import report_data, simulated
+from undertow.identification.report.tables import report_data, simulated, telling
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.describe import describe, equations_on
 from undertow.model.effect import Effect
@@ -181,7 +181,7 @@ def _compared(found: Comparison) -> Result:
         "cells": [c.model_dump() for c in cells],
         "worst": None if result.worst is None else result.worst.model_dump(),
         "stretches": stretches,
-        "profiles": [_profile(p) for p in found.profiles],
+        "profiles": [_profile(p) for p in sorted(found.profiles, key=telling, reverse=True)],
         "run": found.forces.run[rows].tolist(),
         "t": _plain(found.forces.t[rows]),
         "missing": _columns(result.degrees_of_freedom, found.forces.missing[rows]),

@@ -99,13 +99,8 @@ def new(
     """
     from undertow.errors import UndertowError
     from undertow.files import write_whole
-    from undertow.identification.report.scaffold import (
-        check_id,
-        effect_file,
-        example,
-        read_diagnosis,
-        suggested,
-    )
+    from undertow.identification.diagnosis.result import Diagnosis, read_diagnosis
+    from undertow.identification.report.scaffold import check_id, effect_file, example, suggested
 
     check_id(id)
     target = out or Path(f"{id}.py")
@@ -113,7 +108,7 @@ def new(
     new_file(target, force, [diagnosis] if diagnosis else [])
     if target.suffix != ".py":
         raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
-    found = suggested(read_diagnosis(diagnosis), diagnosis.name) if diagnosis else example()
+    found = suggested(read_diagnosis(diagnosis, Diagnosis), diagnosis.name) if diagnosis else example()
     write_whole(target, effect_file(id, target.name, found))
     console().print(text(f"{'replaced' if replaced else 'wrote'} {target}"))
     for term in found.terms:

@@ -223,8 +223,6 @@ def lyapunov(plant: Plant, law: Law, equilibria: str) -> Lyapunov:
 
 
 class _Filled:
-    """A plant whose matrices have values put in for symbols, one mapping after another."""
-
     def __init__(self, plant: Plant, *values: Mapping[sm.Expr, sm.Expr]) -> None:
         self._plant, self._values = plant, values
 
@@ -235,15 +233,15 @@ class _Filled:
         )
 
 
+def filled(plant: Plant, *values: Mapping[sm.Expr, sm.Expr]) -> Plant:
+    """A plant whose matrices have values put in for symbols, one mapping after another."""
+    return cast(Plant, _Filled(plant, *values))
+
+
 def in_numbers(plant: Plant) -> Plant:
     """A plant with numbers for the parameters, and symbols for the signs that switch them."""
     switches = {sm.sign(v): _switch(v) for v in plant.reversing}
-    return cast(Plant, _Filled(plant, switches, plant.numbers))
-
-
-def one_direction(plant: Plant) -> Plant:
-    """A plant with every switched parameter at its forward value."""
-    return cast(Plant, _Filled(plant, {sm.sign(v): sm.Integer(1) for v in plant.reversing}))
+    return filled(plant, switches, plant.numbers)
 
 
 def equilibria_without_thrust(plant: Plant, law: Law) -> str:

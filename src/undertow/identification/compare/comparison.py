@@ -13,14 +13,13 @@ from scipy.special import chdtrc
 
 from undertow.codegen.functions import Functions
 from undertow.identification.doctor.examine import refuse_impossible
-from undertow.identification.doctor.findings import ResultTable
 from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.windows import Prediction, cut, prediction_error
 from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import UNITS, Run
-from undertow.identification.long_logs.result import LongLogs
+from undertow.identification.long_logs.result import LongLogs, ResultTable
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress

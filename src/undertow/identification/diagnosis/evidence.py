@@ -232,7 +232,7 @@ class Linear:
         return self.test.squares(test_signs, delta)
 
     def resampled(self, train_weight: Array, test_weight: Array) -> Array:
-        """Kept-aside sum of squares after a refit to weighted blocks, shape (draws,)."""
+        """Validation sum of squares after a refit to weighted blocks, shape (draws,)."""
         return np.array(
             [self._weighted(a, b) for a, b in zip(train_weight, test_weight, strict=True)], dtype=float
         )

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from pathlib import Path
+from typing import Literal, TypeVar
 
-from pydantic import Field, field_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator
 
-from undertow.identification.doctor.findings import Finding, ResultTable
+from undertow.errors import UndertowError
+from undertow.files import json_ready, read_json
+from undertow.identification.doctor.findings import Finding
 from undertow.identification.logs.run import Run
-from undertow.identification.long_logs.result import LongLogs
+from undertow.identification.long_logs.result import LongLogs, ResultTable
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal[
@@ -21,8 +24,7 @@ Verdict = Literal[
     "unexplained",
     "not_identifiable",
 ]
-
-
+Content = TypeVar("Content", bound=BaseModel)
 Role = Literal["train", "holdout", "blocks"]
 
 
@@ -378,3 +380,22 @@ class Diagnosis(ResultTable):
     def last_step(self) -> Step:
         """The model as it is handed on: with the effects that are named, or with none of those tried."""
         return [s for s in self.steps if set(s.added) <= set(self.effects)][-1]
+
+
+def read_diagnosis(path: Path, kind: type[Content]) -> Content:
+    """Read what `undertow diagnose --json` wrote: a `Diagnosis`, or the part of it that `kind` describes."""
+    try:
+        found = kind.model_validate_json(read_json(path, "diagnosis"))
+        content = found.model_dump(mode="json")
+        if content["schema_id"] != SCHEMA:
+            why = f"its schema is '{content['schema_id']}', not '{SCHEMA}'"
+        elif content == json_ready(content):
+            return found
+        else:
+            why = "a number in it is infinite or none"
+    except ValidationError as error:
+        first = error.errors()[0]
+        why = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))
+    raise UndertowError(
+        f"'{path}' is not a diagnosis ({why}): give the file that 'undertow diagnose --json FILE' wrote"
+    )

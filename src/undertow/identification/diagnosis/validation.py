@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +128,7 @@ def within_errors(
     return (p, starts) if likely else None
 
 
-F = TypeVar("F", bound=Fitted)
+F = TypeVar("F", bound=Fitted | Vehicle)
 T = TypeVar("T")
 # Where the simulation of one model diverges and that of the other does not.
 _BEYOND = 1e12
@@ -179,6 +179,22 @@ def _as_the_rest(fit: Fitted, squares: Array, windows: Windows) -> Array:
     return squares * factor_of_the_rest(squares, first, windows.run)
 
 
+class _Ahead(NamedTuple):
+    """How a model predicts windows of one length."""
+
+    shares: float  # error of the velocities, as a share of their rms
+    metres: float  # that of the position, m
+    # (b, n + m), as of `SimulationValidator.squares_ahead`; what a fit has learned values from counts no less
+    squares: Array
+
+    @classmethod
+    def of(cls, model: Fitted | Vehicle, found: Prediction) -> _Ahead:
+        squares = relative_squares(found)
+        if isinstance(model, Fitted):
+            squares = _as_the_rest(model, squares, found.windows)
+        return cls(float(prediction_error(found)), float(position_error(found)), squares)
+
+
 class SimulationValidator:
     """Judges models by simulating the validation runs in windows whose starts are estimated.
 
@@ -195,7 +211,7 @@ class SimulationValidator:
     ) -> None:
         self._vehicle, self.train, self.test, self.sigma = vehicle, train, test, sigma
         self.settings = settings
-        self._known: dict[tuple[str, int], tuple[Fitted, Any]] = {}
+        self._known: dict[tuple[str, int], tuple[Fitted | Vehicle, Any]] = {}
 
     @cached_property
     def shortest(self) -> float:
@@ -264,13 +280,9 @@ class SimulationValidator:
         """Errors of predictions by horizon and over whole runs: of velocities in shares of their rms, and of
         the position in m.
         """
-        found = list(self._predicted(model, self._ahead.values()))
-        names = ["free run" if h is None else f"{h:g} s" for h in self._ahead]
-        shares, metres = (
-            {n: float(error(p)) for n, p in zip(names, found, strict=True)}
-            for error in (prediction_error, position_error)
-        )
-        return shares, metres
+        found = self._judged(model, (*self.horizons, None))
+        names = {h: "free run" if h is None else f"{h:g} s" for h in self._ahead}
+        return {n: found[h].shares for h, n in names.items()}, {n: found[h].metres for h, n in names.items()}
 
     def prediction(self, model: Fitted | Vehicle) -> tuple[float, dict[str, float | None]]:
         """The same over the short windows that decide, and that of each velocity, None where it diverges."""
@@ -278,16 +290,22 @@ class SimulationValidator:
         parts = {n: float(e) if np.isfinite(e) else None for n, e in short.relative.items()}
         return float(prediction_error(short)), parts
 
-    def _predicted(self, model: Fitted | Vehicle, windows: Iterable[Windows]) -> Iterator[Prediction]:
-        vehicles = self._vehicles(model)
+    def _predicted(self, model: Fitted | Vehicle, windows: Sequence[Windows]) -> Iterator[Prediction]:
+        """Predictions by the model as it is in each validation run."""
+        if isinstance(model, Vehicle):
+            vehicles = [adapted(model, run)[0] for run in self.test]
+        else:
+            vehicles = in_runs(model, self.test)[0]
         predictor = Predictor(vehicles[0], compiled=False)
         return (predict_each(vehicles, w, predictor) for w in windows)
 
-    def _vehicles(self, model: Fitted | Vehicle) -> list[Vehicle]:
-        """The model as it is in each validation run."""
-        if isinstance(model, Vehicle):
-            return [adapted(model, run)[0] for run in self.test]
-        return in_runs(model, self.test)[0]
+    def _judged(self, model: Fitted | Vehicle, lengths: Sequence[float | None]) -> dict[float | None, _Ahead]:
+        """Predictions over windows of such lengths (None: whole runs), each judged once."""
+        known: dict[float | None, _Ahead] = self._once("ahead", model, lambda _: {})
+        if new := [h for h in lengths if h not in known]:
+            found = self._predicted(model, [self._ahead[h] for h in new])
+            known |= {h: _Ahead.of(model, p) for h, p in zip(new, found, strict=True)}
+        return known
 
     def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
         """Mean square of the error of predictions by horizon, window and channel, (b, n + m).
@@ -295,20 +313,16 @@ class SimulationValidator:
         The velocities come first, then the measured channels of the pose, each in units of the mean square of
         its motion in all windows (`relative_squares`); very large where a simulation diverged.
         """
-        return self._once("ahead", fit, self._squares_ahead)
+        found = self._judged(fit, self.horizons)
+        return {h: found[h].squares for h in self.horizons}
 
     def velocities(self, squares: Mapping[float, Array]) -> dict[float, Array]:
         """The columns of the velocities, (b, n), of `squares_ahead`."""
         count = len(self._vehicle.velocity_names)
         return {horizon: each[:, :count] for horizon, each in squares.items()}
 
-    def _squares_ahead(self, fit: Fitted) -> dict[float, Array]:
-        found = self._predicted(fit, [self._ahead[h] for h in self.horizons])
-        squares = (_as_the_rest(fit, relative_squares(p), p.windows) for p in found)
-        return dict(zip(self.horizons, squares, strict=True))
-
     def contender(self, effect_set: EffectSet) -> Contender:
-        """A effect_set fitted by output error from where the weak form left it, and judged."""
+        """A set of effects fitted by output error from where the weak form left it, and judged."""
         return Contender(effect_set, *self.refined(effect_set.fit))
 
     def final(self, weak: WeakFit) -> tuple[Fitted, Array]:
@@ -323,11 +337,11 @@ class SimulationValidator:
         """
         new = [weak for weak in models if ("final", id(weak)) not in self._known]
 
-        def work(i: int) -> tuple[dict[str, Any], Array, dict[float, Array]]:
+        def work(i: int) -> tuple[dict[str, Any], Array, dict[float | None, _Ahead]]:
             fit, squares = self.final(new[i])
             own = fields(fit) if isinstance(fit, OutputErrorFit) else ()
             parts = {f.name: getattr(fit, f.name) for f in own if f.name != "model"}
-            return parts, squares, self.squares_ahead(fit)
+            return parts, squares, self._judged(fit, self.horizons)
 
         for i, (parts, squares, ahead) in enumerate(mapped(work, len(new))):
             fit = OutputErrorFit(new[i].model, **parts) if parts else new[i]
@@ -516,7 +530,7 @@ def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT
 def repeats(
     vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], settings: Settings = DEFAULT
 ) -> list[tuple[str, str]]:
-    """validation runs that repeat the commands of a run that was fitted, with that run.
+    """Validation runs that repeat the commands of a run that was fitted, with that run.
 
     A model that has learned the manoeuvre by heart does as well on them as the right one.
     """

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from collections.abc import Mapping as TypingMapping
 from typing import Any, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import Field
 
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
@@ -17,17 +17,11 @@ from undertow.identification.logs.mapping import (
     seconds_of,
     turned_name,
 )
-from undertow.identification.long_logs.result import LongLogs
+from undertow.identification.long_logs.result import LongLogs, ResultTable
 
 EXAMINATION_SCHEMA = "undertow/doctor/1"
 Severity = Literal["mistake", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("mistake", "warning", "note")
-
-
-class ResultTable(BaseModel):
-    """A table of a result that is written to JSON; numbers that do not exist are null there."""
-
-    model_config = ConfigDict(extra="forbid")
 
 
 class Finding(ResultTable):
@@ -36,11 +30,11 @@ class Finding(ResultTable):
     id: str  # what kind of thing; stable from version to version
     severity: Severity  # a mistake spoils every result and is certain; a warning may; a note is good to know
     text: str  # one line with the numbers
-    evidence: dict[str, float] = {}  # the numbers behind it, SI
+    evidence: dict[str, float] = Field(default_factory=dict)  # the numbers behind it, SI
     mapping: str = ""  # lines for the mapping file that mend it, in TOML; empty where none can
     # What to change in the vehicle file to the same end; empty where nothing there can mend it.
     vehicle: str = ""
-    alternatives: list[str] = []  # other explanations that these logs do not exclude
+    alternatives: list[str] = Field(default_factory=list)  # other explanations that these logs do not exclude
 
 
 class DofExcitation(ResultTable):

@@ -18,7 +18,7 @@ from undertow.errors import UndertowError
 from undertow.identification.estimation.between_runs import heterogeneity
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .dynamics import part_of, rederived
 from .forces import StatedForces, without
@@ -91,8 +91,7 @@ class _Row:
         columns, whole = self.given / size, float(self.force @ self.force)
         free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(SETTINGS.distinct))
         left = float(np.sum((self.force - columns @ free) ** 2))
-        wild = np.abs(free / size) > SETTINGS.strongest
-        _, positive = nnls(np.hstack([columns, -columns[:, wild]]), self.force)
+        _, positive = nnls(np.hstack([columns, -columns[:, _wild(free / size)]]), self.force)
         scale = max(np.sqrt(left / len(self.force)), 1e-6 * np.sqrt(whole / len(self.force)))
         gain, error = clustered_least_squares(
             columns / scale, self.force / scale, SETTINGS.cluster, SETTINGS.distinct
@@ -199,12 +198,17 @@ class Signs:
             values = np.array([of[dof, command] for of in self.given.gains if (dof, command) in of])
             gain, error = _mean(*values.T)
             sure = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
-            wild = np.median(np.abs(values[:, 0])) > SETTINGS.strongest
-            if not wild and (gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values)):
+            tells = gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values)
+            if not _wild(np.median(np.abs(values[:, 0]))) and tells:
                 runs = f" ({sure} of {len(values)} runs show it)" if len(values) > 1 else ""
                 parts.append(f"{dof} answers {command} by {gain:.2g} ± {error:.1g}{runs}")
                 evidence |= {f"{dof}_{command}": gain, f"{dof}_{command}_error": error}
         return f"{', '.join(parts)} of what the vehicle file says", evidence
+
+
+def _wild(gain: Array | np.floating) -> Flags:
+    """Which gains are beyond what commands that are read wrongly make of them."""
+    return np.asarray(np.abs(gain) > SETTINGS.strongest)
 
 
 def _remaining(weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight]) -> list[Mistake]:

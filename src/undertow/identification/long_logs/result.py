@@ -10,11 +10,13 @@ from pydantic import BaseModel, ConfigDict
 Role = Literal["train", "holdout"]
 
 
-class _Table(BaseModel):
+class ResultTable(BaseModel):
+    """A table of a result that is written to JSON; numbers that do not exist are null there."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class WholeLog(_Table):
+class WholeLog(ResultTable):
     """A log as it was read, in parts."""
 
     name: str
@@ -30,7 +32,7 @@ class WholeLog(_Table):
     holdout: bool
 
 
-class ChosenStretch(_Table):
+class ChosenStretch(ResultTable):
     """A stretch that was used, in the order in which they were chosen."""
 
     log: str
@@ -44,7 +46,7 @@ class ChosenStretch(_Table):
     most: str
 
 
-class ModelOnTheRest(_Table):
+class ModelOnTheRest(ResultTable):
     """Errors of a model over what was not used; null where a prediction diverges."""
 
     model: str
@@ -55,7 +57,7 @@ class ModelOnTheRest(_Table):
     highest: float | None
 
 
-class Rest(_Table):
+class Rest(ResultTable):
     """The check over all that was not used."""
 
     seconds: float
@@ -73,7 +75,7 @@ class Rest(_Table):
         )
 
 
-class LongLogs(_Table):
+class LongLogs(ResultTable):
     """How logs that are longer than a fit takes were thinned, and which stretches of them were used."""
 
     logs: list[WholeLog]

@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 
 from undertow.files import json_ready
-from undertow.identification.doctor.findings import ResultTable
-from undertow.identification.long_logs.result import LongLogs
+from undertow.identification.long_logs.result import LongLogs, ResultTable
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array

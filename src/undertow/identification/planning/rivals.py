@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel
 
 from undertow.errors import UndertowError
-from undertow.files import read_json
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.trial import Bench, open_bench, screen
 from undertow.identification.estimation.data import prepare
@@ -291,8 +289,6 @@ def _valued(
 
 
 class _Estimate(BaseModel):
-    model_config = ConfigDict(allow_inf_nan=False)
-
     name: str
     value: float
 
@@ -342,24 +338,6 @@ class Diagnosed(BaseModel):
         """Values in the file's sign convention: those of the last model, and the effect's own."""
         own = next((r.parameters for r in self.ranking if r.effect == effect), [])
         return {e.name: e.value for e in [*self.parameters, *own]}
-
-
-def read_diagnosis(path: Path) -> Diagnosed:
-    """Read what `undertow diagnose --json` wrote."""
-    try:
-        found = Diagnosed.model_validate_json(read_json(path, "diagnosis"))
-    except ValidationError as failure:
-        first = failure.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the whole"
-        raise UndertowError(
-            f"'{path}' is not a diagnosis ({where}: {first['msg'].lower()}): give the file that "
-            "'undertow diagnose --json' wrote"
-        ) from failure
-    if not found.schema_id.startswith("undertow/diagnosis/"):
-        raise UndertowError(
-            f"'{path}' holds '{found.schema_id}', not a diagnosis: give the file of diagnose --json"
-        )
-    return found
 
 
 def specs_of(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue) -> list[RivalSpec]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
+from importlib.resources import files
 from math import floor, isfinite, log10
 
 from jinja2 import Template
@@ -14,7 +16,7 @@ from matplotlib.figure import Figure
 
 from undertow.figures import svg, unit_text
 from undertow.files import templates
-from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked, Verdict
+from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked
 from undertow.model.symbols import MOTION_UNITS
 
 from .data import ReportData
@@ -37,85 +39,29 @@ class Meaning:
     not_shown: tuple[str, ...]
 
 
-_LIMITS = (
-    "Anything about speeds, turns, depths or loads that do not occur in these logs.",
-    "Effects that are not in the catalogue, or that these manoeuvres do not excite.",
-)
-_MEANINGS: dict[Verdict, Meaning] = {
-    "adequate": Meaning(
-        "Nothing is missing",
-        "On data that the fit has not seen, no effect of the catalogue lowers the error by more than chance "
-        "would. What the model leaves over looks like the noise of the sensors.",
-        ("That the model is right: only that these logs do not show it wrong.", *_LIMITS),
-    ),
-    "missing_effect": Meaning(
-        "An effect is missing",
-        "The model fails by more than the noise, and adding the effect named here lowers the error on data "
-        "that the fit has not seen by more than chance would, and more than any other effect of the "
-        "catalogue does.",
-        (
-            "That the named effect is the physical cause: something outside the catalogue that acts alike on "
-            "these logs would be named the same.",
-            *_LIMITS,
-        ),
-    ),
-    "indistinguishable": Meaning(
-        "Something is missing, and these logs cannot say which effect",
-        "The model fails by more than the noise. Several effects repair it equally well on data that the fit "
-        "has not seen, so they are reported together instead of one of them being picked by luck.",
-        (
-            "Which effect of the set is at work; a manoeuvre in which they act differently can show it.",
-            *_LIMITS,
-        ),
-    ),
-    "helps_prediction": Meaning(
-        "An effect helps to predict, and is not established as the cause",
-        "The model fails by more than the noise. Adding the effect named here lowers the error of "
-        "predictions on data that the fit has not seen, but its size differs between runs, times or "
-        "speeds, or another function of the same variables explains much more.",
-        ("That the effect is there: something else may act through the same variables.", *_LIMITS),
-    ),
-    "unexplained": Meaning(
-        "Something is missing that the catalogue does not explain",
-        "The model fails by more than the noise, and what is left after the best effects of the catalogue "
-        "still stands above it. The section on what remains says where to look.",
-        (
-            "What the cause is. Mistakes in the log (clock, units, frames, a sensor) look like this as well.",
-            *_LIMITS,
-        ),
-    ),
-    "not_identifiable": Meaning(
-        "These logs cannot say",
-        "The model fails by more than the noise, and so many effects repair it equally well that these logs "
-        "do not say what is missing.",
-        ("Which of the effects it is.", *_LIMITS),
-    ),
-}
-
-
-_OTHER_VALUES = Meaning(
-    "No effect is missing, but values that are held fixed do not fit",
-    "With other values in place of some that the vehicle file holds fixed, what the model leaves over on "
-    "data that the fit has not seen looks like the noise of the sensors, and no effect of the catalogue "
-    "lowers the error by more than chance would.",
-    (
-        "That those values themselves are wrong: whatever acts like another value would look the same.",
-        *_LIMITS,
-    ),
-)
+@cache
+def meanings() -> dict[str, Meaning]:
+    """Every verdict explained, and as ``other_values`` one that names values instead of effects."""
+    text = (files("undertow.identification.report") / "templates" / "verdicts.toml").read_text("utf-8")
+    tables = tomllib.loads(text)
+    always = tables.pop("always")["not_shown"]
+    return {
+        verdict: Meaning(m["title"], m["says"], (*filter(None, [m.get("not_shown")]), *always))
+        for verdict, m in tables.items()
+    }
 
 
 def meaning(diagnosis: Diagnosis) -> Meaning:
     """What the verdict of a diagnosis says, and what it does not."""
     changed = diagnosis.verdict == "adequate" and diagnosis.freed
-    found = _OTHER_VALUES if changed else _MEANINGS[diagnosis.verdict]
-    more = []
-    if any(run.role == "blocks" for run in diagnosis.runs):
-        more.append(
-            "How the model does on another day: the validation data are blocks of the same runs, not whole "
-            "runs (give some with --holdout)."
-        )
-    return Meaning(found.title, found.says, (*found.not_shown, *more))
+    found = meanings()["other_values" if changed else diagnosis.verdict]
+    if not any(run.role == "blocks" for run in diagnosis.runs):
+        return found
+    more = (
+        "How the model does on another day: the validation data are blocks of the same runs, not whole "
+        "runs (give some with --holdout)."
+    )
+    return replace(found, not_shown=(*found.not_shown, more))
 
 
 def parameter_text(name: str) -> str:

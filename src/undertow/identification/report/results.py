@@ -14,9 +14,8 @@ from undertow.identification.diagnosis.addition import Addition
 from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, ValuesByRun
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.verdict import estimates
-from undertow.identification.doctor.findings import ResultTable
 from undertow.identification.estimation.output_error import NO_WORSE
-from undertow.identification.long_logs.result import LongLogs
+from undertow.identification.long_logs.result import LongLogs, ResultTable
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import keyword
-import math
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,10 +15,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from jinja2 import Template
-from pydantic import ValidationError
 
 from undertow.errors import UndertowError, listed
-from undertow.files import read_json, templates
+from undertow.files import templates
 from undertow.identification.diagnosis.associations import (
     WAVE,
     Column,
@@ -31,7 +29,6 @@ from undertow.identification.diagnosis.associations import (
 )
 from undertow.identification.diagnosis.residual import COMPARED
 from undertow.identification.diagnosis.result import (
-    SCHEMA,
     BetweenRuns,
     Dependence,
     Diagnosis,
@@ -275,35 +272,6 @@ def literal(text: str) -> str:
 def identifier(text: str) -> str:
     """Letters, digits and underscores of a text."""
     return re.sub(r"[^A-Za-z0-9_]", "", text)
-
-
-# --- reading a diagnosis --------------------------------------------------------------------------
-_HOW = "give the file that 'undertow diagnose --json FILE' wrote"
-
-
-def read_diagnosis(path: Path) -> Diagnosis:
-    """Read what `undertow diagnose --json` wrote."""
-    try:
-        diagnosis = Diagnosis.model_validate_json(read_json(path, "diagnosis"))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        why = f"{place}: {first['msg']}" if place else first["msg"]
-        raise UndertowError(f"'{path}' is not a diagnosis ({why}): {_HOW}") from error
-    if diagnosis.schema_id != SCHEMA:
-        raise UndertowError(f"'{path}' has the schema '{diagnosis.schema_id}', not '{SCHEMA}': {_HOW}")
-    if not _finite(diagnosis.model_dump()):
-        raise UndertowError(f"'{path}' is not a diagnosis (a number in it is infinite or none): {_HOW}")
-    return diagnosis
-
-
-def _finite(content: object) -> bool:
-    """Whether every number in what a file holds is one; JSON has 1e400."""
-    if isinstance(content, dict):
-        return all(map(_finite, content.values()))
-    if isinstance(content, list | tuple):
-        return all(map(_finite, content))
-    return not isinstance(content, float) or math.isfinite(content)
 
 
 _WIDTH = 100

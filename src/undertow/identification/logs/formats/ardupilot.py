@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -205,54 +207,13 @@ class Frame:
     bundled: bool = False  # whether that vehicle has the frame itself, so that it knows the places
 
 
-_LEVEL = (
-    Factors(0, 0, 1, 0, -1, 1),
-    Factors(0, 0, -1, 0, -1, -1),
-    Factors(0, 0, -1, 0, 1, 1),
-    Factors(0, 0, 1, 0, 1, -1),
-)
-_VECTORED = (*_LEVEL, Factors(1, 0, 0, -1, 0, 0), Factors(-1, 0, 0, -1, 0, 0))
-_VECTORED_6DOF = (
-    *_LEVEL,
-    Factors(1, -1, 0, -1, 0, 0),
-    Factors(-1, -1, 0, -1, 0, 0),
-    Factors(1, 1, 0, -1, 0, 0),
-    Factors(-1, 1, 0, -1, 0, 0),
-)
-_BLUEROV1 = (
-    Factors(0, 0, -1, 0, 1, 0),
-    Factors(0, 0, 1, 0, 1, 0),
-    Factors(-0.5, 0.5, 0, 0.45, 0, 0),
-    Factors(0.5, 0.5, 0, 0.45, 0, 0),
-    Factors(0, -1, 0, 1, 0, 0),
-    Factors(-0.25, 0, 0, 0, 0, 1),
-)
-_AT_RIGHT_ANGLES = (
-    Factors(1, 1, 0, 1, 0, 0),
-    Factors(0, 0, 1, 0, 1, 0),
-    Factors(1, -1, 0, 1, 0, 0),
-    Factors(0, 0, 0, 0, 0, 1),
-    Factors(0, 0, 0, 0, 0, 1),
-    Factors(-1, 1, 0, 1, 0, 0),
-    Factors(0, 0, -1, 0, 1, 0),
-    Factors(-1, -1, 0, 1, 0, 0),
-)
-_SIMPLE = (
-    Factors(0, 0, -1, 0, 1, 0),
-    Factors(0, 0, 1, 0, 1, 0),
-    Factors(0, 0, 0, -1, 0, 0),
-    Factors(0, 0, 0, -1, 0, 0),
-    Factors(0, 0, 0, 0, 0, 1),
-)
-FRAMES = {
-    0: Frame("BlueROV1", "bluerov2-6", _BLUEROV1),
-    1: Frame("Vectored", "bluerov2-6", _VECTORED, bundled=True),
-    2: Frame("Vectored_6DOF", "bluerov2", _VECTORED_6DOF, bundled=True),
-    3: Frame("Vectored_6DOF_90", "bluerov2", _AT_RIGHT_ANGLES),
-    4: Frame("SimpleROV-3", "bluerov2-6", _SIMPLE[:3]),
-    5: Frame("SimpleROV-4", "bluerov2-6", _SIMPLE[:4]),
-    6: Frame("SimpleROV-5", "bluerov2-6", _SIMPLE),
-}
+def _frames() -> dict[int, Frame]:
+    text = (files("undertow.identification.logs.formats") / "ardusub_frames.toml").read_text("utf-8")
+    tables = {int(number): table for number, table in tomllib.loads(text).items()}
+    return {k: Frame(**(t | {"motors": tuple(Factors(*m) for m in t["motors"])})) for k, t in tables.items()}
+
+
+FRAMES = _frames()
 """By FRAME_CONFIG."""
 CUSTOM = 7
 """FRAME_CONFIG of a frame whose motors are in the firmware of its builder only."""

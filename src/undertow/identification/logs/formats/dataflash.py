@@ -25,7 +25,7 @@ from undertow.typing import Array, Flags
 
 from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
 from .dataflash_records import FMT, HEAD, Columns, Records, open_records
-from .fieldlog import FieldLog, Format, outputs_of
+from .fieldlog import FieldLog, Format, named, outputs_of
 from .stretches import armed_stretches, runs_of, used_stretches
 
 if TYPE_CHECKING:
@@ -123,8 +123,8 @@ class _Navigation:
     def _position(self) -> dict[str, Column]:
         name = self.series(f"{self.family}1") if self.family else ""
         if self.velocity_axes == "NED":
-            return _named(name, {"PN": "x", "PE": "y", "PD": "z", "VN": "u", "VE": "v", "VD": "w"})
-        found = _named(name, {"PD": "z"}) if name and "PD" in self._file.series[name].columns else {}
+            return named(name, {"PN": "x", "PE": "y", "PD": "z", "VN": "u", "VE": "v", "VD": "w"})
+        found = named(name, {"PD": "z"}) if name and "PD" in self._file.series[name].columns else {}
         if name:
             self.notes.append(f"{name} has no horizontal aid: its position and velocity are not used")
         return {**found, **self._by_vision(bool(found))}
@@ -133,7 +133,7 @@ class _Navigation:
         """Place and velocity that were sent to the autopilot, where its estimator has none."""
         found: dict[str, Column] = {}
         if self._file.rows("VISP", "PX", "PY", "PZ") is not None:
-            found |= _named("VISP", {"PX": "x", "PY": "y"} | ({} if has_depth else {"PZ": "z"}))
+            found |= named("VISP", {"PX": "x", "PY": "y"} | ({} if has_depth else {"PZ": "z"}))
         rows = self._file.rows("VISO", "dt", "PosDX", "PosDY", "PosDZ")
         if rows is not None:
             # Firmware says seconds, units of some versions say microseconds.
@@ -141,7 +141,7 @@ class _Navigation:
             columns = self._file.series["VISO"].columns
             for name, moved in zip("uvw", rows[2:], strict=True):
                 _computed(columns, name, partial(_over, moved, step))
-            found |= _named("VISO", {"u": "u", "v": "v", "w": "w"})
+            found |= named("VISO", {"u": "u", "v": "v", "w": "w"})
         return found
 
     def _trim(self) -> Rotation:
@@ -159,7 +159,7 @@ class _Navigation:
         angles = {"Roll": "phi", "Pitch": "theta", "Yaw": "psi"}
         one = self.series(f"{self.family}1") if self.family else ""
         name = next((n for n in (one, "ATT", "AHR2") if self._file.rows(n, *angles) is not None), "")
-        return _named(name, angles, "deg") if name else {}
+        return named(name, angles, unit="deg") if name else {}
 
     def _by_quaternion(self, name: str, rows: list[Array]) -> dict[str, Column]:
         from scipy.spatial.transform import Rotation
@@ -174,7 +174,7 @@ class _Navigation:
 
         for k, angle in enumerate(("phi", "theta", "psi")):
             _computed(self._file.series[name].columns, angle, partial(_row, angles, k))
-        return _named(name, {"phi": "phi", "theta": "theta", "psi": "psi"})
+        return named(name, {"phi": "phi", "theta": "theta", "psi": "psi"})
 
     def _rates(self) -> dict[str, Column]:
         chosen = self._rows(f"{self.family}FS", "GI") if self.family else None
@@ -193,7 +193,7 @@ class _Navigation:
 
         for k, rate in enumerate("pqr"):
             _computed(self._file.series[name].columns, rate, partial(_row, rates, k))
-        return _named(name, {"p": "p", "q": "q", "r": "r"})
+        return named(name, {"p": "p", "q": "q", "r": "r"})
 
     def _bias(self, t: Array) -> Array:
         """Bias of the gyros, rad/s, (n, 3): what the estimator said last."""
@@ -255,10 +255,6 @@ def _computed(columns: Mapping[str, Array], name: str, make: Callable[[], Array]
     columns.more[name] = make
 
 
-def _named(series: str, channels: Mapping[str, str], unit: str | None = None) -> dict[str, Column]:
-    return {f"{series}.{c}": Column(channel=channel, unit=unit) for c, channel in channels.items()}
-
-
 _DOWN, _GOOD = 25, 4  # orientation of a range finder, and its status
 
 
@@ -267,7 +263,7 @@ def _sensors(file: Records, known: _Navigation) -> dict[str, Column]:
     found: dict[str, Column] = {}
     battery = known.series("BAT", 0) or known.series("CURR", 0)
     if battery and "Volt" in file.series[battery].columns:
-        found |= _named(battery, {"Volt": "voltage"}, "V")
+        found |= named(battery, {"Volt": "voltage"}, unit="V")
     for name in file.series:
         rows = file.rows(name, "Dist") if re.match(r"RFND\b", name) else None
         if rows is None or found.get("altitude"):
@@ -277,7 +273,7 @@ def _sensors(file: Records, known: _Navigation) -> dict[str, Column]:
         if looks.any():
             good = columns.get("Stat", columns.get("Status", np.full(len(rows[1]), _GOOD))) == _GOOD
             _computed(columns, "altitude", partial(_where, looks & good, rows[1]))
-            found |= _named(name, {"altitude": "altitude"})
+            found |= named(name, {"altitude": "altitude"})
             break
     return found
 

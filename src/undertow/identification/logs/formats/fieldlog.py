@@ -59,6 +59,14 @@ class Series:
     units: Mapping[str, str] = field(default_factory=dict)
 
 
+def named(series: str, channels: Mapping[str, str], **known: str | float) -> dict[str, Column]:
+    """Columns of a series by the channels that they are, all of one unit and scale."""
+    return {
+        f"{series}.{name}": Column.model_validate({"channel": channel, **known})
+        for name, channel in channels.items()
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class FieldLog:
     """A log as its vehicle wrote it."""

@@ -29,7 +29,7 @@ from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
 from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
-from .fieldlog import FieldLog, Format, Series, library, outputs_of, rising, steady
+from .fieldlog import FieldLog, Format, Series, library, named, outputs_of, rising, steady
 from .stretches import armed_stretches, runs_of, used_stretches
 
 # --- frames ---------------------------------------------------------------------------------------
@@ -328,10 +328,10 @@ def _columns(series: dict[str, Series]) -> tuple[dict[str, Column], Any, list[st
     if "ATTITUDE" in series:
         names = {"roll": "phi", "pitch": "theta", "yaw": "psi", "rollspeed": "p", "pitchspeed": "q",
                  "yawspeed": "r"}  # fmt: skip
-        found |= {f"ATTITUDE.{name}": Column(channel=channel) for name, channel in names.items()}
+        found |= named("ATTITUDE", names)
     status = series.get("SYS_STATUS")
     if status is not None and np.any(status.columns["voltage_battery"] < 65535):
-        found |= {"SYS_STATUS.voltage_battery": Column(channel="voltage", unit="V", scale=1e-3)}
+        found |= named("SYS_STATUS", {"voltage_battery": "voltage"}, unit="V", scale=1e-3)
     return {**found, **_height(series)}, velocity, notes
 
 
@@ -339,19 +339,14 @@ def _position(series: dict[str, Series]) -> tuple[dict[str, Column], Any, list[s
     local, world = series.get("LOCAL_POSITION_NED"), series.get("GLOBAL_POSITION_INT")
     if local is not None and any(np.ptp(local.columns[name]) > 0 for name in ("x", "y", "vx")):
         names = {"x": "x", "y": "y", "z": "z", "vx": "u", "vy": "v", "vz": "w"}
-        return _called("LOCAL_POSITION_NED", names), "NED", []
+        return named("LOCAL_POSITION_NED", names), "NED", []
     if world is None or not np.any(world.columns["lat"]):
         return {}, "body", ["no message says where the vehicle is: angles and rates only"]
     places, note = _projected(world)
     series["GLOBAL_POSITION_INT"] = replace(world, columns={**world.columns, **places})
-    moved = {f"GLOBAL_POSITION_INT.{a}": Column(channel=b, unit="m/s", scale=0.01)
-             for a, b in (("vx", "u"), ("vy", "v"), ("vz", "w"))}  # fmt: skip
-    stands = _called("GLOBAL_POSITION_INT", {"north": "x", "east": "y", "down": "z"})
+    moved = named("GLOBAL_POSITION_INT", {"vx": "u", "vy": "v", "vz": "w"}, unit="m/s", scale=0.01)
+    stands = named("GLOBAL_POSITION_INT", {"north": "x", "east": "y", "down": "z"})
     return {**stands, **moved}, "NED", [note]
-
-
-def _called(series: str, names: Mapping[str, str]) -> dict[str, Column]:
-    return {f"{series}.{name}": Column(channel=channel) for name, channel in names.items()}
 
 
 def _projected(world: Series) -> tuple[dict[str, Array], str]:
@@ -379,7 +374,7 @@ def _height(series: dict[str, Series]) -> dict[str, Column]:
         distance, c = one.columns["current_distance"], one.columns
         good = (c["orientation"] == _DOWN) & (distance > c["min_distance"]) & (distance < c["max_distance"])
         series[name] = replace(one, columns={**c, "altitude": np.where(good, 0.01 * distance, np.nan)})
-        return {f"{name}.altitude": Column(channel="altitude")}
+        return named(name, {"altitude": "altitude"})
     return {}
 
 
