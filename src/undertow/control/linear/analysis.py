@@ -249,8 +249,7 @@ def minimal(system: ct.StateSpace) -> ct.StateSpace:
 # --- one channel ------------------------------------------------------------------------------
 def channel(system: ct.StateSpace, output: str, source: str) -> ct.StateSpace:
     """The minimal system from one input to one output."""
-    i, j = system.output_labels.index(output), system.input_labels.index(source)
-    return minimal(like(system, system.A, system.B[:, [j]], system.C[[i]], system.D[[i]][:, [j]]))
+    return minimal(system[output, source])
 
 
 def zeros_of(system: ct.StateSpace) -> list[complex]:

@@ -28,7 +28,6 @@ from .analysis import (
     Reach,
     channel,
     controllability,
-    like,
     margins,
     minimal,
     modes,
@@ -165,10 +164,7 @@ class Analysis:
         """One minimal system from all the inputs of some channels to all their outputs."""
         sources = list(dict.fromkeys(c.source for c in channels))
         outputs = list(dict.fromkeys(c.output for c in channels))
-        columns = [self._wide.input_labels.index(n) for n in sources]
-        rows = [self._wide.output_labels.index(n) for n in outputs]
-        w = self._wide
-        found = minimal(like(w, w.A, w.B[:, columns], w.C[rows], w.D[rows][:, columns]))
+        found = minimal(self._wide[outputs, sources])
         states = [f"state_{k}" for k in range(found.nstates)]
         return named(found, states, sources, outputs, "together")
 
@@ -218,10 +214,8 @@ class Analysis:
         plant = self.plant
         for sensor in self.sensors:
             _require_output("sensor ", sensor, plant.output_labels)
-        rows = [plant.output_labels.index(n) for n in self.sensors or plant.output_labels]
-        seen = like(plant, plant.A, plant.B, plant.C[rows], plant.D[rows])
-        names = [plant.output_labels[i] for i in rows]
-        return observability(named(seen, plant.state_labels, plant.input_labels, names, "seen"))
+        names = list(self.sensors or plant.output_labels)
+        return observability(named(plant[names, :], plant.state_labels, plant.input_labels, names, "seen"))
 
     # --- as plain data --------------------------------------------------------------------------
     def content(self, channels: Sequence[Channel]) -> dict[str, Any]:

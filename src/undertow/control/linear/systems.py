@@ -422,8 +422,7 @@ def with_commands(plant: ct.StateSpace, commands: Sequence[str]) -> ct.StateSpac
     """The linear vehicle with the commands of a law alone: without surfaces and inputs of the log."""
     if tuple(plant.input_labels) == tuple(commands):
         return plant
-    places = [plant.input_labels.index(n) for n in commands]
-    system = like(plant, plant.A, plant.B[:, places], plant.C, plant.D[:, places])
+    system = plant[:, list(commands)]
     return named(system, plant.state_labels, commands, plant.output_labels, plant.name)
 
 
@@ -500,14 +499,12 @@ class LinearLoop:
         others = np.eye(len(self._system.forces))
         others[i, i] = 0.0
         rest = ct.feedback(self.opened, ct.ss([], [], [], others))
-        return minimal(like(rest, rest.A, rest.B[:, [i]], rest.C[[i]], rest.D[[i]][:, [i]]))
+        return minimal(rest[i, i])
 
     @cached_property
     def acting(self) -> ct.StateSpace:
         """The loop cut at the forces that commands give, minimal."""
-        places, whole = list(self._system.acting), self.opened
-        cut = like(whole, whole.A, whole.B[:, places], whole.C[places], whole.D[np.ix_(places, places)])
-        return minimal(cut)
+        return minimal(self.opened[self.forces, self.forces])
 
     @cached_property
     def disk(self) -> float:
