@@ -40,7 +40,10 @@ class QuadraticSettings:
     sectors_coupled: int = 12
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
-    most: int = 100_000  # matrices that one proof may look at: seconds
+    # Matrices of 12 rows that the proofs of one search may look at in vain: seconds. Of larger ones there are
+    # fewer, as this power of the number of rows: with their ends, those of 18 rows take 25 times as long.
+    most: int = 100_000
+    work_power: float = 8.0
     whole: int = 4  # how many times the matrices of what the start needs the proof of the whole may look at
     batch: int = 256  # boxes of attitudes and signs at a time: memory
     attitudes: tuple[int, ...] = (1, 7, 3, 3)  # in the program along each angle, by the number of angles

@@ -17,19 +17,20 @@ from .program import SETTINGS, Program, Proposal
 from .result import Quadratic, largest_of
 
 
-def proved(program: Program, found: Sequence[Proposal]) -> Quadratic | None:
+def proved(program: Program, found: Sequence[Proposal], work: Work) -> Quadratic | None:
     """V with everything that was asked of it proved in interval arithmetic, or None.
 
-    What the start needs of the level set is proved first. Where that succeeds, the whole of it is tried, with
-    not much more work.
+    What the start needs of the level set is proved first, with the work that is left for it. Where that
+    succeeds, the whole of it is tried, with not much more.
     """
     narrow, forms = program.narrowed(found)
-    proofs = [Proof(narrow, one, SETTINGS.most) for one in forms]
+    proofs = [Proof(narrow, one, work.left) for one in forms]
     needed = _largest(proofs)
+    used = max(p.used for p in proofs)
     if needed is None:
+        work.left -= used
         return None
-    used = SETTINGS.whole * max(p.used for p in proofs)
-    return _largest([Proof(program, one, used) for one in found]) or needed
+    return _largest([Proof(program, one, SETTINGS.whole * used) for one in found]) or needed
 
 
 def _largest(proofs: Sequence[Proof]) -> Quadratic | None:
@@ -57,7 +58,7 @@ class Proof:
 
     @property
     def used(self) -> int:
-        """How many matrices the last part of the proof looked at."""
+        """How many matrices the last part of the proof looked at, or would have."""
         return self._most - self._work.left
 
     def result(self) -> Quadratic | None:
@@ -116,6 +117,7 @@ class Proof:
         if share.commands:
             kept.append((self.loop.commands_of(commands, boxes), self._moves, share.commands))
         held = np.ones(count_of(boxes), dtype=bool)
+        self._work.left -= len(held)
         for rows, bounds, own in kept:
             chosen = Interval(rows.lo[:, list(own)], rows.hi[:, list(own)])
             held &= bounded(self.P, self._by(chosen), bounds[list(own)])
@@ -138,7 +140,9 @@ class Proof:
         batches = -(-count_of(boxes) * self.corners.cases // SETTINGS.batch)
         parts = np.array_split(np.arange(count_of(boxes)), min(count_of(boxes), batches))
         some = [{a: Interval(v.lo[p], v.hi[p]) for a, v in boxes.items()} for p in parts]
-        return np.concatenate([self._falls_in(each) for each in some])
+        return np.concatenate(
+            [self._falls_in(each) if self._work.left >= 0 else _none(each) for each in some]
+        )
 
     def _falls_in(self, boxes: Boxes) -> Flags:
         at, place = corners_of(boxes)
@@ -199,6 +203,10 @@ class Proof:
             commands=rest + self._moves if len(limits) else rest,
             start=start,
         )
+
+
+def _none(boxes: Boxes) -> Flags:
+    return np.zeros(count_of(boxes), dtype=bool)
 
 
 def _doubled(held: Interval) -> Interval:

@@ -12,6 +12,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .commands import Commands
+from .definite import Work
 from .embedding import Embedding, point
 from .problem import Problem
 from .program import SETTINGS, Bounds, Key, Kind, Program, Proposal, Share, thrust_left
@@ -19,6 +20,7 @@ from .proof import proved
 from .result import Quadratic, together
 
 _USUAL = Kind()
+_TOO_LONG = "no quadratic V was found within the time that the search may take"
 
 
 class _Step(NamedTuple):
@@ -105,6 +107,7 @@ class Search:
         self.sectors = SETTINGS.sectors_coupled if kind.coupled else SETTINGS.sectors
         self.commands = Commands(problem)
         self.forms = 0  # what the solver was given so far
+        self.work = Work(0)  # what is left for proofs
         self.chosen: dict[Share, set[Key]] = {}  # corners that the programs so far were about
         self.centre = 0.0  # heading in the middle of those of the set-point, rad
         self.start = self._mixed(np.array([start.get(c, 0.0) for c in problem.coordinates]))
@@ -123,6 +126,7 @@ class Search:
         bounds, proofs = self._first(), []
         for centre in self.centres:
             self.centre, self.forms = centre, 0
+            self.work = Work(int(SETTINGS.most * min(12 / self.loop.size, 1.0) ** SETTINGS.work_power))
             self.chosen.clear()
             proof = self._in_sector(bounds)
             if proof is None:
@@ -149,9 +153,11 @@ class Search:
                 raise UndertowError("the loop at rest is not stable at every attitude")
             step = _Step(bounds, program, program.proposals(np.inf if best is None else best.start))
             if step.start < 1:
-                proof = proved(program, step.found)
+                proof = proved(program, step.found, self.work)
                 if proof is not None:
                     return bounds, proof
+                if self.work.left <= 0:
+                    raise UndertowError(_TOO_LONG)
             if best is None and not 1 <= step.start < np.inf:
                 bounds = self._smaller(bounds)
                 if (bounds.speeds < least).all():
@@ -172,7 +178,7 @@ class Search:
         """Count what the solver is given."""
         self.forms += forms
         if self.forms > SETTINGS.most_forms:
-            raise UndertowError("no quadratic V was found within the time that the search may take")
+            raise UndertowError(_TOO_LONG)
 
     def _smaller(self, bounds: Bounds) -> Bounds:
         least = self._tilted(self.filled(self.start) * (1 + SETTINGS.slack))
