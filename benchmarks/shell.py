@@ -18,6 +18,12 @@ NOISE = {**dict.fromkeys("xyz", 0.01), **dict.fromkeys(("psi", "u", "v", "w", "r
 """Standard deviations of the sensors of a flight, m, rad, m/s and rad/s."""
 
 
+def in_page(page: str, made: str, begin: str, end: str) -> str:
+    """A page with what a program made between two marks, in place of what stood there."""
+    before, rest = page.split(begin)
+    return f"{before}{begin}{made}{end}{rest.split(end)[1]}"
+
+
 @dataclass(frozen=True)
 class Said:
     """A command and its answer.

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.embedded import board
-from benchmarks.embedded.__main__ import BEGIN, CALLS, END, Call, in_page, libraries, measured, table
+from benchmarks.embedded.__main__ import BEGIN, CALLS, END, Call, libraries, measured, table
+from benchmarks.shell import in_page
 from tests.quick import first_quick
 from undertow.codegen import Functions, Simulator
 from undertow.codegen.library import Library
@@ -90,4 +91,4 @@ def test_the_page_has_a_row_for_every_call() -> None:
     made = page.partition(BEGIN)[2].partition(END)[0]
     words = [line.split(" | ")[0].removeprefix("| ") for line in made.splitlines()[2:]]
     assert words == [call.words for call in CALLS]
-    assert in_page(page, made) == page
+    assert in_page(page, made, BEGIN, END) == page

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.shell import in_page
 from undertow.codegen.library import Library
 from undertow.control.api import library_of
 from undertow.control.gains import load_gains
@@ -149,12 +150,6 @@ def table(found: list[tuple[Call, Cost, Cost]]) -> str:
     return "\n".join([*lines, ""])
 
 
-def in_page(page: str, made: str) -> str:
-    """A page with the table between its marks."""
-    before, _, rest = page.partition(BEGIN)
-    return f"{before}{BEGIN}{made}{END}{rest.partition(END)[2]}"
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Measure, and print the table or write it into a page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.embedded", description=__doc__)
@@ -174,7 +169,7 @@ def main(arguments: list[str] | None = None) -> int:
     if page is None:
         print(made)
     else:
-        write_whole(page, in_page(page.read_text(encoding="utf-8"), made))
+        write_whole(page, in_page(page.read_text(encoding="utf-8"), made, BEGIN, END))
     return 0
 
 

@@ -17,6 +17,7 @@ from io import StringIO
 from pathlib import Path
 from shutil import rmtree
 
+from benchmarks.shell import in_page
 from undertow.cli.main import main as undertow
 from undertow.files import read_toml, write_whole
 from undertow.identification.logs.mapping import read_mapping
@@ -80,9 +81,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.out is None:
         print(text)
         return 0
-    page = options.out.read_text(encoding="utf-8")
-    before, rest = page.split(BEGIN)
-    write_whole(options.out, f"{before}{BEGIN}{text}{END}{rest.split(END)[1]}")
+    write_whole(options.out, in_page(options.out.read_text(encoding="utf-8"), text, BEGIN, END))
     return 0
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from undertow.model.vehicle import Vehicle
 
-from .body import ADDED_MASS, RIGID, STATICS, Body, attributes, steiner
+from .body import Body, attributes, steiner
 from .drag import fit, on_the_diagonal
 
 # What its parser takes for gravity, m/s^2: the weight is the mass times it.
@@ -73,6 +73,4 @@ class AuvControllers(Body):
         yield from self.added_coriolis()
         if self.vehicle.thrusters:
             yield "thrusters are left out: the matrix of thruster_allocation_matrix_controller is YAML"
-        named = {"thrusters", *(e.id for e in self.effects("damping"))}
-        for effect in self.not_exported({*RIGID, *ADDED_MASS, *STATICS, *named}):
-            yield f"{effect.id} is left out"
+        yield from self.left_out()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cached_property
 from math import asin, atan2, inf
 from xml.etree import ElementTree as ET
@@ -180,9 +180,19 @@ class Body:
                 f"added mass brings its Coriolis and Munk forces along in {self.program}; the model has none"
             )
 
-    def not_exported(self, exported: Collection[str]) -> list[Effect]:
-        """The effects that no part of the file stands for."""
-        return [e for e in self.vehicle.all_effects if e.id not in exported]
+    def left_out(
+        self, exported: Collection[str] | None = None, hint: Callable[[Effect], str] = lambda effect: ""
+    ) -> Iterator[str]:
+        """A line on each effect that no part of the file stands for, with a hint.
+
+        `exported`: ids of the others; by default rigid body, added mass, statics, thrusters and damping.
+        """
+        if exported is None:
+            damping = (e.id for e in self.effects("damping"))
+            exported = {*RIGID, *ADDED_MASS, *STATICS, "thrusters", *damping}
+        for effect in self.vehicle.all_effects:
+            if effect.id not in exported:
+                yield f"{effect.id} is left out{hint(effect)}"
 
 
 def point_of_action(force: Array, moment: Array) -> Array:

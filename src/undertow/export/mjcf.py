@@ -126,9 +126,8 @@ class Mjcf(Body):
     # --- what is lost --------------------------------------------------------------------------
     def _what_is_left(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
-        for effect in self.not_exported(_EXPORTED):
-            hint = ", which MuJoCo has for ellipsoids only" if effect.id == "added_mass" else ""
-            yield f"{effect.id} is left out{hint}"
+        hint = ", which MuJoCo has for ellipsoids only"
+        yield from self.left_out(_EXPORTED, lambda effect: hint if effect.id == "added_mass" else "")
         if self.effects("damping"):
             yield "nothing damps the motion: add these forces to qfrc_applied or xfrc_applied"
 

@@ -16,7 +16,7 @@ from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .body import ADDED_MASS, FLIP, RIGID, STATICS, Body, angles_of, leaves, numbers
+from .body import FLIP, Body, angles_of, leaves, numbers
 from .drag import Drag, fit
 
 _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
@@ -159,11 +159,10 @@ class Sdf(Body):
     def _what_is_left(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
         yield from self.free_motions()
-        exported = {*RIGID, *ADDED_MASS, *STATICS, "thrusters", *(e.id for e in self.effects("damping"))}
         yield from self.added_coriolis()
-        for effect in self.not_exported(exported):
-            hint = ": publish it on /ocean_current" if isinstance(effect, Flow) else ""
-            yield f"{effect.id} is left out{hint}"
+        yield from self.left_out(
+            hint=lambda effect: ": publish it on /ocean_current" if isinstance(effect, Flow) else ""
+        )
 
 
 # --- XML ------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .body import ADDED_MASS, RIGID, STATICS, Body, angles_of, numbers
+from .body import Body, angles_of, numbers
 from .drag import fit, on_the_diagonal
 
 _GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
@@ -122,11 +122,9 @@ class Stonefish(Body):
             yield "drag acts at the centre of buoyancy, and that of rotation and oblique motion is the cube's"
         if "added_mass" in {e.id for e in self.vehicle.all_effects}:
             yield "added mass is left out: Stonefish knows one mean of what it estimates from a shape"
-        named = {"thrusters", *(e.id for e in self.effects("damping"))}
-        for effect in self.not_exported({*RIGID, *ADDED_MASS, *STATICS, *named}):
-            yield f"{effect.id} is left out" + (
-                ": give <ocean> a <current>" if isinstance(effect, Flow) else ""
-            )
+        yield from self.left_out(
+            hint=lambda effect: ": give <ocean> a <current>" if isinstance(effect, Flow) else ""
+        )
 
 
 def _principal(inertia: Array) -> tuple[Array, tuple[float, float, float]]:

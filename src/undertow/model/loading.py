@@ -156,29 +156,33 @@ class Statements:
         }
 
     def _from_owner(self, taken: Taken) -> float | None:
-        known = self._known(taken)
-        formula = next((f for f in taken.formulas if f.free_symbols <= known.keys()), None)
-        return None if formula is None else float(formula.subs(known))
+        formula = self._formula(taken)
+        if formula is None:
+            return None
+        return float(formula.subs(_in_symbols({**self.environment, **self._own[taken.owner]})))
 
-    def _known(self, taken: Taken) -> dict[sm.Symbol, sm.Float]:
-        """What the owner states, water density and gravity; nothing where the owner is not there."""
+    def _formula(self, taken: Taken) -> sm.Expr | None:
+        """The first formula whose keys are all stated; None also where the owner is not there."""
         stated = self._own.get(taken.owner)
-        numbers = {} if stated is None else {**self.environment, **stated}
-        return {symbol(n): sm.Float(v) for n, v in numbers.items()}
+        if stated is None:
+            return None
+        known = set(map(symbol, {**self.environment, **stated}))
+        return next((f for f in taken.formulas if f.free_symbols <= known), None)
 
     def multiples(self) -> dict[str, tuple[str, float]]:
         """Parameters taken from others that are a multiple of one, with its name and the factor: W = g m."""
         return dict(pair for effect in self.effects for pair in self._multiples_of(effect))
 
     def _multiples_of(self, effect: Effect) -> Iterator[tuple[str, tuple[str, float]]]:
-        own, left_open = {p.name for p in effect.parameters}, self.taken(effect)
-        constants = {symbol(n): sm.Float(v) for n, v in self.environment.items()}
-        for taken in (t for t in effect.taken if t.key in own and t.key in left_open):
-            known = self._known(taken)
-            formula = next(f for f in taken.formulas if f.free_symbols <= known.keys()).subs(constants)
-            factors = [(str(s), formula / s) for s in formula.free_symbols]
-            if len(factors) == 1 and factors[0][1].is_number:
-                yield taken.key, (factors[0][0], float(factors[0][1]))
+        open_ = {p.name for p in effect.parameters} & self.taken(effect).keys()
+        for taken in (t for t in effect.taken if t.key in open_):
+            formula = self._formula(taken)
+            if formula is None:
+                continue
+            scaled = formula.subs(_in_symbols(self.environment))
+            for other in scaled.free_symbols:
+                if (factor := scaled / other).is_number:
+                    yield taken.key, (str(other), float(factor))
 
     def differing(self) -> Iterator[str]:
         """One line for every value that another table states otherwise, unless it says that it overrides."""
@@ -207,6 +211,10 @@ class Statements:
         names = {str(x) for formula in taken.formulas for x in formula.free_symbols}
         owner = self.tables.get(taken.owner, {})
         return any(field_of(owner[n], "estimate") for n in names & owner.keys())
+
+
+def _in_symbols(values: Mapping[str, float]) -> dict[sm.Symbol, sm.Float]:
+    return {symbol(n): sm.Float(v) for n, v in values.items()}
 
 
 def _differs(place: str, value: float, elsewhere: float, taken: Taken, most: float) -> str:

@@ -142,7 +142,10 @@ class Asked(Protocol):
     kind: Kind
     chosen: dict[Share, set[Key]]  # corners that the programs so far were about
     centre: float  # heading in the middle of those of the set-point, rad
-    sectors: int  # ranges of set-points' headings in half a turn
+
+    @property
+    def sectors(self) -> int:
+        """Ranges of set-points' headings in half a turn."""
 
     def filled(self, values: Array) -> Array:
         """At least a share of the largest of a kind."""

@@ -127,8 +127,9 @@ class Proof:
     def _moves(self) -> Array:
         """What is claimed of each command of the share beside that at rest, no bound of the others."""
         found, own = np.full(len(self.program.left), np.inf), list(self.proposal.share.commands)
-        moves = self.program.moves(self.proposal) * (1 + SETTINGS.stated)
-        found[own] = np.minimum(moves, self.program.left)[own]
+        if own:
+            moves = self.program.moves(self.proposal) * (1 + SETTINGS.stated)
+            found[own] = np.minimum(moves, self.program.left)[own]
         return found
 
     def _falls(self, boxes: Boxes) -> Flags:
@@ -191,8 +192,7 @@ class Proof:
     def _stated(self, weights: Array, start: float) -> Quadratic:
         """The proof's result in the units of the states."""
         program, n, size = self.program, self.loop.n, self.loop.size
-        inverse, limits = 1 / self.scale, program.commands.limits
-        rest = limits - program.left if len(limits) else limits
+        inverse = 1 / self.scale
         own = weights * inverse[size - 2 * n : size - n] ** 2
         return Quadratic(
             P=(self.P * np.outer(inverse, inverse))[None, None],
@@ -200,7 +200,7 @@ class Proof:
             errors=program.reach(self.proposal),
             speeds=program.bounds.speeds,
             starts=1 / np.sqrt(own),
-            commands=rest + self._moves if len(limits) else rest,
+            commands=program.commands.limits - program.left + self._moves,
             start=start,
         )
 

@@ -104,7 +104,6 @@ class Search:
 
     def __init__(self, problem: Problem, start: Mapping[str, float], kind: Kind = _USUAL) -> None:
         self.problem, self.loop, self.kind = problem, Embedding(problem), kind
-        self.sectors = SETTINGS.sectors_coupled if kind.coupled else SETTINGS.sectors
         self.commands = Commands(problem)
         self.forms = 0  # what the solver was given so far
         self.work = Work(0)  # what is left for proofs
@@ -118,6 +117,17 @@ class Search:
         for group in self.loop.groups:
             found[group] = np.sqrt(np.sum(start[group] ** 2)) * (1 + 1e-12)
         return found
+
+    @property
+    def sectors(self) -> int:
+        """Ranges of set-points' headings in half a turn."""
+        return SETTINGS.sectors_coupled if self.kind.coupled else SETTINGS.sectors
+
+    @property
+    def _start_tilts(self) -> dict[str, float]:
+        """What is bounded of the start: roll, pitch, and the heading where A depends on it."""
+        starts = self._tilted(self.filled(self.start))
+        return {a: self._tilt(a, e) for a, e in starts.items()}
 
     # --- boxes of speeds --------------------------------------------------------------------------
     def found(self) -> Quadratic | None:
@@ -195,8 +205,7 @@ class Search:
 
     def _held(self, tilts: dict[str, float]) -> dict[str, float]:
         """Roll and pitch at which thrusters hold the weight with something left, or those of the start."""
-        starts = self._tilted(self.filled(self.start))
-        least = {a: self._tilt(a, starts[a]) for a in tilts if a != "psi"}
+        least = {a: e for a, e in self._start_tilts.items() if a != "psi"}
         while any(tilts[a] > e for a, e in least.items()):
             with suppress(UndertowError):
                 thrust_left(self.problem, self.commands, tilts)
@@ -208,8 +217,7 @@ class Search:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
         if not len(self.commands.limits):
             return
-        tilts = {a: self._tilt(a, e) for a, e in self._tilted(self.filled(self.start)).items()}
-        thrust_left(self.problem, self.commands, tilts)  # refuses where nothing is
+        thrust_left(self.problem, self.commands, self._start_tilts)  # refuses where nothing is
         level = {a: point(np.zeros(1)) for a in self.loop.angles}
         springs = np.abs(self.commands.share) @ (self.problem.values["K_P"] * self.start)
         rows = self.loop.commands_of(self.commands, level).middle[0]

@@ -147,14 +147,14 @@ class Quadratic:
         return np.asarray(self.P[min(int(share * len(self.P)), len(self.P) - 1)])
 
 
+_CLAIMS = ("errors", "speeds", "starts", "commands")
+
+
 def largest_of(forms: Sequence[Quadratic]) -> Quadratic:
     """One statement of what was proved of each form: where the largest is below one, all of it holds."""
     least = {name: np.min([getattr(f, name) for f in forms], axis=0) for name in _CLAIMS}
     start = max(f.start for f in forms)
     return replace(forms[0], P=np.concatenate([f.P for f in forms], axis=1), start=start, **least)
-
-
-_CLAIMS = ("errors", "speeds", "starts", "commands")
 
 
 def together(proofs: Sequence[Quadratic], half_turn: Array) -> Quadratic:

@@ -20,7 +20,6 @@ from undertow.identification.estimation.step import (
 )
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.catalogue import Catalogue
-from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .candidates import Candidate, possible
@@ -264,11 +263,6 @@ class OtherValues:
     alike: dict[str, tuple[str, ...]]
     fit: WeakFit
     score: Score
-
-
-def freed(vehicle: Vehicle, names: Sequence[str]) -> Vehicle:
-    """The vehicle with these values to be estimated."""
-    return vehicle.with_values({n: replace(vehicle.value_of(n), estimate=True) for n in names})
 
 
 def values_to_free(current: Round, residual_is_noise: IsNoise) -> dict[str, tuple[str, ...]]:

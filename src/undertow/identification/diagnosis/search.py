@@ -13,7 +13,7 @@ import numpy as np
 from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import whitened
-from undertow.identification.estimation.step import inverse_of
+from undertow.identification.estimation.step import freed, inverse_of
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
@@ -40,7 +40,7 @@ from .evidence import (
     under_own_noise,
     with_effects,
 )
-from .rounds import Round, freed, try_all, values_to_free
+from .rounds import Round, try_all, values_to_free
 from .settings import DEFAULT, Settings
 from .trial import Bench, noise_ratio, only_noise, open_bench, parameters_that_matter
 

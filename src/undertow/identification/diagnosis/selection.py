@@ -343,25 +343,30 @@ class _Selector:
         kept = self._without_superfluous(graded, rounds[0].bench)
         return Selection(kept, rounds, self._reasons, self._worth)
 
-    def _without_superfluous(self, graded: list[Graded], bench: Bench) -> list[Graded]:
+    def _without_superfluous(
+        self, graded: list[Graded], bench: Bench, whole: dict[float, Array] | None = None
+    ) -> list[Graded]:
         """The backward look: effects without those that nothing is gained by beside what was found later.
 
         One that stood in for what was not found yet is worth nothing beside it. Those in doubt stay: what
-        comes after them is judged beside them.
+        comes after them is judged beside them. `whole`: squares of predictions with all of them, where known.
         """
         findings = [g.chosen for g in graded]
         open_ = [i for i, g in enumerate(graded[:-1]) if not g.doubt]
         if not open_:
             return graded
-        sets = [findings, *([f for f in findings if f is not findings[i]] for i in open_)]
-        whole, *shorter = self._ahead([fitted(self._found.vehicle, s, bench).fit for s in sets])
-        worth = [gained(squares, whole, findings, self._validator) for squares in shorter]
-        spare = [(w.gain, i) for w, i in zip(worth, open_, strict=True) if not w.enough(self._settings.worth)]
+        sets = [[f for f in findings if f is not findings[i]] for i in open_]
+        sets += [findings] if whole is None else []
+        ahead = self._ahead([fitted(self._found.vehicle, s, bench).fit for s in sets])
+        whole = ahead.pop() if whole is None else whole
+        worth = [gained(squares, whole, findings, self._validator) for squares in ahead]
+        spare = [(w.gain, k) for k, w in enumerate(worth) if not w.enough(self._settings.worth)]
         if not spare:
             return graded
         _, least = min(spare)
-        _log.info("superfluous beside the others: %s", findings[least].id)
-        return self._without_superfluous([g for i, g in enumerate(graded) if i != least], bench)
+        superfluous = graded[open_[least]]
+        _log.info("superfluous beside the others: %s", superfluous.chosen.id)
+        return self._without_superfluous([g for g in graded if g is not superfluous], bench, ahead[least])
 
     def _report(self, done: float, words: str) -> None:
         self._done = max(self._done, self._share + done / self._settings.most_effects)

@@ -124,10 +124,7 @@ class Dynamics:
         if data is None:
             return None
         model = vehicle or self.vehicle
-        # What is free here takes along what follows it, as in any fit: the weight goes with the mass.
-        opened = {n: replace(model.value_of(n), estimate=True) for n in free if n in model.values}
-        model = model.with_values(opened)
-        names = tuple(dict.fromkeys((*free_parameters(model), *free)))
+        names = (*free_parameters(model), *free)
         noise = {"whitening": self.fit.whitening, "disturbance": self.fit.disturbance}
         try:
             return fit_weak(model, data, names, **noise)  # type: ignore[arg-type]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -347,6 +347,13 @@ def inverse_of(information: Array) -> Array:
     return np.linalg.inv(scaled) * np.outer(scale, scale)
 
 
+def freed(vehicle: Vehicle, names: Iterable[str]) -> Vehicle:
+    """The vehicle with these values to be estimated; itself where they are."""
+    known = {n: vehicle.value_of(n) for n in names}
+    opened = {n: replace(v, estimate=True) for n, v in known.items() if not v.estimate}
+    return vehicle.with_values(opened) if opened else vehicle
+
+
 def estimated(vehicle: Vehicle, values: Mapping[str, float], errors: Mapping[str, float]) -> Vehicle:
     """The vehicle with fitted values and their standard errors, SI and SNAME signs.
 
@@ -373,9 +380,13 @@ class Constraints:
     dissipative: bool = False  # Whether linear damping has to take energy from every motion, D + D' >= 0
 
     def model(self, vehicle: Vehicle, free: Sequence[str]) -> WeakModel:
-        """The model of a vehicle with its free parameters, without those that follow others."""
+        """The model of a vehicle with its free parameters, without those that follow others.
+
+        What the vehicle's file leaves to a free one follows it, whether the file marks that one or not.
+        """
         equal = _resolved(self.equal, vehicle)
         kept = [n for n in free if n not in equal]
+        vehicle = freed(vehicle, {other for other, _ in vehicle.follows.values()} & set(kept))
         model = WeakModel(Functions(vehicle, equal), kept, dissipative=self.dissipative)
         if equal:
             check_known_leaders(model)
