@@ -9,7 +9,8 @@ import polars as pl
 import pytest
 
 from undertow.cli.main import main
-from undertow.identification.logs.guess import Name, guess_mapping, guess_table
+from undertow.identification.logs.guess import guess_mapping, guess_table
+from undertow.identification.logs.guess_names import Name
 from undertow.identification.logs.guessed import Guess, GuessedMapping
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log

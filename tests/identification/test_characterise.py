@@ -277,6 +277,16 @@ def test_runs_that_differ_are_told_from_runs_that_do_not() -> None:
     assert difference(r[:200], one[:200], run[:200], block[:200]) is None
 
 
+def test_runs_that_are_too_short_are_not_compared() -> None:
+    """A run of which a motion has hardly a sample says nothing; the others are compared without it."""
+    rng, run = np.random.default_rng(5), np.repeat([0, 2, 3], [200, 30, 200])
+    r, block = rng.standard_normal(430) - 0.6 * (run == 3), np.arange(430) // 20
+    found = difference(r, np.ones((430, 1)), run, block)
+    assert found is not None
+    assert found.runs.tolist() == [0, 3]
+    assert found.values[:, 0] == pytest.approx([0.0, 0.6], abs=0.25)
+
+
 # --- terms and words -----------------------------------------------------------------------------------
 def test_terms_are_made_of_what_the_vehicle_has() -> None:
     labels = {t.label for t in terms_of(load_vehicle("mini-auv"), ("z", "psi"))}

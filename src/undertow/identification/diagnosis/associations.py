@@ -330,32 +330,37 @@ _FEWEST_BLOCKS = 4
 
 @dataclass(frozen=True)
 class Difference:
-    """Coefficients of the same columns in every run.
+    """Coefficients of the same columns in every run that is long enough.
 
-    values: (runs, k), the coefficients.
+    runs: (g,), numbers of these runs.
+    values: (g, k), the coefficients.
     chance: chance of so large differences when all runs are alike.
     """
 
+    runs: Index
     values: Array
     chance: float
 
 
 def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference | None:
-    """Fit columns to a residual in every run by itself; None unless two runs are long enough.
+    """Fit columns to a residual in every run by itself that is long enough; None unless two are.
 
     r: (m,), residual in units of its noise.
     columns: (m, k), its derivative in the coefficients.
     run, block: (m,), run and block of time of each entry.
     """
-    groups = [np.flatnonzero(run == i) for i in np.unique(run)]
-    if len(groups) < 2 or min(len(np.unique(block[g])) for g in groups) < _FEWEST_BLOCKS:
+    runs = np.array(
+        [i for i in np.unique(run) if len(np.unique(block[run == i])) >= _FEWEST_BLOCKS], dtype=np.intp
+    )
+    groups = [np.flatnonzero(run == i) for i in runs]
+    if len(groups) < 2:
         return None
     fits = [_fitted(r[g], columns[g], block[g]) for g in groups]
     values = np.array([value for value, _ in fits])
     weights = [inverse_of(spread) for _, spread in fits]
     mean = inverse_of(np.sum(weights, axis=0)) @ np.einsum("gij,gj->i", np.array(weights), values)
     distance = sum(float((v - mean) @ w @ (v - mean)) for v, w in zip(values, weights, strict=True))
-    return Difference(values, float(chi2.sf(distance, (len(groups) - 1) * columns.shape[1])))
+    return Difference(runs, values, float(chi2.sf(distance, (len(groups) - 1) * columns.shape[1])))
 
 
 def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:

@@ -409,7 +409,7 @@ class Characterisation:
         )
         if found is None or found.chance > _CHANCE_OF_RUNS:
             return None
-        values = {n: v.tolist() for n, v in zip(names, found.values, strict=True)}
+        values = {names[i]: v.tolist() for i, v in zip(found.runs, found.values, strict=True)}
         return BetweenRuns(of=of, values=values, unit=self._force.unit, chance=found.chance)
 
 

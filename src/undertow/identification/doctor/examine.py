@@ -13,7 +13,7 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Progress
+from undertow.typing import Progress
 from undertow.version import __version__
 
 from . import mistakes, sensors
@@ -29,7 +29,7 @@ from .dynamics import (
 )
 from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
 from .impossible import impossible, suspicious
-from .kinematics import Kinematics
+from .kinematics import Kinematics, rms
 from .mistakes import (
     POSITIONS,
     UNITS_OF_MOTION,
@@ -66,14 +66,10 @@ def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str
     linear = [i for i, block in enumerate(kinematics.blocks) if kinematics.rows[block[0]] in POSITIONS]
     block = kinematics.blocks[max(linear, key=lambda i: found.before.excess[i])]
     rates = kinematics.rates(runs)
-    pose, velocity = (_rms(a[:, block]) for a in (rates.pose, rates.velocity))
+    pose, velocity = (rms(a[:, block]) for a in (rates.pose, rates.velocity))
     names = ", ".join(kinematics.rows[i] for i in block)
     verb = "change" if len(block) > 1 else "changes"
     return f"{names} {verb} by {pose:.3g} m/s rms, and the velocities say {velocity:.3g} m/s; "
-
-
-def _rms(table: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
 
 
 _MOST_MISTAKES = 3
@@ -142,13 +138,25 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
     """
     needed = [*vehicle.velocity_names, *vehicle.command_names]
     for run in runs:
-        if not trust_log and all(run.has(n) for n in needed) and (found := _refused(vehicle, run)):
+        if trust_log or not all(run.has(n) for n in needed):
+            continue
+        where, after_all = (
+            f"log '{run.source or run.name}'",
+            "go on all the same with --trust-log (trust_log=True)",
+        )
+        if found := _refused(vehicle, run):
             finding, edits = found
             raise UndertowError(
-                f"log '{run.source or run.name}' is impossible: {finding.text}; write {_on_one_line(edits)} "
-                "into the mapping file (undertow doctor --mend does), or go on all the same with --trust-log "
-                "(trust_log=True)"
+                f"{where} is impossible: {finding.text}; write {_on_one_line(edits)} into the mapping file "
+                f"(undertow doctor --mend does), or {after_all}"
             )
+        if unmeasured := _without_measurement(vehicle, run):
+            raise UndertowError(f"{where}: {unmeasured.text}, or {after_all}")
+
+
+def _without_measurement(vehicle: Vehicle, run: Run) -> Finding | None:
+    kinematics = Kinematics([run], vehicle)
+    return sensors.without_measurement(kinematics, [run]) if kinematics else None
 
 
 def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:

@@ -235,16 +235,25 @@ def jacobian(pose: Array) -> Array:
     return result
 
 
-def _measured(runs: Sequence[Run], name: str) -> bool:
-    """Whether every run has a channel of its own, and it changes in one of them."""
-    own = all(r.has(name) and name not in r.derived for r in runs)
-    return own and any(np.nanmax(r.channels[name]) > np.nanmin(r.channels[name]) for r in runs)
+def rms(table: Array) -> float:
+    """Root of the mean square length of rows."""
+    return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
+
+
+def _own(runs: Sequence[Run], name: str) -> bool:
+    """Whether every run has a channel of its own."""
+    return all(r.has(name) and name not in r.derived for r in runs)
+
+
+def _changes(runs: Sequence[Run], name: str) -> bool:
+    return any(np.nanmax(r.channels[name]) > np.nanmin(r.channels[name]) for r in runs)
 
 
 def _rows(runs: Sequence[Run], vehicle: Vehicle) -> list[str]:
     """Pose coordinates whose rate can be compared with a velocity of its own."""
     pairs = zip(vehicle.pose_names, vehicle.velocity_names, strict=True)
-    found = [p for p, v in pairs if _measured(runs, p) and _measured(runs, v)]
+    # A velocity that never changes while the pose does is compared, too: nothing was measured.
+    found = [p for p, v in pairs if _own(runs, p) and _own(runs, v) and _changes(runs, p)]
     turns = "yaw" in vehicle.degrees_of_freedom and not all(r.has("psi") for r in runs)
     return [n for n in found if not (turns and n in ("x", "y"))]
 

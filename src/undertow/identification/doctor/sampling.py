@@ -44,6 +44,7 @@ class SamplingSettings:
     stretch: int = 256  # samples of a stretch whose spectrum is taken
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
     steep: float = 0.7
+    names: int = 5  # runs that are named where many show the same
     repeats: float = 0.3  # share of rows that repeat the one before, from which a channel is held or coarse
 
 
@@ -55,13 +56,31 @@ DROP = (Edit("time", "disorder", "drop"),)
 
 def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> list[Finding]:
     """Everything about the clock of runs."""
-    found = [f for run in runs for f in _of_run(run, mapping)]
+    found = list(_of_runs(runs, channels, mapping))
     slow = [f for name in channels if (f := _held(runs, name, mapping)) is not None]
-    found += _filtered(runs, channels)
-    return [*found, *slow, *(f for run in runs if (f := _absent(run, channels)) is not None)]
+    return [*found, *_filtered(runs, channels), *slow]
 
 
-def _of_run(run: Run, mapping: LogMapping) -> Iterator[Finding]:
+def _of_runs(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
+    """What is found in runs; where several show the same, the worst of them with the names of the others."""
+    found = [(run.name, f) for run in runs for f in _of_run(run, channels, mapping)]
+    kinds: dict[tuple[str, str], list[tuple[str, Finding]]] = {}
+    for name, f in found:
+        kinds.setdefault((f.id, f.severity), []).append((name, f))
+    for alike in kinds.values():
+        name, worst = max(alike, key=lambda pair: next(iter(pair[1].evidence.values())))
+        others = [other for other, _ in alike if other != name]
+        text = f"{name}: {worst.text}" + (f"; less so in {_listed(others)}" if others else "")
+        yield worst.model_copy(update={"text": text})
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = SETTINGS.names
+    return ", ".join(names[:shown]) + (f" and {len(names) - shown} more" if len(names) > shown else "")
+
+
+def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
+    """Findings whose first number says how bad it is, with texts that do not name the run."""
     step = np.diff(run.clock)
     usual = float(np.median(step))
     yield from _disorder(run, mapping)
@@ -71,10 +90,11 @@ def _of_run(run: Run, mapping: LogMapping) -> Iterator[Finding]:
         yield Finding(
             id="jitter",
             severity="note",
-            text=f"{run.name}: sampling is irregular: steps of {usual:.4g} s vary by {jitter:.0%} "
+            text=f"sampling is irregular: steps of {usual:.4g} s vary by {jitter:.0%} "
             "(times are taken as they are)",
-            evidence={"step": usual, "jitter": jitter},
+            evidence={"jitter": jitter, "step": usual},
         )
+    yield from _absent(run, channels)
 
 
 def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
@@ -83,7 +103,7 @@ def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
         yield Finding(
             id="disorder",
             severity="note" if known else "mistake",
-            text=f"{run.name}: {run.dropped} of {run.dropped + len(run.t)} rows are not later than a row "
+            text=f"{run.dropped} of {run.dropped + len(run.t)} rows are not later than a row "
             "before (a repeated or backward time stamp); they were left out",
             evidence={"rows": float(run.dropped)},
             mapping="" if known else as_toml(DROP),
@@ -104,23 +124,23 @@ def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     yield Finding(
         id="gaps",
         severity="warning" if share > 5 * SETTINGS.missing else "note",
-        text=f"{run.name}: {share:.1%} of the rows are missing at a usual step of {usual:.4g} s "
+        text=f"{share:.1%} of the rows are missing at a usual step of {usual:.4g} s "
         f"({len(few)} short spells, {len(gaps)} gaps{longest}); nothing is interpolated",
         evidence={"share": share, "gaps": float(len(gaps)), "longest": float(step.max())},
     )
 
 
-def _absent(run: Run, channels: Sequence[str]) -> Finding | None:
+def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
     """Cells without a value, in the worst channel."""
     shares = {n: float(np.mean(np.isnan(run.channels[n]))) for n in channels if run.has(n)}
     worst = max(shares, key=lambda n: shares[n], default=None)
     if worst is None or shares[worst] < SETTINGS.missing:
-        return None
-    several = [n for n in shares if shares[n] > SETTINGS.missing]
-    return Finding(
+        return
+    several = sorted((n for n in shares if shares[n] > SETTINGS.missing), key=lambda n: -shares[n])
+    yield Finding(
         id="missing_samples",
         severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
-        text=f"{run.name}: {worst} has no value in {shares[worst]:.1%} of the rows"
+        text=f"{worst} has no value in {shares[worst]:.1%} of the rows"
         + (
             f" (missing samples also in {', '.join(n for n in several if n != worst)})"
             if len(several) > 1

@@ -11,12 +11,12 @@ import numpy as np
 from undertow.identification.logs import mapping
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import UNITS, Run
-from undertow.model.symbols import VELOCITY
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .findings import Edit, Edits, Finding
-from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch
+from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch, rms
 from .mistakes import (
     PLAUSIBLE,
     SPEEDS,
@@ -57,6 +57,9 @@ class SensorSettings:
     water_worth: float = 2e-3  # the same for the velocity of the water
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
     rest: float = 0.05  # mismatch that is reported where nothing explains it
+    still: float = (
+        1e-3  # share of what the other does below which a pose rate, or a velocity, measures nothing
+    )
 
 
 SETTINGS = SensorSettings()
@@ -479,13 +482,40 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
     for block, excess in zip(kinematics.blocks, left.excess, strict=True):
         if excess > SETTINGS.rest:
             names = ", ".join(kinematics.rows[i] for i in block)
-            yield Finding(
+            yield _still(kinematics, rates, block) or Finding(
                 id="inconsistent",
                 severity="warning",
                 text=f"the rate of {names} and the velocities disagree by {excess:.0%} of the motion (mean "
                 "square), and no usual mistake nor flaw of a sensor explains it",
                 evidence={"share": float(excess)},
             )
+
+
+def without_measurement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding | None:
+    """Velocities that say nothing while the pose moves; None where there are none."""
+    rates = kinematics.rates(runs)
+    excess = kinematics.of_rates(rates).excess
+    blocks = (b for b, e in zip(kinematics.blocks, excess, strict=True) if e > SETTINGS.rest)
+    found = (_still(kinematics, rates, block) for block in blocks)
+    return next((f for f in found if f is not None and f.severity == "mistake"), None)
+
+
+def _still(kinematics: Kinematics, rates: Rates, block: list[int]) -> Finding | None:
+    """Velocities that stay at nothing while the pose moves, or the other way round; None where both move."""
+    moved, said = (rms(table[:, block]) for table in (rates.pose, rates.velocity))
+    if min(moved, said) > SETTINGS.still * max(moved, said):
+        return None
+    pose = [kinematics.rows[i] for i in block]
+    velocities = [VELOCITY[POSE.index(n)] for n in pose]
+    dead, remedy = (velocities, "; it is then derived from the pose") if said < moved else (pose, "")
+    verb, unit = "measures" if len(dead) == 1 else "measure", UNITS[velocities[0]]
+    return Finding(
+        id="measures_nothing",
+        severity="mistake" if said < moved else "warning",
+        text=f"{', '.join(dead)} {verb} nothing: {', '.join(pose)} changes by {moved:.2g} {unit} rms, and "
+        f"{', '.join(velocities)} is {said:.2g} {unit}; put it into `ignore` of the mapping file{remedy}",
+        evidence={"pose": moved, "velocity": said},
+    )
 
 
 def _believed(fit: SensorFit, before: Mismatch) -> bool:

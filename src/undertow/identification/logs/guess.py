@@ -20,6 +20,7 @@ from undertow.typing import Array, Flags
 
 from .conversions import angles
 from .guess_frames import Axes, axes_of, formulas, quaternion_in, rate_of_heading, unit_of_heading
+from .guess_names import NO_FIT, RATES, WANTED, Name, is_clock, part_of_quaternion
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping
 from .run import FORCES, UNITS
@@ -36,6 +37,7 @@ class GuessSettings:
     spin: float = (
         6.0  # a turning rate beyond this is in degrees: vehicles in water turn once a second at most
     )
+    still: float = 7e-5  # no turning rate stays below that of the earth, rad/s
     repeated: float = (
         0.6  # share of rows that repeat the one before, from which a sensor is slower than its log
     )
@@ -49,201 +51,6 @@ class GuessSettings:
 
 
 SETTINGS = GuessSettings()
-
-# --- what a name may say ----------------------------------------------------------------------------
-_UNITS = {
-    "m": "m", "mm": "mm", "cm": "cm", "km": "km", "ft": "ft", "rad": "rad", "deg": "deg", "degrees": "deg",
-    "mps": "m/s", "m s": "m/s", "m/s": "m/s", "mmps": "mm/s", "mm s": "mm/s", "mm/s": "mm/s", "kn": "knot",
-    "kt": "knot", "kts": "knot", "knots": "knot", "radps": "rad/s", "rad s": "rad/s", "rad/s": "rad/s",
-    "rps": "rev/s", "rev/s": "rev/s", "degps": "deg/s", "dps": "deg/s", "deg s": "deg/s", "deg/s": "deg/s",
-    "n": "N", "nm": "N m", "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
-    "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%",
-    "v": "V", "pwm": "pwm",
-}  # fmt: skip
-_LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
-_SPEEDS, _RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
-_PLACES = {
-    "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
-    "z": 2, "d": 2, "depth": 2, "down": 2,
-}  # fmt: skip
-_TURNS = {
-    "phi": 0,
-    "roll": 0,
-    "theta": 1,
-    "pitch": 1,
-    "psi": 2,
-    "yaw": 2,
-    "heading": 2,
-    "hdg": 2,
-    "compass": 2,
-}
-_MOVES = {
-    "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
-    "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
-    "vm": 1,  # v_m of the MMG model: sway velocity at midship
-}  # fmt: skip
-_OF_SPEED = {"vel", "velo", "velocity", "speed", "linear", "twist"}
-_OF_RATE = {"rate", "dot", "gyro", "angular", "omega", "angvel"}
-# Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
-_WANTED = {
-    "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err",
-    "error", "std", "var", "cov", "sigma", "acc", "accel", "acceleration", "ship", "alt", "altitude", "limit",
-}  # fmt: skip
-# Less direct than the measurement where the log has both.
-_RANK = {"meas": 0, "measured": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
-_PLAIN = {"pos", "position", "pose", "att", "attitude", "imu", "gps", "dvl", "nav", "body", "vel", "angle"}
-_DRIVES = {
-    "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
-    "propeller", "motor", "throttle", "esc", "tau",
-}  # fmt: skip
-_ABOUT_ELSE = {"wind"}  # what moves is not the vehicle
-# Other words for those of a command, the likeliest first.
-_ALSO = {
-    "rudder": ("delta", "rud"),
-    "prop": ("propeller", "thrust", "rpm", "rev"),
-    "propeller": ("prop", "rpm", "rev"),
-    "port": ("ps", "left"),
-    "starboard": ("stbd", "stb", "sb", "right"),
-    "bow": ("bt",),
-    "lateral": ("side",),
-    "vertical": ("vert",),
-    "tau": ("force",),
-}
-# Other words for those of a logged quantity that drives an effect.
-_SENSED = {
-    "apparent": {"relative", "rel", "app"},
-    "speed": {*_OF_SPEED, "spd"},
-    "angle": {"dir", "direction", "ang"},
-    "from": {"dir", "direction", "angle", "ang"},
-    "voltage": {"volt", "volts", "battery", "batt", "vbat"},
-}
-# What a command counts, by the unit of its column, and by words in the name of one that states none.
-_COUNTS = {
-    "N": "N", "rev/s": "rev/s", "rpm": "rev/s", "rad/s": "rev/s", "rad": "rad", "deg": "rad",
-    "pwm": "command", "%": "command", "us": "command",
-}  # fmt: skip
-_COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "angle": "rad", "throttle": "command"}
-_BY_UNIT, _NO_FIT = 2.9, 9.0
-_TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
-
-
-@dataclass(frozen=True)
-class Name:
-    """A column's name taken apart: words in small letters, and the unit that it states ("" for none)."""
-
-    column: str
-    words: tuple[str, ...]
-    unit: str
-
-    @classmethod
-    def of(cls, column: str) -> Name:
-        """Take a name such as "yawRate [deg/s]" or "u_meas_mps" apart."""
-        bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
-        rest = column if bracket is None else column.replace(bracket[0], " ")
-        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
-        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+", spaced) if w]
-        words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
-        if bracket is not None:
-            return cls(column, tuple(words), _UNITS.get(bracket[1].strip().lower(), ""))
-        for length in (2, 1):
-            unit = _UNITS.get(" ".join(words[-length:]), "")
-            if unit and len(words) > length:
-                return cls(column, tuple(words[:-length]), unit)
-        return cls(column, tuple(words), "rpm" if "rpm" in words else "pwm" if "pwm" in words else "")
-
-    @property
-    def rank(self) -> tuple[int, int]:
-        """How far the name is from that of a plain measurement; the least wins."""
-        known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN}
-        return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
-
-    def motion(self, only: int | None = None) -> str:
-        """The channel of pose or velocity that the name means; "" for none.
-
-        `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
-        """
-        if set(self.words) & {*_WANTED, *_DRIVES, *_ABOUT_ELSE}:
-            return ""
-        found = self._axis(only)
-        units = (_LENGTHS, _ANGLES, _SPEEDS, _RATES | {"rev/s"})
-        fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
-        return found if found and (not self.unit or self.unit in fits[found]) else ""
-
-    def _axis(self, only: int | None) -> str:
-        words = set(self.words)
-        speed = self.unit in _SPEEDS or bool(words & _OF_SPEED)
-        rate = self.unit in _RATES or bool(words & _OF_RATE)
-        for word in self.words:
-            if word in _MOVES:
-                return VELOCITY[_MOVES[word]]
-            if word in _TURNS:
-                return (VELOCITY if rate or speed else POSE)[3 + _TURNS[word]]
-            if word in _PLACES:
-                return VELOCITY[3 + _PLACES[word]] if rate else (VELOCITY if speed else POSE)[_PLACES[word]]
-        if only is not None and words & {"position", "pos", "velocity", "vel", "speed", "angle", "rate"}:
-            return (VELOCITY if speed or rate else POSE)[only]
-        return ""
-
-    @property
-    def is_motion_by_unit(self) -> bool:
-        """Whether nothing but the unit says that a place or an angle is one of a velocity."""
-        of_motion = {*_MOVES, *_OF_SPEED, *_OF_RATE}
-        return self.unit in {*_SPEEDS, *_RATES, "rev/s"} and not of_motion & set(self.words)
-
-    @property
-    def counts(self) -> str:
-        """What the column of a command counts: "N", "rev/s", "rad", "command" (shares, pulses) or ""."""
-        return _COUNTS.get(self.unit) or next((_COUNTED[w] for w in self.unnumbered if w in _COUNTED), "")
-
-    def fits(self, command: str, unit: str) -> tuple[float, int]:
-        """How badly a column fits a command of a vehicle: its name, and what it counts; the least wins."""
-        wanted = _COUNTS.get(unit, unit)
-        name = self.drives(command)
-        if name == _NO_FIT and wanted == "rev/s" and _COUNTS.get(self.unit) == wanted:
-            name = _BY_UNIT
-        return name, 0 if self.counts == wanted else 2 if self.counts else 1
-
-    def senses(self, quantity: str, unit: str) -> tuple[float, int]:
-        """How badly a column fits a logged quantity, such as the speed of the wind; the least wins."""
-        wanted, words = quantity.lower().split("_"), set(self.words)
-        if self.column.lower() == quantity.lower():
-            return 0.0, 0
-        there = all({word, *_SENSED.get(word, ())} & words for word in wanted)
-        apparent = "apparent" in wanted or not {"apparent", *_SENSED["apparent"]} & words
-        dimension = next((d for d in (_LENGTHS, _ANGLES, _SPEEDS, {"V"}, {"N"}) if unit in d), {unit})
-        fits = there and apparent and self.unit in {"", *dimension}
-        return 2.0 if fits else _NO_FIT, len(words)
-
-    def drives(self, command: str) -> float:
-        """How badly a column fits a command: 0 the same name, 1 the same words, more for others."""
-        wanted = [w for w in re.split(r"[^a-z0-9]+", command.lower()) if w]
-        also = [other for word in wanted for other in _ALSO.get(word, ())]
-        if self.column.lower() == command.lower():
-            return 0.0
-        if set(wanted) <= set(self.words):
-            return 1.0
-        known = [k for k, other in enumerate(also) if other in self.words]
-        if known:
-            return 2.0 + 0.1 * known[0]
-        alike = any(w.startswith(other) for w in self.words for other in [*wanted, *also] if len(other) > 3)
-        return 3.0 if alike else _NO_FIT
-
-    @property
-    def is_command(self) -> bool:
-        """Whether it looks like what drives a vehicle."""
-        numbered = any(re.fullmatch(r"[uftm]\d+|tau[xyzkmn]", word) for word in self.words)
-        return bool({*self.unnumbered} & _DRIVES or numbered) and "limit" not in self.words
-
-    @property
-    def unnumbered(self) -> list[str]:
-        """The words without numbers at their ends, of columns that differ in these."""
-        return [re.sub(r"\d+$", "", word) for word in self.words]
-
-
-def is_time(name: str) -> bool:
-    """Whether the name of a column means that it counts the time."""
-    words = Name.of(name).words
-    return bool(set(words) & _TIMES) and not set(words) & _WANTED
 
 
 # --- from a table -----------------------------------------------------------------------------------
@@ -268,7 +75,7 @@ def guess_table(
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
     time = _time(table, data, f"log {path}")
     t = data.get(time.column, np.zeros(0)) * _seconds(str(time.entry["unit"]))
-    names = [Name.of(column) for column in data if column != time.column]
+    names = [Name.of(c) for c in data if c != time.column and not part_of_quaternion(c, data)]
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     motion = _best(names, only)
     heading = _heading(motion, data, t)
@@ -286,7 +93,10 @@ def guess_table(
     read += [_command(command, name, data[name.column], units) for command, name in driving.items()]
     used = {time.column, *turned, *(g.column for g in read), *(str(g.entry.get("fresh", "")) for g in read)}
     commands = vehicle.command_names if vehicle else ()
-    questions = [_LACKING.format(c) for c in commands if c not in {g.channel for g in read}]
+    lacking = [c for c in commands if c not in {g.channel for g in read}]
+    wrench = [n.column for n in names if n.force and n.column not in used]
+    questions = [_LACKING.format(c) for c in lacking]
+    questions += [_WRENCH.format(", ".join(wrench))] if lacking and wrench else []
     questions += [
         _FLAG.format(f) for f, column in flags.items() if f not in used and len(np.unique(column)) > 1
     ]
@@ -302,6 +112,11 @@ def guess_table(
 
 
 _LACKING = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
+_WRENCH = (
+    "{} may be the force on the whole vehicle. Where it was computed or measured, state generalised_forces "
+    "in the vehicle file; where a controller asked for it, a thruster with a wrench for each, whose gain can "
+    "then be doubted"
+)
 _FLAG = (
     "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
     'fresh = "{0}"'
@@ -358,7 +173,7 @@ def _seconds(unit: str) -> float:
 
 def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     rising = [n for n, column in data.items() if len(column) > 1 and np.all(np.diff(column) > 0)]
-    named = [n for n in table.columns if set(Name.of(n).words) & _TIMES and (n in rising or n not in data)]
+    named = [n for n in table.columns if is_clock(n) and (n in rising or n not in data)]
     found = next(iter([*named, *rising]), None)
     if found is None:
         raise UndertowError(f"{where}: {_no_time(data)}: its columns are {', '.join(table.columns)}")
@@ -383,7 +198,7 @@ def _no_time(data: Mapping[str, Array]) -> str:
     """Why no column is the time, and what to do where one of its name is too coarse, or jumps back."""
     for name, column in data.items():
         still = np.flatnonzero(np.diff(column) <= 0.0)
-        if set(Name.of(name).words) & _TIMES and len(still):
+        if is_clock(name) and len(still):
             row = int(still[0])
             return (
                 f"column {name!r} does not rise in {len(still)} of {len(column)} rows, first from "
@@ -421,13 +236,14 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
 def _commands(names: Sequence[Name], vehicle: Vehicle | None) -> dict[str, Name]:
     """The column of each command and input: of those of the vehicle, or of whatever looks like a command."""
     if vehicle is None:
-        return {name.column: name for name in names if name.is_command and not set(name.words) & _WANTED}
+        driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
+        return {n.force or n.column: n for n in driving}
     found: dict[str, Name] = {}
     for command, unit in vehicle.input_units.items():
         known = [n for n in names if n not in found.values() and command not in MOTION_UNITS]
         fitting = Name.senses if command in vehicle.inputs else Name.fits
         fits = sorted((*fitting(name, command, unit), k) for k, name in enumerate(known))
-        if fits and fits[0][0] < _NO_FIT:
+        if fits and fits[0][0] < NO_FIT:
             found[command] = known[fits[0][2]]
     if found.keys().isdisjoint(vehicle.actuator_names):
         found |= _in_order(names, vehicle.actuator_names)
@@ -481,6 +297,11 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
     if channel in VELOCITY[3:]:
         if most > SETTINGS.spin:
             return "deg/s", ""
+        if most < SETTINGS.still:
+            return (
+                "rad/s",
+                f"never beyond {most:.2g}: less than the earth turns; if it measures nothing, leave it out",
+            )
         return "rad/s", f"never beyond {most:.2g}: rad/s, or slow turns in deg/s?"
     unit = UNITS[channel]
     return unit, f"no unit in the name: is it in {unit}?"
@@ -519,7 +340,7 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
     kept = []
     for guess in read:
         if guess.channel == "r" and column:
-            unit = min(_RATES, key=lambda u: abs(np.log(abs(factor) / _rate_in_si(u))))
+            unit = min(RATES, key=lambda u: abs(np.log(abs(factor) / _rate_in_si(u))))
             doubt = (
                 ""
                 if column == guess.column
@@ -603,7 +424,7 @@ def _ignored(
         name = Name.of(column)
         if column not in data:
             reason = "not numbers"
-        elif set(name.words) & _WANTED:
+        elif set(name.words) & WANTED:
             reason = "wanted of the vehicle, or about something else"
         elif name.motion(only) in foreign:
             reason = "a motion that the vehicle does not have"

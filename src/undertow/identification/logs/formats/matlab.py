@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.guess import Name, is_time
+from undertow.identification.logs.guess_names import Name, is_time
 from undertow.identification.logs.run import FORCES
 from undertow.model.symbols import POSE
 from undertow.typing import Array

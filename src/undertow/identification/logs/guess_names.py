@@ -1,0 +1,232 @@
+"""What the name of a log's column may mean: its unit, the motion or the command that it stands for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container
+from dataclasses import dataclass
+
+from undertow.model.symbols import POSE, VELOCITY
+
+from .run import FORCES
+
+_UNITS = {
+    "m": "m", "mm": "mm", "cm": "cm", "km": "km", "ft": "ft", "rad": "rad", "deg": "deg", "degrees": "deg",
+    "mps": "m/s", "m s": "m/s", "m/s": "m/s", "mmps": "mm/s", "mm s": "mm/s", "mm/s": "mm/s", "kn": "knot",
+    "kt": "knot", "kts": "knot", "knots": "knot", "radps": "rad/s", "rad s": "rad/s", "rad/s": "rad/s",
+    "rps": "rev/s", "rev/s": "rev/s", "degps": "deg/s", "dps": "deg/s", "deg s": "deg/s", "deg/s": "deg/s",
+    "n": "N", "nm": "N m", "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
+    "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%",
+    "v": "V", "pwm": "pwm",
+}  # fmt: skip
+_LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
+_SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
+_PLACES = {
+    "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
+    "z": 2, "d": 2, "depth": 2, "down": 2,
+}  # fmt: skip
+_TURNS = {
+    "phi": 0,
+    "roll": 0,
+    "theta": 1,
+    "pitch": 1,
+    "psi": 2,
+    "yaw": 2,
+    "heading": 2,
+    "hdg": 2,
+    "compass": 2,
+}
+_MOVES = {
+    "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
+    "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
+    "vm": 1,  # v_m of the MMG model: sway velocity at midship
+}  # fmt: skip
+_OF_TURN = {"orientation", "attitude", "rpy", "euler"}
+_OF_SPEED = {"vel", "velo", "velocity", "speed", "linear", "twist"}
+_OF_RATE = {"rate", "dot", "gyro", "angular", "omega", "angvel"}
+# Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
+WANTED = {
+    "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err",
+    "error", "std", "var", "cov", "sigma", "acc", "accel", "acceleration", "ship", "alt", "altitude", "limit",
+}  # fmt: skip
+# Less direct than the measurement where the log has both.
+_RANK = {"meas": 0, "measured": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
+_PLAIN = {"pos", "position", "pose", "att", "attitude", "imu", "gps", "dvl", "nav", "body", "vel", "angle"}
+_DRIVES = {
+    "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
+    "propeller", "motor", "throttle", "esc", "tau",
+}  # fmt: skip
+_ABOUT_ELSE = {"wind"}  # what moves is not the vehicle
+_MOMENT = {"torque", "moment"}
+_WHOLE_FORCE = {"force", "wrench", *_MOMENT}
+_AXES = {"x": 0, "y": 1, "z": 2}
+# Other words for those of a command, the likeliest first.
+_ALSO = {
+    "rudder": ("delta", "rud"),
+    "prop": ("propeller", "thrust", "rpm", "rev"),
+    "propeller": ("prop", "rpm", "rev"),
+    "port": ("ps", "left"),
+    "starboard": ("stbd", "stb", "sb", "right"),
+    "bow": ("bt",),
+    "lateral": ("side",),
+    "vertical": ("vert",),
+    "tau": ("force",),
+}
+# Other words for those of a logged quantity that drives an effect.
+_SENSED = {
+    "apparent": {"relative", "rel", "app"},
+    "speed": {*_OF_SPEED, "spd"},
+    "angle": {"dir", "direction", "ang"},
+    "from": {"dir", "direction", "angle", "ang"},
+    "voltage": {"volt", "volts", "battery", "batt", "vbat"},
+}
+# What a command counts, by the unit of its column, and by words in the name of one that states none.
+_COUNTS = {
+    "N": "N", "rev/s": "rev/s", "rpm": "rev/s", "rad/s": "rev/s", "rad": "rad", "deg": "rad",
+    "pwm": "command", "%": "command", "us": "command",
+}  # fmt: skip
+_COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "angle": "rad", "throttle": "command"}
+_BY_UNIT, NO_FIT = 2.9, 9.0
+_TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
+
+
+@dataclass(frozen=True)
+class Name:
+    """A column's name taken apart: words in small letters, and the unit that it states ("" for none)."""
+
+    column: str
+    words: tuple[str, ...]
+    unit: str
+
+    @classmethod
+    def of(cls, column: str) -> Name:
+        """Take a name such as "yawRate [deg/s]" or "u_meas_mps" apart."""
+        bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
+        rest = column if bracket is None else column.replace(bracket[0], " ")
+        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
+        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+", spaced) if w]
+        words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
+        if bracket is not None:
+            return cls(column, tuple(words), _UNITS.get(bracket[1].strip().lower(), ""))
+        for length in (2, 1):
+            unit = _UNITS.get(" ".join(words[-length:]), "")
+            if unit and len(words) > length:
+                return cls(column, tuple(words[:-length]), unit)
+        return cls(column, tuple(words), "rpm" if "rpm" in words else "pwm" if "pwm" in words else "")
+
+    @property
+    def rank(self) -> tuple[int, int]:
+        """How far the name is from that of a plain measurement; the least wins."""
+        known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN}
+        return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
+
+    def motion(self, only: int | None = None) -> str:
+        """The channel of pose or velocity that the name means; "" for none.
+
+        `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
+        """
+        if set(self.words) & {*WANTED, *_DRIVES, *_ABOUT_ELSE}:
+            return ""
+        found = self._axis(only)
+        units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
+        fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
+        return found if found and (not self.unit or self.unit in fits[found]) else ""
+
+    def _axis(self, only: int | None) -> str:
+        words = set(self.words)
+        speed = self.unit in _SPEEDS or bool(words & _OF_SPEED)
+        rate = self.unit in RATES or bool(words & _OF_RATE)
+        for word in self.words:
+            if word in _MOVES:
+                return VELOCITY[_MOVES[word]]
+            if word in _TURNS:
+                return (VELOCITY if rate or speed else POSE)[3 + _TURNS[word]]
+            if word in _PLACES:
+                turned = 3 if rate or words & _OF_TURN else 0
+                return (VELOCITY if rate or speed else POSE)[turned + _PLACES[word]]
+        if only is not None and words & {"position", "pos", "velocity", "vel", "speed", "angle", "rate"}:
+            return (VELOCITY if speed or rate else POSE)[only]
+        return ""
+
+    @property
+    def is_motion_by_unit(self) -> bool:
+        """Whether nothing but the unit says that a place or an angle is one of a velocity."""
+        of_motion = {*_MOVES, *_OF_SPEED, *_OF_RATE}
+        return self.unit in {*_SPEEDS, *RATES, "rev/s"} and not of_motion & set(self.words)
+
+    @property
+    def counts(self) -> str:
+        """What the column of a command counts: "N", "rev/s", "rad", "command" (shares, pulses) or ""."""
+        return _COUNTS.get(self.unit) or next((_COUNTED[w] for w in self.unnumbered if w in _COUNTED), "")
+
+    def fits(self, command: str, unit: str) -> tuple[float, int]:
+        """How badly a column fits a command of a vehicle: its name, and what it counts; the least wins."""
+        wanted = _COUNTS.get(unit, unit)
+        name = self.drives(command)
+        if name == NO_FIT and wanted == "rev/s" and _COUNTS.get(self.unit) == wanted:
+            name = _BY_UNIT
+        return name, 0 if self.counts == wanted else 2 if self.counts else 1
+
+    def senses(self, quantity: str, unit: str) -> tuple[float, int]:
+        """How badly a column fits a logged quantity, such as the speed of the wind; the least wins."""
+        wanted, words = quantity.lower().split("_"), set(self.words)
+        if self.column.lower() == quantity.lower():
+            return 0.0, 0
+        there = all({word, *_SENSED.get(word, ())} & words for word in wanted)
+        apparent = "apparent" in wanted or not {"apparent", *_SENSED["apparent"]} & words
+        dimension = next((d for d in (_LENGTHS, _ANGLES, _SPEEDS, {"V"}, {"N"}) if unit in d), {unit})
+        fits = there and apparent and self.unit in {"", *dimension}
+        return 2.0 if fits else NO_FIT, len(words)
+
+    @property
+    def force(self) -> str:
+        """The force or moment on the whole vehicle, tau_X ... tau_N, that the name means; "" for none."""
+        words = set(self.words)
+        if words & _WHOLE_FORCE and not words & _ABOUT_ELSE:
+            axis = next((_AXES[w] for w in self.words if w in _AXES), None)
+            kind = 3 if words & _MOMENT else 0
+            return "" if axis is None else FORCES[kind + axis]
+        return ""
+
+    def drives(self, command: str) -> float:
+        """How badly a column fits a command: 0 the same name, 1 the same words, more for others."""
+        wanted = [w for w in re.split(r"[^a-z0-9]+", command.lower()) if w]
+        also = [other for word in wanted for other in _ALSO.get(word, ())]
+        if self.column.lower() == command.lower():
+            return 0.0
+        if set(wanted) <= set(self.words):
+            return 1.0
+        if command in FORCES and self.force:
+            return 2.0 if self.force == command else NO_FIT
+        known = [k for k, other in enumerate(also) if other in self.words]
+        if known:
+            return 2.0 + 0.1 * known[0]
+        alike = any(w.startswith(other) for w in self.words for other in [*wanted, *also] if len(other) > 3)
+        return 3.0 if alike else NO_FIT
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it looks like what drives a vehicle."""
+        numbered = any(re.fullmatch(r"[uftm]\d+|tau[xyzkmn]", word) for word in self.words)
+        return bool({*self.unnumbered} & _DRIVES or numbered) and "limit" not in self.words
+
+    @property
+    def unnumbered(self) -> list[str]:
+        """The words without numbers at their ends, of columns that differ in these."""
+        return [re.sub(r"\d+$", "", word) for word in self.words]
+
+
+def part_of_quaternion(column: str, columns: Container[str]) -> bool:
+    """Whether an angle by its name has a fourth beside it that is called w."""
+    fourth = {"x": "w", "y": "w", "z": "w", "X": "W", "Y": "W", "Z": "W"}.get(column[-1:], "")
+    return bool(fourth) and column[:-1] + fourth in columns and Name.of(column).motion() in POSE[3:]
+
+
+def is_clock(name: str) -> bool:
+    """Whether a word in the name of a column means time."""
+    return bool(set(Name.of(name).words) & _TIMES)
+
+
+def is_time(name: str) -> bool:
+    """Whether the name of a column means that it counts the time."""
+    return is_clock(name) and not set(Name.of(name).words) & WANTED
