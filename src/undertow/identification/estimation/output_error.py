@@ -20,7 +20,7 @@ from .fitted import Fitted
 from .predictor import Predictor, predict_each
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
-from .step import Constraints, SearchSpace, clustered
+from .step import Constraints, SearchSpace, clustered, inverse_of, summed_scores
 from .weak_form import WeakFit, fit_weak_by_run, free_parameters
 from .windows import Windows, cut, horizons, prediction_error
 
@@ -77,11 +77,14 @@ class OutputErrorFit(Fitted):
     # least 1
     dispersion: Array
     iterations: int  # Steps taken in all
+    # (n_free,) one over the standard error that pose rates against velocities leave of a parameter; zero of
+    # what they say nothing about, and where the pose itself was fitted to
+    known: Array
 
     @property
     def gram(self) -> Array:
         """J' J of the weighted error with the starts eliminated, shape (n_free, n_free)."""
-        return self.at.J.T @ self.at.J
+        return self.at.J.T @ self.at.J + np.diag(self.known**2)
 
     @cached_property
     def noise_gram(self) -> Array:
@@ -134,7 +137,8 @@ class Descent:
     With `ahead` the error is that of velocities predicted from the measured motion at the start of a window,
     as predictions are judged: the start of each window is known as well as its sensors know it, and whatever
     the model leaves comes after it. Of the pose only the start counts, for its errors are those of the
-    velocities once more, summed up; velocities that were derived from it count like others.
+    velocities once more, summed up; velocities that were derived from it count like others. What the pose
+    says about the sensors is lost by that, and stands in `ahead`, as `by_kinematics` has it.
     """
 
     def __init__(
@@ -144,14 +148,15 @@ class Descent:
         compiled: bool | None = None,
         progress: Progress = lambda done, words: None,
         *,
-        ahead: bool = False,
+        ahead: tuple[Array, Array] | None = None,
     ) -> None:
-        self.model, self.windows, self._ahead = model, windows, ahead
-        self._weight = channel_weights(windows, derived=ahead)
+        self.model, self.windows, self._ahead = model, windows, ahead is not None
+        self._weight = channel_weights(windows, derived=self._ahead)
         self._shooting = Shooting(
             model.functions, windows, model.free, self._weight, compiled=compiled, values=model.values
         )
-        self._space = SearchSpace(model)
+        self._space = SearchSpace(model, known=ahead)
+        self._known = np.zeros(len(model.free)) if ahead is None else ahead[1]
         self._progress = progress
         self._steps = 0
 
@@ -175,7 +180,7 @@ class Descent:
             state = self._roughly(state.p, state.starts)
         state = self._minimised(state, _negligible_fall)
         return OutputErrorFit(
-            self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps
+            self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps, self._known
         )
 
     def _first_starts(self, p: Array) -> Array:
@@ -230,7 +235,7 @@ class Descent:
         at = self._shooting.linearise(state.p, state.starts)
         at = replace(at, scores=at.scores * float(np.average(score, weights=at.counts)))
         return OutputErrorFit(
-            self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps
+            self.model, state.p, self.windows, state.starts, at, scale**2 * variance, self._steps, self._known
         )
 
     def minimise(self, p: Array, starts: Array) -> State:
@@ -428,7 +433,7 @@ def _descended(
     compiled: bool | None = None,
     progress: Progress = lambda done, words: None,
     *,
-    ahead: bool = False,
+    ahead: tuple[Array, Array] | None = None,
 ) -> OutputErrorFit:
     windows = cut(runs, model.functions.vehicle, horizon)
     descent = Descent(model, windows, compiled, progress, ahead=ahead)
@@ -469,7 +474,9 @@ def final_fit(
     fits: list[WeakFit | OutputErrorFit] = [weak]
     short, middle, longest = horizons(model.functions.vehicle, runs)
 
-    def begun(at: Fitted, horizon: float | None, *, ahead: bool = False) -> OutputErrorFit | None:
+    def begun(
+        at: Fitted, horizon: float | None, ahead: tuple[Array, Array] | None = None
+    ) -> OutputErrorFit | None:
         """The next fit; None where its simulation diverges, as that of a poor model may."""
         progress(0.12 * len(fits), f"output error over {f'{horizon:.3g} s' if horizon else 'whole runs'}")
         try:
@@ -486,9 +493,9 @@ def final_fit(
             break
     # Over a time constant, or over less where that diverges or leaves much already.
     if not _little_left(fits[:3][-1]):
-        begin = fits[:2][-1]
+        begin, known = fits[:2][-1], by_kinematics(weak)
         for horizon in (short, middle, longest):
-            if fit := begun(begin, horizon, ahead=True):
+            if fit := begun(begin, horizon, known):
                 begin = fit
                 fits.append(fit)
     if len(fits) == 1:
@@ -496,6 +503,25 @@ def final_fit(
     errors = horizon_error(fits, validation)
     limit = (1.0 + NO_WORSE) * np.min(errors)
     return next((fit for fit, error in zip(fits[::-1], errors[::-1], strict=True) if error <= limit), weak)
+
+
+def by_kinematics(weak: WeakFit) -> tuple[Array, Array]:
+    """What pose rates against velocities say about the free parameters, whatever forces act.
+
+    They know the errors of the sensors, and no model of the forces is in them. Values, (n_free,), and one
+    over their standard errors, zero where nothing is said.
+    """
+    rows = weak.data.equation >= len(weak.data.names) // 2
+    r, J = weak.at.r[rows], weak.at.J[rows]
+    seen = np.flatnonzero(np.any(J, axis=0))
+    value, weight = weak.p[list(weak.model.places)], np.zeros(J.shape[1])
+    if len(seen):
+        J = J[:, seen]
+        information = J.T @ J
+        covariance = clustered(information, summed_scores(r, J, weak.data.block[rows]))
+        value[seen] -= inverse_of(information) @ (J.T @ r)
+        weight[seen] = 1.0 / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return value, weight
 
 
 def _whole(runs: Sequence[Run]) -> float | None:

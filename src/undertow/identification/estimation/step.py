@@ -159,6 +159,13 @@ def _both(centre: float, weight: float, value: float, sigma: float, factor: floa
     return (weight**2 * centre + other**2 * value / factor) / total, float(np.sqrt(total))
 
 
+def _together(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Two priors as one."""
+    square = first[1] ** 2 + second[1] ** 2
+    mean = first[1] ** 2 * first[0] + second[1] ** 2 * second[0]
+    return mean / np.maximum(square, 1e-300), np.sqrt(square)
+
+
 def step_limits(model: WeakModel) -> Array:
     """How far each free parameter moves at least in one step; without end for one that is linear.
 
@@ -192,9 +199,14 @@ class SearchSpace:
     to watch. Only the weak form, which starts far away, needs step limits.
     """
 
-    def __init__(self, model: WeakModel, *, limited: bool = False) -> None:
+    def __init__(
+        self, model: WeakModel, *, limited: bool = False, known: tuple[Array, Array] | None = None
+    ) -> None:
+        """Take what is `known` from elsewhere as a prior, too: values and one over their standard errors."""
         self.model, self.places = model, list(model.places)
         self.bounds, self.prior = bounds_of(model), search_prior(model)
+        if known is not None:
+            self.prior = _together(self.prior, known)
         self._limits = step_limits(model) if limited else None
 
     def nearest(self, p: Array) -> Array:
