@@ -145,6 +145,10 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("rudder_angle_deg", "", "deg"),
         ("wind_speed_x", "", ""),
         ("p [rps]", "p", "rev/s"),
+        ("field.orientation.x", "phi", ""),
+        ("rpy.z [deg]", "psi", "deg"),
+        ("twist.angular.y", "q", ""),
+        ("wrench.force.x", "", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -248,6 +252,36 @@ def test_a_quaternion_and_numbered_thrusters_of_another_name_are_read(case: Path
     psi = run.channels["psi"][np.isfinite(run.channels["psi"])]
     turn = psi - table["psi"].to_numpy()
     np.testing.assert_allclose(turn, turn[0], atol=1e-6)
+
+
+ROV = """
+schema = "undertow/vehicle/1"
+name = "rov"
+degrees_of_freedom = ["surge", "sway", "heave", "roll", "pitch", "yaw"]
+signs = "sname"
+[effects.rigid_body]
+m = 30
+I_x = 1
+I_y = 2
+I_z = 2
+"""
+FORCES = ("tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N")
+
+
+def test_a_wrench_is_read_or_asked_about(tmp_path: Path) -> None:
+    """As ROS logs what a controller asked for; attitudes by three angles; gyros that measure nothing."""
+    columns = {f"wrench.{kind}.{axis}": 5.0 for kind in ("force", "torque") for axis in "xyz"}
+    turned = {f"orientation.{axis}": 0.3 for axis in "xyz"}
+    still = {f"angular_velocity.{axis}": 1e-7 for axis in "xyz"}
+    known = ROV.replace("signs", f"generalised_forces = {list(FORCES)}\nsigns")
+    guesses, _ = _guesses(tmp_path, known, **columns, **turned, **still)
+    assert [guesses[f].column for f in FORCES] == [*columns]
+    assert [guesses[f].entry["unit"] for f in FORCES] == ["N"] * 3 + ["N m"] * 3
+    assert [guesses[n].column for n in ("phi", "theta", "psi")] == [*turned]
+    assert "less than the earth turns" in guesses["r"].doubt
+    thruster = '[[thrusters]]\nname = "bow"\nwrench = [1, 0, 0, 0, 0, 0]\n'
+    _, found = _guesses(tmp_path, ROV + thruster, **columns)
+    assert any("a thruster with a wrench for each" in q for q in found.questions)
 
 
 def test_a_rudder_beyond_a_turn_is_in_degrees(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from tests.identification.broken import Break
 from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_of
 from tests.identification.surge import surge_run, surge_vehicle
 from tests.quick import first_quick, quick_if
-from undertow.identification.doctor.examine import Examined, examine
+from undertow.errors import UndertowError
+from undertow.identification.doctor.examine import Examined, examine, refuse_impossible
 from undertow.identification.doctor.findings import Edit, Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import angles_across_jumps, wrapped_angles
@@ -445,3 +446,28 @@ def test_a_heading_that_is_blank_now_and_then_is_still_the_heading(usv: Case) ->
     kinematics = Kinematics([without], vehicle)
     assert [kinematics.rows[i] for i in kinematics.blocks[0]] == ["x", "y"]
     assert kinematics.mismatch([without]).excess[0] < 1e-3
+
+
+@pytest.mark.parametrize("dead", [0.0, 1e-6])
+def test_a_velocity_that_measures_nothing_is_named_and_refused(usv: Case, dead: float) -> None:
+    """As odometry that leaves its turning rates empty: a fit would take it that the vehicle never turns."""
+    (columns,), vehicle = usv.runs.values(), vehicle_of(usv)
+    run = run_of("dive", columns)
+    still = replace(run, channels={**run.channels, "r": dead * run.channels["r"]})
+    (finding,) = [f for f in examine(vehicle, [still]).result.findings if f.id == "measures_nothing"]
+    assert finding.severity == "mistake"
+    assert finding.text.startswith("r measures nothing: psi changes by ")
+    with pytest.raises(UndertowError, match=r"r measures nothing: .+ into `ignore` of the mapping file"):
+        refuse_impossible(vehicle, [still])
+    refuse_impossible(vehicle, [still], trust_log=True)
+    refuse_impossible(vehicle, [run])
+
+
+def test_a_position_that_never_changes_is_a_warning(usv: Case) -> None:
+    """As without a fix: it spoils no fit of the velocities."""
+    (columns,), vehicle = usv.runs.values(), vehicle_of(usv)
+    run = run_of("dive", columns)
+    still = replace(run, channels={**run.channels, **{n: 1e-6 * run.channels[n] for n in ("x", "y")}})
+    (finding,) = [f for f in examine(vehicle, [still]).result.findings if f.id == "measures_nothing"]
+    assert finding.severity == "warning"
+    refuse_impossible(vehicle, [still])

@@ -49,6 +49,16 @@ def test_jitter_is_reported_in_percent() -> None:
     assert found["jitter"].evidence["jitter"] == pytest.approx(0.2 / np.sqrt(3), rel=0.1)
 
 
+def test_what_many_runs_show_is_said_once_of_the_worst() -> None:
+    runs = []
+    for k, jitter in enumerate((0.1, 0.3, 0.2)):
+        t = np.cumsum(0.1 * (1.0 + jitter * RNG.uniform(-1.0, 1.0, 500)))
+        runs.append(replace(_run(t, u=RNG.standard_normal(500)), name=f"dive {k}"))
+    (found,) = [f for f in sampling(runs, ["u"], LogMapping()) if f.id == "jitter"]
+    assert found.text.startswith("dive 1: sampling is irregular: steps of 0.0")
+    assert found.text.endswith("; less so in dive 0, dive 2")
+
+
 def test_missing_rows_are_counted() -> None:
     t = np.arange(0.0, 50.0, 0.05)
     kept = np.ones(len(t), dtype=bool)

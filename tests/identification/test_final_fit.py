@@ -92,6 +92,48 @@ def test_a_fit_is_no_prior_for_another_fit_to_the_same_logs(tmp_path: Path) -> N
     assert second.stated.value_of(name).sigma is None
 
 
+# --- what pose and velocity say about a sensor ------------------------------------------------------------
+_BIASED = """
+schema = "undertow/vehicle/1"
+name = "box"
+degrees_of_freedom = ["surge"]
+signs = "magnitudes"
+generalised_forces = ["tau_X"]
+[effects.rigid_body]
+m = "10 kg"
+[effects.added_mass]
+X_udot = { value = 4.0, estimate = true }
+[effects.linear_damping]
+X_u = { value = 4.0, estimate = true }
+[effects.sensor_bias]
+b_u = { value = 0.0, estimate = true }
+"""
+
+
+def _run_with_a_slow_wake(name: str, bias: float, seed: int) -> ut.Run:
+    """A box that drags water along, 14 u' = X - 4 u - w and 3 w' = 6 u - w; its velocity reads too much."""
+    rng, h, held = np.random.default_rng(seed), 0.01, 300
+    force = np.repeat(rng.uniform(-3.0, 3.0, 60 * 100 // held), held)
+    x = np.zeros((len(force), 3))
+    for i in range(len(force) - 1):
+        _, u, w = x[i]
+        x[i + 1] = x[i] + h * np.array([u, (force[i] - 4.0 * u - w) / 14.0, (6.0 * u - w) / 3.0])
+    x = x[::10] + 1e-4 * rng.standard_normal((len(x[::10]), 3))
+    channels = {"x": x[:, 0], "u": x[:, 1] + bias, "tau_X": force[::10]}
+    return ut.Run(name, 0.1 * np.arange(len(x)), channels, sha256=name)
+
+
+def test_a_model_that_lacks_an_effect_does_not_bend_what_pose_and_velocity_say(tmp_path: Path) -> None:
+    """Predicted velocities alone would take a false bias for the wake that the model does not have."""
+    (tmp_path / "box.toml").write_text(_BIASED)
+    runs = [_run_with_a_slow_wake(f"run {k}", 0.02, k) for k in (1, 2)]
+    fit = ut.fit(ut.load_vehicle(tmp_path / "box.toml"), runs[:1], runs[1:]).fit
+    assert isinstance(fit, OutputErrorFit)
+    assert np.any(fit.known)
+    assert fit.values["b_u"] == pytest.approx(0.02, abs=2e-4)
+    assert fit.standard_errors["b_u"] < 2e-4
+
+
 # --- the size of a vehicle ----------------------------------------------------------------------------------
 @pytest.mark.parametrize("vehicle", first_quick(("mini-auv", "usv", "rov")))
 def test_the_default_prior_does_not_move_what_data_determine(vehicle: str) -> None:

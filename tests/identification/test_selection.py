@@ -16,18 +16,18 @@ from undertow.identification.diagnosis.consistency import (
     vanished_inertia,
 )
 from undertow.identification.diagnosis.evidence import FoundEffect
-from undertow.identification.diagnosis.selection import (
-    Worth,
-    alternatives,
-    best_in_resamples,
-    dominated,
-    gained,
-    without_inertia,
-)
+from undertow.identification.diagnosis.selection import alternatives, dominated, without_inertia
 from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.identification.diagnosis.worth import Worth, best_in_resamples, explained_motions, gained
 from undertow.identification.estimation.fitted import Fitted
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+
+
+def test_motions_that_an_effect_explains() -> None:
+    before = {1.0: np.full((20, 3), 0.04), 10.0: np.full((20, 3), 0.25)}
+    after = {1.0: before[1.0] * [0.25, 0.25, 1.0], 10.0: before[10.0] * [0.25, 0.9, 1.5]}
+    assert explained_motions(before, after, 0.1) == [0]
 
 
 def test_worth_is_the_fall_of_the_error_over_each_horizon() -> None:

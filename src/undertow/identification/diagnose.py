@@ -52,7 +52,7 @@ from .diagnosis.result import (
     run_info,
 )
 from .diagnosis.search import Search, last_fit, search
-from .diagnosis.selection import Selection, Worth, gained, select, selected
+from .diagnosis.selection import Selection, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.trial import Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.validation import SimulationValidator
@@ -75,6 +75,7 @@ from .diagnosis.verdict import (
     values_by_run,
     with_values,
 )
+from .diagnosis.worth import Worth, gained
 from .report.data import ReportData
 from .report.sentences import summarised
 

@@ -8,7 +8,7 @@ much as matters and nowhere worse, and that it says the same in every run and ev
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,139 +34,10 @@ from .rounds import Round, try_all
 from .search import Search
 from .settings import DEFAULT, Settings
 from .trial import Bench
-from .validation import SimulationValidator, worse_by_rank_test
+from .validation import SimulationValidator
+from .worth import Worth, best_in_resamples, compared, error_ahead, explained_motions, gained
 
 _log = logging.getLogger("undertow.diagnosis")
-
-
-# --- what an effect is worth ----------------------------------------------------------------------
-@dataclass(frozen=True)
-class Worth:
-    """What adding an effect does to predictions of the validation data.
-
-    falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
-    largest: the same of the velocity that gains most.
-    worse: horizons over which the predictions get worse by more than chance.
-    better: how often predictions over the horizon that shows it best get better when the windows are drawn
-        anew, and how often they have to. Windows of several horizons are the same stretches of the logs.
-    """
-
-    falls: dict[float, float]
-    largest: dict[float, float]
-    worse: tuple[float, ...]
-    better: tuple[float, float] = (1.0, 0.0)
-
-    @property
-    def gain(self) -> float:
-        """Mean fall of the logarithm of the error over all horizons: gains one after the other add up."""
-        left = np.maximum(1.0 - np.array([*self.falls.values()]), 1e-12)
-        return -float(np.mean(np.log(left)))
-
-    @property
-    def by_horizon(self) -> dict[str, float]:
-        """The falls by horizon in words, as they are written to JSON."""
-        return {f"{h:g} s": fall for h, fall in self.falls.items()}
-
-    @classmethod
-    def of(
-        cls, before: Mapping[float, Array], after: Mapping[float, Array], settings: Settings = DEFAULT
-    ) -> Worth:
-        """From mean squares by horizon, window and velocity, shape (b, n)."""
-        falls, largest, worse = {}, {}, []
-        for horizon in before:
-            old, new = before[horizon], after[horizon]
-            ratio = np.sqrt(np.mean(new, axis=0) / np.maximum(np.mean(old, axis=0), 1e-300))
-            falls[horizon] = 1.0 - float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
-            largest[horizon] = 1.0 - float(np.min(ratio))
-            unit = np.maximum(np.mean(old, axis=0), 1e-300)
-            if worse_by_rank_test(np.sum(new / unit, axis=1), np.sum(old / unit, axis=1), settings):
-                worse.append(horizon)
-        pairs = [[{h: before[h]}, {h: after[h]}] for h in _longer(before)]
-        better = max(float(best_in_resamples(pair, settings)[1]) for pair in pairs)
-        return cls(falls, largest, tuple(worse), (better, settings.best_share))
-
-    def enough(self, least: float) -> bool:
-        """Whether long predictions get better by as much as matters, and those over no horizon worse."""
-        lower = all(self.falls[h] >= 0.0 for h in _longer(self.falls)) and not self.worse
-        return lower and max(self.largest[h] for h in _longer(self.falls)) >= least and not self._by_chance
-
-    @property
-    def _by_chance(self) -> bool:
-        """Whether chance may make predictions better by as much."""
-        return self.better[0] < self.better[1]
-
-    def lacking(self, least: float) -> str:
-        """Why it is not worth adding, in words; empty where it is."""
-        if self.enough(least):
-            return ""
-        if self.worse:
-            over = " and ".join(f"{h:g} s" for h in self.worse)
-            return f"makes predictions over {over} worse"
-        longest = _longer(self.falls)[-1]
-        raised = next((h for h in reversed(_longer(self.falls)) if self.falls[h] < 0.0), None)
-        if raised is not None:
-            much = -self.falls[raised]
-            words = f"{much:.0%}" if much > 0.005 else "a little"
-            return f"raises the error of predictions over {raised:g} s by {words}"
-        if max(self.largest[h] for h in _longer(self.falls)) >= least:
-            return f"lowers the error of predictions in only {self.better[0]:.0%} of the resamples"
-        gained = max(self.largest[longest], 0.0)
-        return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
-
-    def something(self, least: float) -> bool:
-        """Whether predictions over any horizon get better by as much as matters."""
-        return max(self.largest.values()) >= least
-
-
-def _longer(horizons: Iterable[float]) -> list[float]:
-    """Horizons but for the shortest; of runs as short as that, the only one."""
-    found = sorted(horizons)
-    return found[1:] or found
-
-
-def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
-    """How often each model predicts best when the windows are drawn anew, shape (len(candidates),).
-
-    candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
-    """
-    rng = np.random.default_rng(settings.seed)
-    total = np.zeros((settings.resamples, len(candidates)))
-    for horizon in candidates[0]:
-        count = len(candidates[0][horizon])
-        weight = rng.multinomial(count, np.full(count, 1.0 / count), settings.resamples) / count
-        squares = np.stack([weight @ c[horizon] for c in candidates], axis=1)
-        total += np.mean(np.log(np.maximum(squares, 1e-12)), axis=2)
-    return np.bincount(np.argmin(total, axis=1), minlength=len(candidates)) / settings.resamples
-
-
-def _error_ahead(squares: Mapping[float, Array]) -> float:
-    """Error of predictions over all horizons and velocities, on a logarithmic scale."""
-    means = [np.mean(each, axis=0) for each in squares.values()]
-    return float(np.mean(np.log(np.maximum(means, 1e-12))))
-
-
-def compared(
-    squares: Mapping[float, Array], findings: Sequence[FoundEffect], validator: SimulationValidator
-) -> Mapping[float, Array]:
-    """Squares of the channels by which effects are compared: those of the velocities.
-
-    What is wrong about a sensor may show in nothing but the contradiction between pose and velocity: with an
-    effect of the sensors among them, those of the pose, too.
-
-    squares: as of `SimulationValidator.squares_ahead`.
-    """
-    return squares if any(f.of_sensors for f in findings) else validator.velocities(squares)
-
-
-def gained(
-    before: Mapping[float, Array],
-    after: Mapping[float, Array],
-    findings: Sequence[FoundEffect],
-    validator: SimulationValidator,
-) -> Worth:
-    """What effects are worth, from the squares without and with them."""
-    without, with_them = (compared(s, findings, validator) for s in (before, after))
-    return Worth.of(without, with_them, validator.settings)
 
 
 # --- the selection --------------------------------------------------------------------------------
@@ -448,9 +319,33 @@ class _Selector:
             return Graded(chosen, [], worth[chosen.id], doubt)
         others = [f for i, f in found.items() if f is not chosen and worth[i].enough(least)]
         series = [f for f in others if _is_series_of(chosen, f)]
+        for f in others:
+            if f.id not in doubts and self._as_good_where_it_acts(f, chosen, before, ahead):
+                forces = self._shows_in_forces(f, before, ahead[f.id])
+                doubts[f.id] = self._doubt(f, bench, forces=forces)
         rivals = [f for f in others if f not in series and f.id in doubts and _stands(f, doubts[f.id], bench)]
         alike = alternatives(chosen, worth[chosen.id], rivals, self._beside(ahead, bench), self._settings)
         return Graded(chosen, [*series, *alike], worth[chosen.id], "")
+
+    def _as_good_where_it_acts(
+        self,
+        finding: FoundEffect,
+        chosen: FoundEffect,
+        before: Mapping[float, Array],
+        ahead: Mapping[str, dict[float, Array]],
+    ) -> bool:
+        """Whether an effect predicts the motions that it explains no worse than the chosen one does.
+
+        One with a term in every motion wins over one with a term in surge by what it does in the others, and
+        that is no evidence about surge.
+        """
+        settings = self._settings
+        old, new, best = (
+            self._validator.velocities(s) for s in (before, ahead[finding.id], ahead[chosen.id])
+        )
+        own = explained_motions(old, new, settings.worth)
+        pair = [{h: squares[h][:, own] for h in old} for squares in (new, best)]
+        return bool(own) and float(best_in_resamples(pair, settings)[1]) < settings.best_share
 
     def _dominated(
         self,
@@ -498,7 +393,7 @@ class _Selector:
         if len(found) <= most:
             return found
         work = mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit), len(found))
-        squares = [_error_ahead(compared(each, found, self._validator)) for each in work]
+        squares = [error_ahead(compared(each, found, self._validator)) for each in work]
         by_simulation = np.argsort(np.argsort(squares, kind="stable"))
         turn = np.minimum(2 * by_simulation, 2 * np.arange(len(found)) + 1)  # they come in order of residual
         return [found[k] for k in np.argsort(turn, kind="stable")[:most]]

@@ -335,7 +335,8 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
     if heading is None or len(t) == 0:
         return list(read)
     psi = {n.column: c for n, c in columns.items()}[heading.column] * _factor(heading)
-    rates = {n.column: c for n, c in columns.items() if n.motion() in VELOCITY[3:]}
+    turning = {n.column: c for n, c in columns.items() if n.motion() in VELOCITY[3:]}
+    rates = {n: c for n, c in turning.items() if np.nanmax(np.abs(c), initial=0.0) >= SETTINGS.still}
     column, factor = rate_of_heading(psi, rates, t)
     kept = []
     for guess in read:

@@ -125,7 +125,7 @@ class Name:
 
         `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
         """
-        if set(self.words) & {*WANTED, *_DRIVES, *_ABOUT_ELSE}:
+        if set(self.words) & {*WANTED, *_DRIVES, *_ABOUT_ELSE} or self.force:
             return ""
         found = self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})

@@ -1,0 +1,155 @@
+"""What an effect is worth: how much better predictions of the validation data get with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from undertow.typing import Array
+
+from .evidence import FoundEffect
+from .settings import DEFAULT, Settings
+from .validation import SimulationValidator, worse_by_rank_test
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What adding an effect does to predictions of the validation data.
+
+    falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
+    largest: the same of the velocity that gains most.
+    worse: horizons over which the predictions get worse by more than chance.
+    better: how often predictions over the horizon that shows it best get better when the windows are drawn
+        anew, and how often they have to. Windows of several horizons are the same stretches of the logs.
+    """
+
+    falls: dict[float, float]
+    largest: dict[float, float]
+    worse: tuple[float, ...]
+    better: tuple[float, float] = (1.0, 0.0)
+
+    @property
+    def gain(self) -> float:
+        """Mean fall of the logarithm of the error over all horizons: gains one after the other add up."""
+        left = np.maximum(1.0 - np.array([*self.falls.values()]), 1e-12)
+        return -float(np.mean(np.log(left)))
+
+    @property
+    def by_horizon(self) -> dict[str, float]:
+        """The falls by horizon in words, as they are written to JSON."""
+        return {f"{h:g} s": fall for h, fall in self.falls.items()}
+
+    @classmethod
+    def of(
+        cls, before: Mapping[float, Array], after: Mapping[float, Array], settings: Settings = DEFAULT
+    ) -> Worth:
+        """From mean squares by horizon, window and velocity, shape (b, n)."""
+        falls, largest, worse = {}, {}, []
+        for horizon in before:
+            old, new = before[horizon], after[horizon]
+            ratio = np.sqrt(np.mean(new, axis=0) / np.maximum(np.mean(old, axis=0), 1e-300))
+            falls[horizon] = 1.0 - float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
+            largest[horizon] = 1.0 - float(np.min(ratio))
+            unit = np.maximum(np.mean(old, axis=0), 1e-300)
+            if worse_by_rank_test(np.sum(new / unit, axis=1), np.sum(old / unit, axis=1), settings):
+                worse.append(horizon)
+        pairs = [[{h: before[h]}, {h: after[h]}] for h in longer(before)]
+        better = max(float(best_in_resamples(pair, settings)[1]) for pair in pairs)
+        return cls(falls, largest, tuple(worse), (better, settings.best_share))
+
+    def enough(self, least: float) -> bool:
+        """Whether long predictions get better by as much as matters, and those over no horizon worse."""
+        lower = all(self.falls[h] >= 0.0 for h in longer(self.falls)) and not self.worse
+        return lower and max(self.largest[h] for h in longer(self.falls)) >= least and not self._by_chance
+
+    @property
+    def _by_chance(self) -> bool:
+        """Whether chance may make predictions better by as much."""
+        return self.better[0] < self.better[1]
+
+    def lacking(self, least: float) -> str:
+        """Why it is not worth adding, in words; empty where it is."""
+        if self.enough(least):
+            return ""
+        if self.worse:
+            over = " and ".join(f"{h:g} s" for h in self.worse)
+            return f"makes predictions over {over} worse"
+        longest = longer(self.falls)[-1]
+        raised = next((h for h in reversed(longer(self.falls)) if self.falls[h] < 0.0), None)
+        if raised is not None:
+            much = -self.falls[raised]
+            words = f"{much:.0%}" if much > 0.005 else "a little"
+            return f"raises the error of predictions over {raised:g} s by {words}"
+        if max(self.largest[h] for h in longer(self.falls)) >= least:
+            return f"lowers the error of predictions in only {self.better[0]:.0%} of the resamples"
+        gained = max(self.largest[longest], 0.0)
+        return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
+
+    def something(self, least: float) -> bool:
+        """Whether predictions over any horizon get better by as much as matters."""
+        return max(self.largest.values()) >= least
+
+
+def explained_motions(before: Mapping[float, Array], after: Mapping[float, Array], least: float) -> list[int]:
+    """Places of the velocities whose long predictions get better by as much as matters.
+
+    before, after: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
+    """
+    falls = []
+    for horizon in longer(before):
+        old, new = (np.mean(squares[horizon], axis=0) for squares in (before, after))
+        falls.append(1.0 - np.sqrt(new / np.maximum(old, 1e-300)))
+    return [int(k) for k in np.flatnonzero(np.max(falls, axis=0) >= least)]
+
+
+def longer(horizons: Iterable[float]) -> list[float]:
+    """Horizons but for the shortest; of runs as short as that, the only one."""
+    found = sorted(horizons)
+    return found[1:] or found
+
+
+def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
+    """How often each model predicts best when the windows are drawn anew, shape (len(candidates),).
+
+    candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
+    """
+    rng = np.random.default_rng(settings.seed)
+    total = np.zeros((settings.resamples, len(candidates)))
+    for horizon in candidates[0]:
+        count = len(candidates[0][horizon])
+        weight = rng.multinomial(count, np.full(count, 1.0 / count), settings.resamples) / count
+        squares = np.stack([weight @ c[horizon] for c in candidates], axis=1)
+        total += np.mean(np.log(np.maximum(squares, 1e-12)), axis=2)
+    return np.bincount(np.argmin(total, axis=1), minlength=len(candidates)) / settings.resamples
+
+
+def error_ahead(squares: Mapping[float, Array]) -> float:
+    """Error of predictions over all horizons and velocities, on a logarithmic scale."""
+    means = [np.mean(each, axis=0) for each in squares.values()]
+    return float(np.mean(np.log(np.maximum(means, 1e-12))))
+
+
+def compared(
+    squares: Mapping[float, Array], findings: Sequence[FoundEffect], validator: SimulationValidator
+) -> Mapping[float, Array]:
+    """Squares of the channels by which effects are compared: those of the velocities.
+
+    What is wrong about a sensor may show in nothing but the contradiction between pose and velocity: with an
+    effect of the sensors among them, those of the pose, too.
+
+    squares: as of `SimulationValidator.squares_ahead`.
+    """
+    return squares if any(f.of_sensors for f in findings) else validator.velocities(squares)
+
+
+def gained(
+    before: Mapping[float, Array],
+    after: Mapping[float, Array],
+    findings: Sequence[FoundEffect],
+    validator: SimulationValidator,
+) -> Worth:
+    """What effects are worth, from the squares without and with them."""
+    without, with_them = (compared(s, findings, validator) for s in (before, after))
+    return Worth.of(without, with_them, validator.settings)
