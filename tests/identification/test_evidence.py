@@ -11,7 +11,12 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import Blocks, Linear, inclusion, null_distribution, p_value
-from undertow.identification.diagnosis.trial import comparable_mean_squares, open_bench
+from undertow.identification.diagnosis.trial import (
+    best_start,
+    comparable_mean_squares,
+    open_bench,
+    try_candidate,
+)
 from undertow.identification.diagnosis.validation import repeats, worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
 from undertow.identification.estimation.data import prepare
@@ -185,6 +190,21 @@ def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
     alone = whitened(slow.model.linearise(bench.test, slow.p), bench.test_whitening).r
     np.testing.assert_allclose(after, mean_square(alone, bench.test), rtol=1e-9)
     assert np.nansum(before) < np.nansum(bench.base_score.mean_square)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def test_a_lag_far_below_the_time_between_samples_is_no_trial() -> None:
+    """Its states grow without bound: that start is not the best one, alone it leaves the model as it was."""
+    case = make_case("usv", ("thruster_lag",), 3, duration=60.0, runs=("steps", "multisine"))
+    vehicle = vehicle_of(case)
+    train, test = ([replace(r, t=10.0 * r.t)] for r in runs_of(case)[:2])
+    bench = open_bench(vehicle, prepare(train, vehicle), prepare(test, vehicle))
+    lag = Candidate(catalogue()["thruster_lag"], vehicle)
+    (name,) = (p.name for p in lag.parameters)
+    stiff, slow = ({**bench.base.values, name: value} for value in (0.01, 3.0))
+    assert not np.isfinite(bench.fit(lag.model_from(stiff), start=stiff, enough=0.1).cost)
+    assert try_candidate(lag, bench, stiff).kept == ()
+    assert best_start(lag, bench, [stiff, slow], 0.1)[name] > 0.1
 
 
 def test_a_vehicle_without_commands_has_no_actuation_to_blame() -> None:

@@ -325,6 +325,8 @@ def try_candidate(
     settings = bench.settings
     enough = settings.rough_step if enough is None else enough
     fit = bench.fit(candidate.model_from(start), start=start, enough=enough)
+    if not np.isfinite(fit.cost):  # a lag much shorter than the time between samples: nothing of it shows
+        return rejected(candidate, bench)
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
     if fit.cost < settings.finer_noise_share * len(fit.at.r):
@@ -567,7 +569,7 @@ def best_start(
     if len(starts) == 1:
         return starts[0]
     fits = [bench.fit(candidate.model_from(start), start=start, enough=enough) for start in starts]
-    return min(fits, key=lambda fit: fit.cost).values
+    return min(fits, key=lambda fit: fit.cost if np.isfinite(fit.cost) else np.inf).values
 
 
 def _own_columns(
