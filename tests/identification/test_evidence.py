@@ -10,7 +10,16 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate, candidates
-from undertow.identification.diagnosis.evidence import Blocks, Linear, inclusion, null_distribution, p_value
+from undertow.identification.diagnosis.evidence import (
+    Blocks,
+    Comparison,
+    FoundEffect,
+    Linear,
+    in_its_place,
+    inclusion,
+    null_distribution,
+    p_value,
+)
 from undertow.identification.diagnosis.trial import (
     best_start,
     comparable_mean_squares,
@@ -205,6 +214,28 @@ def test_a_lag_far_below_the_time_between_samples_is_no_trial() -> None:
     assert not np.isfinite(bench.fit(lag.model_from(stiff), start=stiff, enough=0.1).cost)
     assert try_candidate(lag, bench, stiff).kept == ()
     assert best_start(lag, bench, [stiff, slow], 0.1)[name] > 0.1
+
+
+def test_terms_that_give_the_force_of_another_effect_are_tried_alone() -> None:
+    """Near upright, a centre of buoyancy off its place is a steady moment, whatever else is steady."""
+    case = make_case("heavy-rov", ("trim_offset",), 4, duration=30.0, runs=("steps", "multisine"))
+    vehicle = vehicle_of(case)
+    train, test = (prepare([r], vehicle) for r in runs_of(case)[:2])
+    bench = open_bench(vehicle, train, test)
+    effects = ("trim_offset", "constant_force", "added_mass_coupling")
+    tried = (Candidate(catalogue()[i], vehicle) for i in effects)
+    trials = (try_candidate(candidate, bench, bench.base.values) for candidate in tried)
+    trim, steady, coupling = (FoundEffect(trial, *_NO_EVIDENCE) for trial in trials)
+    whole = replace(steady, trial=replace(steady.trial, fit=steady.trial.full))  # with all of its six terms
+    alone = in_its_place(whole, trim, bench)
+    assert alone is not None
+    assert set(alone.parameters) <= {"K_0", "M_0"}
+    before, by_trim, by_force = (s.error for s in (bench.base_score, trim.trial.score, alone.trial.score))
+    assert before - by_force > 0.75 * (before - by_trim)
+    assert in_its_place(coupling, trim, bench) is None
+
+
+_NO_EVIDENCE = (Comparison(0.0, (0.0, 0.0), 1.0), 0.0, 1.0, False)
 
 
 def test_a_vehicle_without_commands_has_no_actuation_to_blame() -> None:

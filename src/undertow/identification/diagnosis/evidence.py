@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -331,6 +332,45 @@ def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> E
     own = set(free_parameters(vehicle))
     fit = bench.fit(grown, free, {n: v for n, v in known.items() if n in own})
     return EffectSet(tuple(findings), fit, bench.judge(fit))
+
+
+def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> FoundEffect | None:
+    """Another effect with those of its terms alone that give the force of the chosen one.
+
+    None where it cannot give that force, or was tried with no other terms. Terms that explain something else,
+    rightly or wrongly, are no evidence against it here.
+    """
+    mine, theirs = _own_columns(chosen.trial.fit, chosen, bench), _own_columns(other.trial.full, other, bench)
+    if mine is None or theirs is None:
+        return None
+    force = mine.columns @ mine.values
+    share = 1.0 - bench.settings.same_force
+    size = np.linalg.lstsq(theirs.columns, force, rcond=None)[0]
+    kept = np.sum((theirs.columns * size) ** 2, axis=0) > share * np.sum(force**2)
+    names = [n for n, keep in zip(theirs.names, kept, strict=True) if keep]
+    if not names or set(names) == set(other.parameters):
+        return None
+    columns = theirs.columns[:, kept]
+    left = force - columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
+    if np.sum(left**2) > share * np.sum(force**2):
+        return None
+    return replace(other, trial=other.trial.with_only(names, bench))
+
+
+class _OwnColumns(NamedTuple):
+    names: list[str]
+    values: Array
+    columns: Array  # derivatives of the whitened residual, in these parameters
+
+
+def _own_columns(fit: WeakFit, found: FoundEffect, bench: Bench) -> _OwnColumns | None:
+    """What an effect does to the residual of the data for the fit; None where that is not linear."""
+    own = {p.name: p for p in found.trial.candidate.parameters}
+    places = [k for k, n in enumerate(fit.model.free) if n in own]
+    names = [fit.model.free[k] for k in places]
+    if not names or not all(own[n].linear for n in names) or fit.model.values.split:
+        return None
+    return _OwnColumns(names, np.array([fit.values[n] for n in names]), bench.on_train(fit).J[:, places])
 
 
 def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
@@ -27,7 +28,7 @@ from .consistency import (
     own_variables,
     vanished_inertia,
 )
-from .evidence import FoundEffect, as_good, fitted, inclusion, linear, with_effects
+from .evidence import FoundEffect, as_good, fitted, in_its_place, inclusion, linear, with_effects
 from .parallel import mapped
 from .reference import captured
 from .rounds import Round, try_all
@@ -318,6 +319,7 @@ class _Selector:
         if doubt:
             return Graded(chosen, [], worth[chosen.id], doubt)
         others = [f for i, f in found.items() if f is not chosen and worth[i].enough(least)]
+        others += self._in_its_place(chosen, current, others, before, ahead)
         series = [f for f in others if _is_series_of(chosen, f)]
         for f in others:
             if f.id not in doubts and self._as_good_where_it_acts(f, chosen, before, ahead):
@@ -326,6 +328,28 @@ class _Selector:
         rivals = [f for f in others if f not in series and f.id in doubts and _stands(f, doubts[f.id], bench)]
         alike = alternatives(chosen, worth[chosen.id], rivals, self._beside(ahead, bench), self._settings)
         return Graded(chosen, [*series, *alike], worth[chosen.id], "")
+
+    def _in_its_place(
+        self,
+        chosen: FoundEffect,
+        current: Round,
+        others: Sequence[FoundEffect],
+        before: Mapping[float, Array],
+        ahead: dict[str, dict[float, Array]],
+    ) -> list[FoundEffect]:
+        """Effects that some of their terms alone make worth adding, where these give the chosen one's force.
+
+        Their predictions take the place of those with all terms in `ahead`.
+        """
+        known = {chosen.id, *(f.id for f in others)}
+        tried = (in_its_place(f, chosen, current.bench) for f in current.findings if f.id not in known)
+        found = [f for f in tried if f is not None]
+        worthy = []
+        for f, squares in zip(found, self._ahead([f.trial.fit for f in found]), strict=True):
+            if gained(before, squares, [f], self._validator).enough(self._settings.worth):
+                ahead[f.id] = squares
+                worthy.append(f)
+        return worthy
 
     def _as_good_where_it_acts(
         self,
@@ -344,7 +368,9 @@ class _Selector:
             self._validator.velocities(s) for s in (before, ahead[finding.id], ahead[chosen.id])
         )
         own = explained_motions(old, new, settings.worth)
-        pair = [{h: squares[h][:, own] for h in old} for squares in (new, best)]
+        # By the noise at the starts of windows alone a model predicts a little better or worse.
+        allowed = (1.0 + NO_WORSE) ** 2
+        pair = [{h: new[h][:, own] / allowed for h in old}, {h: best[h][:, own] for h in old}]
         return bool(own) and float(best_in_resamples(pair, settings)[1]) < settings.best_share
 
     def _dominated(

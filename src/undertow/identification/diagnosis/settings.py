@@ -252,6 +252,13 @@ class Settings:
         "half: nearer to all that it gains, or to nothing",
         off=_NEVER,
     )
+    same_force: float = _number(
+        0.9,
+        "share of the force of a named effect that terms of another can give, from which that one is tried "
+        "in its place with these terms alone",
+        "what is left is a tenth of what the effect explains",
+        off=1.0,
+    )
     own_share: float = _number(
         0.5,
         "share of what a flexible function of its own variables explains that an effect explains",

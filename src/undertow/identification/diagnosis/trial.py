@@ -113,6 +113,11 @@ class Trial:
         """Id of the effect."""
         return self.candidate.id
 
+    def with_only(self, kept: Sequence[str], bench: Bench) -> Trial:
+        """The same candidate with these of its parameters alone."""
+        fit = bench.in_all_runs(_refit(self.candidate, self.full, tuple(kept), bench.settings.rough_step))
+        return replace(self, fit=fit, kept=tuple(kept), score=bench.judge(fit))
+
 
 @dataclass(frozen=True)
 class Bench:
