@@ -340,7 +340,7 @@ def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> Found
     None where it cannot give that force, or was tried with no other terms. Terms that explain something else,
     rightly or wrongly, are no evidence against it here.
     """
-    mine, theirs = _own_columns(chosen.trial.fit, chosen, bench), _own_columns(other.trial.full, other, bench)
+    mine, theirs = _terms_of(chosen.trial.fit, chosen, bench), _terms_of(other.trial.full, other, bench)
     if mine is None or theirs is None:
         return None
     force = mine.columns @ mine.values
@@ -357,20 +357,20 @@ def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> Found
     return replace(other, trial=other.trial.with_only(names, bench))
 
 
-class _OwnColumns(NamedTuple):
+class _Terms(NamedTuple):
     names: list[str]
     values: Array
     columns: Array  # derivatives of the whitened residual, in these parameters
 
 
-def _own_columns(fit: WeakFit, found: FoundEffect, bench: Bench) -> _OwnColumns | None:
+def _terms_of(fit: WeakFit, found: FoundEffect, bench: Bench) -> _Terms | None:
     """What an effect does to the residual of the data for the fit; None where that is not linear."""
     own = {p.name: p for p in found.trial.candidate.parameters}
     places = [k for k, n in enumerate(fit.model.free) if n in own]
     names = [fit.model.free[k] for k in places]
     if not names or not all(own[n].linear for n in names) or fit.model.values.split:
         return None
-    return _OwnColumns(names, np.array([fit.values[n] for n in names]), bench.on_train(fit).J[:, places])
+    return _Terms(names, np.array([fit.values[n] for n in names]), bench.on_train(fit).J[:, places])
 
 
 def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
