@@ -210,6 +210,16 @@ class Composition:
         return sum(self.wrenches.values(), sm.zeros(len(self.dofs), 1))
 
     @cached_property
+    def mass_matrix(self) -> sm.Matrix:
+        """M = -d(residual)/d(nu_dot), shape (n, n)."""
+        return -self.residual.jacobian(self.nu_dot)
+
+    @cached_property
+    def forcing(self) -> sm.Matrix:
+        """Residual at nu_dot = 0, shape (n, 1)."""
+        return self.residual.xreplace(dict.fromkeys(self.nu_dot, sm.Integer(0)))
+
+    @cached_property
     def wrench_states(self) -> dict[sm.Symbol, sm.Expr]:
         """States that wrenches own and that the vehicle's motion can reach, with their rates."""
         return self._reachable(e for e in self.effects if isinstance(e, Wrench))
