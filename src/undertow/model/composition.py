@@ -138,7 +138,7 @@ class Composition:
         """
         s = self.signals
         motions = [m[i] for m in (s.eta, s.nu, s.nu_dot) for i in range(6) if i not in self.dofs]
-        motions = [x for x in motions if str(x) not in self.inputs]
+        motions = [x for x in motions if x.name not in self.inputs]
         absent = [symbol(f"tau_{n}") for n in FORCE if f"tau_{n}" not in self.forces]
         return dict.fromkeys([*motions, *absent, *self._absent_parameters()], sm.Integer(0))
 
@@ -292,7 +292,7 @@ class Composition:
         chain, rates, _ = self.chain
         parts = [self.residual, chain, *self.reported, sm.Matrix([self.dead_time]), self.report_age]
         parts += [sm.Matrix(list(rates.values()) or [0]), sm.Matrix(list(self.wrench_states.values()) or [0])]
-        used = {str(x) for part in parts for x in part.free_symbols}
+        used = {x.name for part in parts for x in part.free_symbols}
         return tuple(n for n in self._declared_names() if n in used)
 
     def _declared_names(self) -> list[str]:
