@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from undertow.codegen.compiler import Evaluator
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import runge_kutta
 from undertow.identification.logs.run import Run
@@ -41,10 +42,10 @@ def motion(vehicle: Vehicle, seconds: float, seed: int, drive: Mapping[str, floa
     size = np.array([drive.get(n, 0.0) for n in names])
     t = STEP * PER_ROW * np.arange(round(seconds / STEP / PER_ROW) + 1)
     u, x = commands(t, seed), np.zeros((len(t), len(names)))
-    now = x[0]
+    now, dynamics = x[0], Evaluator(f.dynamics)
     for k in range(len(t) - 1):
         for _ in range(PER_ROW):
-            rates = lambda z, reach, u=u[k]: [f.dynamics(z[0], u, p, 0).full().ravel()]  # noqa: E731
+            rates = lambda z, reach, u=u[k]: [dynamics(z[0], u, p, 0.0)[0][0, :, 0]]  # noqa: E731
             now = runge_kutta(rates, [now], [STEP])[0]
             now = now + size * np.sqrt(STEP) * rng.standard_normal(len(names))
         x[k + 1] = now

@@ -516,6 +516,19 @@ def test_the_generator_is_no_mirror_of_the_product() -> None:
     assert not imported & {"undertow", "sympy", "casadi", "scipy"}
 
 
+@pytest.mark.parametrize("name", ["usv", "mini-auv"])
+def test_a_vehicle_that_cannot_tilt_moves_by_the_equations_of_all(name: str) -> None:
+    """The shorter kinematics gives the same numbers to the last digit."""
+    world = world_of(name, "lift", "ocean_current")
+    short, whole = Plant(world), Plant(world)
+    assert short.level
+    whole.level = False
+    y = tumbling(world.vehicle)
+    y[5] = np.linspace(-3.0, 3.0, y.shape[1])
+    command = np.full((world.allocation.shape[1], y.shape[1]), 0.3)
+    np.testing.assert_array_equal(short.step(0.0, y, command), whole.step(0.0, y, command))
+
+
 def test_samples_are_four_steps_apart() -> None:
     assert pytest.approx(1 / 20) == STEP * SUBSTEPS
 

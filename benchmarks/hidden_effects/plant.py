@@ -44,6 +44,16 @@ def euler_rates(turn: np.ndarray, omega: np.ndarray) -> np.ndarray:
     return np.array([p - ahead * around, (below * q - right * r) / np.sqrt(square), around])
 
 
+def level_rotation(yaw: np.ndarray) -> np.ndarray:
+    """(3, 3, R) what `rotation` gives for (R,) yaw without roll and pitch."""
+    turn = np.zeros((3, 3, len(yaw)))
+    turn[0, 0] = turn[1, 1] = np.cos(yaw)
+    turn[1, 0] = np.sin(yaw)
+    np.negative(turn[1, 0], out=turn[0, 1])
+    turn[2, 2] = 1.0
+    return turn
+
+
 class Plant:
     """A `World` with its constant matrices made ready; `step` moves the state (12 + extra, R) by 1/80 s."""
 
@@ -60,7 +70,9 @@ class Plant:
         self.damping = np.concatenate(
             [world.linear, world.quadratic, world.cubic, world.products.reshape(6, 36)], 1
         )
-        self.locked = [i for i in range(6) if i not in world.dofs]
+        self.locked = np.array([i for i in range(6) if i not in world.dofs], dtype=int)
+        # What cannot tilt starts level and stays so: half of the kinematics would turn it by nothing.
+        self.level = not world.vehicle.tilts
         self.lagged = world.allocation.shape[1] if world.lag else 0
 
     @property
@@ -79,18 +91,19 @@ class Plant:
 
     def rates(self, t: float, y: np.ndarray, command: np.ndarray) -> np.ndarray:
         """dy/dt: kinematics, Newton-Euler, thruster lag, memories."""
-        eta, nu, turn = y[:6], y[6:12], rotation(y[3:6])
+        eta, nu = y[:6], y[6:12]
+        turn = level_rotation(y[5]) if self.level else rotation(y[3:6])
         over_ground = to_ned(turn, nu[:3])
         nu_r, push = self._relative(t, eta, nu, turn, over_ground)
         thrust, lag_rate = self._thrust(t, y, command, nu_r)
-        moment = Moment(t, eta, nu, nu_r, turn, thrust, np.zeros_like(nu))
+        moment = Moment(t, eta, nu, nu_r, turn, thrust, np.zeros(nu.shape))
         force = self._force(moment) + push
         states, rest = [lag_rate], y[12 + self.lagged :]
         for memory in self.world.memories:
             own, rest = rest[: memory.size], rest[memory.size :]
             force = force + memory.wrench(moment, own)
             states.append(memory.rate(moment, own))
-        pose_rate = np.concatenate([over_ground, euler_rates(turn, nu[3:])])
+        pose_rate = np.concatenate([over_ground, nu[3:] if self.level else euler_rates(turn, nu[3:])])
         pose_rate[self.locked] = 0.0  # a ship that rolls as it turns would pitch a little otherwise
         return np.concatenate([pose_rate, self.inverse @ force, *states])
 
@@ -99,7 +112,7 @@ class Plant:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Velocity relative to the water, and M_A times the water's rate of change seen in body axes."""
         if not self.world.flows:
-            return nu, np.zeros_like(nu)
+            return nu, np.zeros(nu.shape)
         velocities, rates = zip(*(flow(t, eta, over_ground) for flow in self.world.flows), strict=True)
         still = np.zeros((3, 1))
         water, rate = to_body(turn, sum(velocities, still)), to_body(turn, sum(rates, still))

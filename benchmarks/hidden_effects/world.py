@@ -138,7 +138,8 @@ def to_body(turn: np.ndarray, ned: np.ndarray) -> np.ndarray:
 
 def to_ned(turn: np.ndarray, body: np.ndarray) -> np.ndarray:
     """Body vector (3, R) in NED: R a."""
-    return turn[:, 0] * body[0] + turn[:, 1] * body[1] + turn[:, 2] * body[2]
+    shares = turn * body
+    return shares[:, 0] + shares[:, 1] + shares[:, 2]
 
 
 def force_at(point: np.ndarray, force: np.ndarray) -> np.ndarray:

@@ -166,7 +166,7 @@ def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_
 
 
 def test_a_rate_that_no_gyro_measured_has_no_scale_and_no_bias() -> None:
-    model = vehicle_of(make_case("usv", (), 22))
+    model = vehicle_of(make_case("usv", (), 22, duration=1.0))
     listed = {c.id: {p.name for p in c.parameters} for c in candidates(model, catalogue(), derived=("r",))}
     assert listed["sensor_scale"] == {"scale_velocity"}
     assert listed["sensor_bias"] == {"b_u", "b_v"}
@@ -239,7 +239,7 @@ _NO_EVIDENCE = (Comparison(0.0, (0.0, 0.0), 1.0), 0.0, 1.0, False)
 
 
 def test_a_vehicle_without_commands_has_no_actuation_to_blame() -> None:
-    usv = vehicle_of(make_case("usv", (), 24, duration=20.0))
+    usv = vehicle_of(make_case("usv", (), 24, duration=1.0))
     towed = replace(usv, thrusters=())
     ids = {c.id for c in candidates(towed, catalogue())}
     assert "lift" in ids

@@ -138,7 +138,7 @@ class Composition:
         """
         s = self.signals
         motions = [m[i] for m in (s.eta, s.nu, s.nu_dot) for i in range(6) if i not in self.dofs]
-        motions = [x for x in motions if str(x) not in self.inputs]
+        motions = [x for x in motions if x.name not in self.inputs]
         absent = [symbol(f"tau_{n}") for n in FORCE if f"tau_{n}" not in self.forces]
         return dict.fromkeys([*motions, *absent, *self._absent_parameters()], sm.Integer(0))
 
@@ -208,6 +208,16 @@ class Composition:
     def residual(self) -> sm.Matrix:
         """Sum of the wrenches, shape (n, 1)."""
         return sum(self.wrenches.values(), sm.zeros(len(self.dofs), 1))
+
+    @cached_property
+    def mass_matrix(self) -> sm.Matrix:
+        """M = -d(residual)/d(nu_dot), shape (n, n)."""
+        return -self.residual.jacobian(self.nu_dot)
+
+    @cached_property
+    def forcing(self) -> sm.Matrix:
+        """Residual at nu_dot = 0, shape (n, 1)."""
+        return self.residual.xreplace(dict.fromkeys(self.nu_dot, sm.Integer(0)))
 
     @cached_property
     def wrench_states(self) -> dict[sm.Symbol, sm.Expr]:
@@ -282,7 +292,7 @@ class Composition:
         chain, rates, _ = self.chain
         parts = [self.residual, chain, *self.reported, sm.Matrix([self.dead_time]), self.report_age]
         parts += [sm.Matrix(list(rates.values()) or [0]), sm.Matrix(list(self.wrench_states.values()) or [0])]
-        used = {str(x) for part in parts for x in part.free_symbols}
+        used = {x.name for part in parts for x in part.free_symbols}
         return tuple(n for n in self._declared_names() if n in used)
 
     def _declared_names(self) -> list[str]:

@@ -60,7 +60,7 @@ class RandomPoints:
         """A value for one symbol."""
         if x in self._parameters:
             return self._within(self._parameters[x])
-        unit, name = self._inputs[x], str(x)
+        unit, name = self._inputs[x], x.name
         if name in ("rho", "g"):
             return 1000.0 if name == "rho" else 9.81
         if unit == "rad":  # clear of the singularity of the Euler angles

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Container
 from dataclasses import dataclass, field
+from functools import lru_cache
 from math import inf
 from typing import Any
 
@@ -317,12 +318,13 @@ class Taken:
     only_where_silent: bool = False
 
 
-def declared(owner: type) -> Iterable[Declaration]:
+@lru_cache(maxsize=1024)
+def declared(owner: type) -> tuple[Declaration, ...]:
     """Parameter declarations of an effect class, base classes first, in the order written."""
     found: dict[str, Declaration] = {}
     for cls in reversed(owner.__mro__):
         found.update({k: v for k, v in vars(cls).items() if isinstance(v, Declaration)})
-    return found.values()
+    return tuple(found.values())
 
 
 def logged(owner: type) -> list[Parameter]:

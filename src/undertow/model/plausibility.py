@@ -188,10 +188,12 @@ _CREEPING = (0.0, 0.1, -0.1)
 def _check_defined(vehicle: Vehicle) -> None:
     """Refuse equations without a value: a division by a zero, the root of a velocity that turns negative."""
     known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
+    nu = set(vehicle.composition.nu)
+    creeping = {speed: known | dict.fromkeys(nu, sm.Float(speed)) for speed in _CREEPING}
     for what, part in _stated(vehicle):
-        for speed in _CREEPING:
-            at = known | dict.fromkeys(vehicle.composition.nu, sm.Float(speed))
-            if not all(isfinite(_number(row, at)) for row in part):
+        # What no velocity is in is the same at all of them.
+        for speed in _CREEPING if nu & part.free_symbols else _CREEPING[:1]:
+            if not all(isfinite(_number(row, creeping[speed])) for row in part):
                 moving = f"with all velocities at {speed:g}" if speed else "at rest"
                 raise UndertowError(
                     f"{what} of vehicle '{vehicle.name}' has no finite value {moving}: look for a parameter "

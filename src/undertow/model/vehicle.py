@@ -355,12 +355,12 @@ class Vehicle:
     @cached_property
     def mass_matrix(self) -> sm.Matrix:
         """M = -d(residual)/d(nu_dot), shape (n, n)."""
-        return -self.residual.jacobian(self.composition.nu_dot)
+        return self.composition.mass_matrix
 
     @cached_property
     def forcing(self) -> sm.Matrix:
         """Residual at nu_dot = 0, so that M nu_dot = forcing."""
-        return self.residual.xreplace({a: sm.Integer(0) for a in self.composition.nu_dot})
+        return self.composition.forcing
 
     @cached_property
     def regressor(self) -> sm.Matrix:

@@ -13,6 +13,7 @@ import control as ct
 import numpy as np
 from scipy.signal import cont2discrete
 
+from undertow.codegen.compiler import Evaluator
 from undertow.codegen.manifest import whole_samples
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
@@ -271,20 +272,25 @@ class LawSystem:
         self.acting = allocation.rows
         self.share = allocation.share
         self.commands = self._controller.command_names
-        self._k = self._controller.gain_values()
+        self._k = np.array(self._controller.gain_values())
 
     def outputs(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Commands, rates of the law's states, and the forces it asks for."""
-        u, rates, force = self._controller.continuous(y, ref, [*z, _GATE_PASSED], self._k)
-        return u.full().ravel(), rates.full().ravel()[:-1], force.full().ravel()
+        state = np.append(z, _GATE_PASSED)
+        u, rates, force = (part[0, :, 0] for part in self._continuous(y, ref, state, self._k))
+        return u, rates[:-1], force
 
     @cached_property
-    def _slopes(self) -> ca.Function:
+    def _continuous(self) -> Evaluator:
+        return Evaluator(self._controller.continuous)
+
+    @cached_property
+    def _slopes(self) -> Evaluator:
         n = len(self.references)
         ref, y, z = ca.SX.sym("ref", n), ca.SX.sym("y", 2 * n), ca.SX.sym("z", len(self.states))
         _, rates, force = self._controller.continuous(y, ref, ca.vertcat(z, _GATE_PASSED), self._k)
         slope = ca.jacobian(ca.vertcat(force, rates), ca.vertcat(ref, y, z))
-        return ca.Function("law_slopes", [ref, y, z], [ca.densify(slope)])
+        return Evaluator(ca.Function("law_slopes", [ref, y, z], [ca.densify(slope)]))
 
     # --- systems ------------------------------------------------------------------------------
     def nonlinear(self) -> ct.NonlinearIOSystem:
@@ -309,7 +315,7 @@ class LawSystem:
     def linear(self, trim: Trim) -> ct.StateSpace:
         """The law at a trim that it keeps: references, pose and velocity to forces."""
         n, nz = len(self.references), len(self.states)
-        slope = self._slopes(*self.keeping(trim)).full()
+        (slope,) = self._slopes(*self.keeping(trim))[0]
         force, rates = slope[:n], slope[n : n + nz]  # the last row is the gate's
         return ct.ss(
             rates[:, 3 * n :].reshape(nz, nz),
@@ -335,7 +341,7 @@ class LawSystem:
         target = self._controller.allocation.acting @ commands
         for _ in range(20):  # Newton; laws are nearly linear, so that a few would do
             lacking = target - self.outputs(ref, y, z)[2][rows]
-            slope = self._slopes(ref, y, z).full()[rows]
+            slope = self._slopes(ref, y, z)[0][0][rows]
             if self.states:
                 z = z + np.linalg.pinv(slope[:, 3 * n :]) @ lacking
             else:

@@ -136,7 +136,7 @@ def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
     worst = max(shares, key=lambda n: shares[n], default=None)
     if worst is None or shares[worst] < SETTINGS.missing:
         return
-    several = sorted((n for n in shares if shares[n] > SETTINGS.missing), key=lambda n: -shares[n])
+    several = sorted((n for n in shares if shares[n] >= SETTINGS.missing), key=lambda n: -shares[n])
     yield Finding(
         id="missing_samples",
         severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
