@@ -25,6 +25,7 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
+from undertow.model.loading import load_vehicle
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 Columns = dict[str, np.ndarray]
@@ -89,6 +90,49 @@ def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     assert in_degrees([Run("level", t, level)], LogMapping(), POSE) is None
     assert in_degrees([Run("rolling", t, level | {"phi": 3.0 * t})], LogMapping(), POSE) is None
     assert in_degrees([Run("no pitch", t, tilted)], LogMapping(), ("x", "y", "psi")) is None
+
+
+TURNING = """schema = "undertow/vehicle/1"
+name = "turning"
+degrees_of_freedom = ["roll", "pitch", "yaw"]
+signs = "magnitudes"
+[effects.rigid_body]
+I_x = "0.2 kg m^2"
+I_y = "0.3 kg m^2"
+I_z = "0.3 kg m^2"
+[effects.linear_damping]
+K_p = { value = 0.2, estimate = true }
+M_q = { value = 0.3, estimate = true }
+N_r = { value = 0.3, estimate = true }
+"""
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_degrees_that_jump_are_found_beside_turning_rates(tmp_path: Path, slow: bool) -> None:
+    """A vehicle that rolls over: no rate of phi agrees before both the unit and the jumps are mended."""
+    t = np.arange(0.0, 30.0, 0.02)
+    phi, theta = 0.5 * t + np.sin(t), 0.8 * np.sin(0.7 * t)
+    phi_dot, theta_dot, psi_dot = 0.5 + np.cos(t), 0.56 * np.cos(0.7 * t), 0.4 * np.cos(0.5 * t)
+    p = phi_dot - np.sin(theta) * psi_dot  # Euler rates to body rates (Fossen 2021, section 2.2)
+    q = np.cos(phi) * theta_dot + np.cos(theta) * np.sin(phi) * psi_dot
+    r = -np.sin(phi) * theta_dot + np.cos(theta) * np.cos(phi) * psi_dot
+    roll = np.degrees(np.angle(np.exp(1j * phi)))
+    attitude = {"phi": roll, "theta": np.degrees(theta), "psi": np.degrees(0.8 * np.sin(0.5 * t))}
+    if slow:  # every third row: in between are curves, which go through the jumps
+        attitude = {n: np.where(np.arange(len(t)) % 3 == 0, a, np.nan) for n, a in attitude.items()}
+    forces = {"tau_K": np.sin(t), "tau_M": np.cos(t), "tau_N": np.sin(0.5 * t)}
+    (tmp_path / "vehicle.toml").write_text(TURNING)
+    (tmp_path / "log.csv").write_text(text_of({"t": t, **attitude, "p": p, "q": q, "r": r, **forces}))
+    vehicle = load_vehicle(tmp_path / "vehicle.toml")
+    mapping = LogMapping.model_validate({"channels": {"phi": "phi", "theta": "theta", "psi": "psi"}})
+    found = examine(vehicle, [read_log(tmp_path / "log.csv", mapping)], mapping=mapping)
+    assert [m.id for m in found.result.mistakes] == ["degrees_for_radians", "wrapped_angle"]
+    mended = edited(mapping, found.edits)
+    assert all(channel.unit == "deg" for channel in mended.channels.values())
+    assert mended.channels["phi"].wrapped
+    run = read_log(tmp_path / "log.csv", mended)
+    np.testing.assert_allclose(run.reports("phi")[::3], phi[::3], atol=1e-4)
+    assert not examine(vehicle, [run], mapping=mended).result.mistakes
 
 
 def test_steps_of_a_turn_among_large_ones_are_no_jumps() -> None:

@@ -574,7 +574,7 @@ def _turned_in_a_second(run: Run) -> float:
 
 
 def _unwrapping(name: str) -> Undo:
-    return lambda run: with_channels(run, {name: unwrapped(run.channels[name])}) if run.has(name) else run
+    return lambda run: with_reports(run, {name: unwrapped(run.reports(name))}) if run.has(name) else run
 
 
 def _jumps(run: Run, name: str) -> int:
@@ -586,7 +586,8 @@ def _jumps(run: Run, name: str) -> int:
 
 
 def _present_angles(run: Run, name: str) -> Array:
-    data = run.channels.get(name, np.zeros(0))
+    """Reports of an angle: curves between those of a slow one go through its jumps."""
+    data = run.reports(name) if run.has(name) else np.zeros(0)
     return data[np.isfinite(data)]
 
 

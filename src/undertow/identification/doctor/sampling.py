@@ -158,14 +158,14 @@ def _held(runs: Sequence[Run], name: str, mapping: LogMapping) -> Finding | None
         return None
     rows, seconds = (float(np.median([p[i] for p in periods])) for i in (0, 1))
     edit = column_edit(mapping, name)
-    edit = column_edit(mapping, name, fresh=edit.key)
+    held = () if edit.table == "channels" else (column_edit(mapping, name, fresh=edit.key),)
     return Finding(
         id="held_values",
         severity="warning",
         text=f"{name} has a new value only every {rows:.1f} rows ({seconds:.3g} s) and repeats the last one "
         f"in between: most rows are up to {seconds:.2g} s late",
         evidence={"rows": rows, "seconds": seconds},
-        mapping=as_toml([edit]),
+        mapping=as_toml(held),
     )
 
 

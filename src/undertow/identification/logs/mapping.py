@@ -75,6 +75,7 @@ class Channel(_Strict):
     expression: str  # arithmetic in the cells of columns, see `Formula`
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
     delay: str | float = 0.0  # as that of a column
+    wrapped: bool | None = None  # as that of a column
 
     def in_units_of(self, factor: float) -> Channel:
         """The formula with one unit as so many of another, in which its channel is wanted as it is."""
