@@ -145,11 +145,56 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("rudder_angle_deg", "", "deg"),
         ("wind_speed_x", "", ""),
         ("p [rps]", "p", "rev/s"),
+        ("Vx_body(mm_s)", "u", "mm/s"),
+        ("vE_mps", "v", "m/s"),
+        ("v_n", "u", ""),
+        ("vel_n_m_s", "u", "m/s"),
+        ("thrust_n", "", "N"),
+        ("vU_mps", "w", "m/s"),
+        ("North_Vel(m_s)", "u", "m/s"),
+        ("Up_Vel(m_s)", "w", "m/s"),
+        ("u_velo", "u", ""),
+        ("roll_rate", "p", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
     name = Name.of(column)
     assert (name.motion(), name.unit) == (channel, unit)
+
+
+SPEEDS = {"vE_mps": 0.4, "vN_mps": 0.3, "vU_mps": 0.1}
+
+
+def _guessed(**amplitudes: float) -> GuessedMapping:
+    t = np.arange(0.0, 20.0, 0.1)
+    swings = {n: a * np.sin(t + k) for k, (n, a) in enumerate(amplitudes.items())}
+    return guess_table(pl.DataFrame({"t_s": t} | swings), Path("own.csv"))
+
+
+def test_speeds_to_north_and_east_are_along_the_earth() -> None:
+    found = _guessed(N_m=5.0, E_m=4.0, yaw_deg=90.0, **SPEEDS)
+    entries = {g.channel: g.entry for g in found.columns}
+    assert {g.channel: g.column for g in found.columns if g.channel in "uvw"} == {
+        **{"u": "vN_mps", "v": "vE_mps", "w": "vU_mps"}
+    }
+    assert (entries["w"]["scale"], entries["u"].get("scale")) == (-1, None)
+    assert found.axes.entry == {"position": "NED", "body": "FRD", "velocity": "NED"}
+    (asked,) = found.axes.questions
+    assert "heading grow clockwise" in asked
+
+
+def test_speeds_along_the_body_come_before_those_along_the_earth() -> None:
+    found = _guessed(**SPEEDS, Vx_body=0.5)
+    assert {g.channel: g.column for g in found.columns} == {"u": "Vx_body"}
+    assert "velocity" not in found.axes.entry
+
+
+def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None:
+    t = np.arange(0.0, 100.0, 0.1)
+    t[500], t[-1] = t[499], np.nan
+    found = guess_table(pl.DataFrame({"Timestamp(s)": t, "u": np.sin(t)}), Path("own.csv"))
+    assert found.time.entry == {"column": "Timestamp(s)", "unit": "s", "disorder": "drop"}
+    assert found.time.doubt == "0.10% of the rows are no later than one before: leave them out?"
 
 
 SHIP = """

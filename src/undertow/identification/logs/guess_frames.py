@@ -62,8 +62,13 @@ class Axes:
     questions: tuple[str, ...] = ()
 
 
-def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
-    """The axes that position, heading and velocity (by channel, SI) agree with, as far as logged."""
+def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = False) -> Axes:
+    """The axes that position, heading and velocity (by channel, SI) agree with, as far as logged.
+
+    `along_earth`: the velocities are called those to the north and to the east.
+    """
+    if along_earth:
+        return Axes(_ENTRIES[_EARTH][0], (_HEADING,) if "psi" in channels else ())
     if not {"x", "y", "psi"} <= channels.keys():
         turning = any(name in channels for name in ("psi", "r", "v", "w", "y", "z"))
         return Axes(questions=(f"{_WHICH} Position and heading, which tell, are not both logged",) * turning)
