@@ -219,7 +219,10 @@ def _no_time(data: Mapping[str, Array]) -> str:
                 f"{column[row]:.15g} to {column[row + 1]:.15g} in row {row + 2}: write the times with more "
                 "digits, or row number times sampling interval, into a column that rises"
             )
-    return "no column counts the time, none rises from row to row"
+    return (
+        "no column counts the time, none rises from row to row; write the log with the time of each row (row "
+        "number times sampling interval, where that is even)"
+    )
 
 
 def _sampled(data: Mapping[str, Array], time: str) -> Flags:

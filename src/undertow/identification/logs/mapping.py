@@ -378,7 +378,8 @@ class Formula:
         try:
             tree = ast.parse(self.text.strip(), mode="eval")
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise UndertowError(f"formula {self.text!r} is no arithmetic: {error}") from error
+            reason = error.msg if isinstance(error, SyntaxError) else str(error)
+            raise UndertowError(f"formula {self.text!r} is no arithmetic ({reason}): {_HOW}") from error
         if sum(1 for _ in ast.walk(tree)) > _LIMITS.parts:
             raise UndertowError(f"formula {self.text!r} has more than {_LIMITS.parts} parts: shorten it")
         return tree.body
@@ -427,4 +428,7 @@ class Formula:
         return function
 
 
-_HOW = f"write numbers, columns, + - * / ** and {', '.join(_FUNCTIONS)}"
+_HOW = (
+    f"write numbers, columns (column('its name') where that is no plain word), + - * / ** and "
+    f"{', '.join(_FUNCTIONS)}"
+)
