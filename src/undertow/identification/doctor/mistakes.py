@@ -215,7 +215,12 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMap
     linear = {*kinematics.rows} & {*POSITIONS}
     both = bool(linear) and len(linear) < len(kinematics.rows)
     units = _time_units(mapping) if both else likely_time_units(runs, mapping)
-    return next((m for m, factor in units if abs(ratio / factor - 1.0) < PLAUSIBLE.ratio), None)
+    found = next(((m, f) for m, f in units if abs(ratio / f - 1.0) < PLAUSIBLE.ratio), None)
+    # A minute has 60 seconds, a radian 57.3 degrees: of angles alone the nearer of them is meant.
+    degrees = [] if linear else [180 / np.pi, np.pi / 180]
+    if found is None or any(abs(np.log(ratio / d)) < abs(np.log(ratio / found[1])) for d in degrees):
+        return None
+    return found[0]
 
 
 def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
