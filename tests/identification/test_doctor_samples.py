@@ -139,6 +139,20 @@ def test_one_speed_in_one_direction_leaves_drag_open() -> None:
     assert "a current cannot be distinguished from a constant force" in text
 
 
+def test_a_clock_that_ticks_when_it_likes_has_lost_no_rows() -> None:
+    """An estimator that publishes at the report of each of several sensors; an even one without some rows."""
+    of_each = [np.arange(0.0, 60.0, step) for step in (0.0081, 0.0095, 0.0913)]
+    t = np.sort(np.concatenate(of_each))
+    t = t[np.concatenate([[True], np.diff(t) > 1e-4])]
+    found = _found(_run(t, u=np.sin(t)))
+    assert "gaps" not in found
+    assert "jitter" in found
+    even = np.arange(0.0, 60.0, 0.01)
+    kept = RNG.random(len(even)) > 0.2
+    found = _found(_run(even[kept], u=np.sin(even[kept])))
+    assert found["gaps"].evidence["share"] == pytest.approx(0.2, abs=0.03)
+
+
 # --- lines for mapping files -----------------------------------------------------------------------------
 def test_a_column_edit_keeps_what_the_mapping_says_already() -> None:
     mapping = LogMapping.model_validate(
