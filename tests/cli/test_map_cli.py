@@ -16,7 +16,7 @@ from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
 
-from .bad import SURGE
+from .bad import SURGE, text_of
 
 DEGREES = 180 / np.pi
 
@@ -187,6 +187,24 @@ def test_speeds_along_the_body_come_before_those_along_the_earth() -> None:
     found = _guessed(**SPEEDS, Vx_body=0.5)
     assert {g.channel: g.column for g in found.columns} == {"u": "Vx_body"}
     assert "velocity" not in found.axes.entry
+
+
+def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path) -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    north, east = 30.0 * np.sin(0.1 * t), 20.0 * np.cos(0.1 * t) - 20.0
+    # 111 030 m in a degree of latitude at 39.94 degrees, 85 490 m in one of longitude (WGS 84).
+    table = {"t": t, "gps.latitude": 39.94 + north / 111_030, "gps.longitude": -75.2 + east / 85_490}
+    table |= {"heading_deg": 90.0 + t, "left_pwm": 1500.0 + t, "right_pwm": 1500.0 - t}
+    (tmp_path / "own.csv").write_text(text_of(table))
+    found = guess_mapping(tmp_path / "own.csv")
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.channels["x"], north, atol=0.02)
+    np.testing.assert_allclose(run.channels["y"], east, atol=0.02)
+    assert sum("metres from the first fix" in question for question in found.asked) == 1
+    assert {"left_pwm", "right_pwm"} <= {g.channel for g in found.columns}
+    nowhere = {"t": t, "latitude": 0.0 * t, "longitude": 0.0 * t}
+    assert not guess_table(pl.DataFrame(nowhere), Path("own.csv")).columns
 
 
 def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None:

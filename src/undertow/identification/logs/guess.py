@@ -20,8 +20,24 @@ from undertow.typing import Array, Flags
 
 from .checks import in_order
 from .conversions import angles
-from .guess_frames import Axes, axes_of, formulas, quaternion_in, rate_of_heading, unit_of_heading
-from .guess_names import NO_FIT, RATES, WANTED, Name, is_clock, part_of_quaternion
+from .guess_frames import (
+    Axes,
+    axes_of,
+    formulas,
+    place_of,
+    quaternion_in,
+    rate_of_heading,
+    unit_of_heading,
+)
+from .guess_names import (
+    NO_FIT,
+    RATES,
+    WANTED,
+    Name,
+    is_clock,
+    latitude_and_longitude,
+    part_of_quaternion,
+)
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping
 from .run import FORCES, UNITS
@@ -91,13 +107,18 @@ def guess_table(
     read = _rates_by_heading(read, {n: data[n.column] for n in names}, t)
     turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
     attitude = angles(*(data[n] for n in turned)) if turned else {}
+    globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
+    place = place_of(*((n, data[n]) for n in globe)) if globe else {}
+    globe = globe if place else ()
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
+    known |= {channel: values for channel, (_, values) in place.items()}
     axes = axes_of(known | attitude, t, along_earth=along_earth)
-    read += _attitude(turned)
+    read += _attitude(turned) + _place(globe, place)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += [_command(command, name, data[name.column], units) for command, name in driving.items()]
-    used = {time.column, *turned, *(g.column for g in read), *(str(g.entry.get("fresh", "")) for g in read)}
+    used = {time.column, *turned, *globe, *(g.column for g in read)}
+    used |= {str(g.entry.get("fresh", "")) for g in read}
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in names if n.force and n.column not in used]
@@ -135,6 +156,19 @@ def _attitude(quaternion: Sequence[str]) -> list[Guess]:
     return [
         Guess(", ".join(quaternion), {"channel": channel, "expression": text, "unit": "rad"})
         for channel, text in entries.items()
+    ]
+
+
+def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
+    """North and east of the first fix, from latitude and longitude."""
+    asked = "x and y: metres from the first fix of this log, if these are degrees; are they?"
+    return [
+        Guess(
+            ", ".join(globe),
+            {"channel": channel, "expression": formula, "unit": "m"},
+            asked if channel == "x" else "",
+        )
+        for channel, (formula, _) in place.items()
     ]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -94,6 +94,7 @@ _COUNTS = {
 }  # fmt: skip
 _COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "angle": "rad", "throttle": "command"}
 _BY_UNIT, NO_FIT = 2.9, 9.0
+_GLOBE = ({"lat", "latitude"}, {"lon", "lng", "long", "longitude"})
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
 
@@ -248,12 +249,20 @@ class Name:
     def is_command(self) -> bool:
         """Whether it looks like what drives a vehicle."""
         numbered = any(re.fullmatch(r"[uftm]\d+|tau[xyzkmn]", word) for word in self.words)
-        return bool({*self.unnumbered} & _DRIVES or numbered) and "limit" not in self.words
+        drives = bool({*self.unnumbered} & _DRIVES or numbered) or self.unit == "pwm"
+        return drives and "limit" not in self.words
 
     @property
     def unnumbered(self) -> list[str]:
         """The words without numbers at their ends, of columns that differ in these."""
         return [re.sub(r"\d+$", "", word) for word in self.words]
+
+
+def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
+    """The first columns that are called latitude and longitude; () where one of them is missing."""
+    known = [(column, {*Name.of(column).words}) for column in columns]
+    found = [next((c for c, words in known if words & called), "") for called in _GLOBE]
+    return tuple(found) if all(found) else ()
 
 
 def part_of_quaternion(column: str, columns: Container[str]) -> bool:
