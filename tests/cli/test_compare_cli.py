@@ -76,6 +76,19 @@ def test_compare_draws_what_it_found(case: Path, capsys: pytest.CaptureFixture[s
     assert "7 pictures in pictures" in _lines(capsys)
 
 
+def test_what_is_unexplained_comes_last_in_the_budget(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also below effects that only act in a later motion."""
+    usv = Path("usv.toml")
+    usv.write_text(usv.read_text() + "\n[effects.linear_damping_coupling]\nN_v = 1.0\n")
+    assert main(["compare", *LOG]) == 0
+    lines = [line.split() for line in _lines(capsys)]
+    first = [words[0] if words else "" for words in lines]
+    begin = lines.index(["Force", "budget,", "%", "of", "all", "rms"])
+    rows = first[begin + 2 : first.index("velocity", begin)]
+    assert "linear_damping_coupling" in rows
+    assert rows[-1] == "unexplained"
+
+
 def test_a_log_given_twice_is_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", *LOG, "train.csv"]) == 2
     assert "have the same content: give each once" in capsys.readouterr().err

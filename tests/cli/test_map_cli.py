@@ -16,7 +16,7 @@ from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle
 
-from .bad import SURGE
+from .bad import SURGE, text_of
 
 DEGREES = 180 / np.pi
 
@@ -149,11 +149,74 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("rpy.z [deg]", "psi", "deg"),
         ("twist.angular.y", "q", ""),
         ("wrench.force.x", "", ""),
+        ("Vx_body(mm_s)", "u", "mm/s"),
+        ("vE_mps", "v", "m/s"),
+        ("v_n", "u", ""),
+        ("vel_n_m_s", "u", "m/s"),
+        ("thrust_n", "", "N"),
+        ("vU_mps", "w", "m/s"),
+        ("North_Vel(m_s)", "u", "m/s"),
+        ("Up_Vel(m_s)", "w", "m/s"),
+        ("u_velo", "u", ""),
+        ("roll_rate", "p", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
     name = Name.of(column)
     assert (name.motion(), name.unit) == (channel, unit)
+
+
+SPEEDS = {"vE_mps": 0.4, "vN_mps": 0.3, "vU_mps": 0.1}
+
+
+def _guessed(**amplitudes: float) -> GuessedMapping:
+    t = np.arange(0.0, 20.0, 0.1)
+    swings = {n: a * np.sin(t + k) for k, (n, a) in enumerate(amplitudes.items())}
+    return guess_table(pl.DataFrame({"t_s": t} | swings), Path("own.csv"))
+
+
+def test_speeds_to_north_and_east_are_along_the_earth() -> None:
+    found = _guessed(N_m=5.0, E_m=4.0, yaw_deg=90.0, **SPEEDS)
+    entries = {g.channel: g.entry for g in found.columns}
+    assert {g.channel: g.column for g in found.columns if g.channel in "uvw"} == {
+        **{"u": "vN_mps", "v": "vE_mps", "w": "vU_mps"}
+    }
+    assert (entries["w"]["scale"], entries["u"].get("scale")) == (-1, None)
+    assert found.axes.entry == {"position": "NED", "body": "FRD", "velocity": "NED"}
+    (asked,) = found.axes.questions
+    assert "heading grow clockwise" in asked
+
+
+def test_speeds_along_the_body_come_before_those_along_the_earth() -> None:
+    found = _guessed(**SPEEDS, Vx_body=0.5)
+    assert {g.channel: g.column for g in found.columns} == {"u": "Vx_body"}
+    assert "velocity" not in found.axes.entry
+
+
+def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path) -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    north, east = 30.0 * np.sin(0.1 * t), 20.0 * np.cos(0.1 * t) - 20.0
+    # 111 030 m in a degree of latitude at 39.94 degrees, 85 490 m in one of longitude (WGS 84).
+    table = {"t": t, "gps.latitude": 39.94 + north / 111_030, "gps.longitude": -75.2 + east / 85_490}
+    table |= {"heading_deg": 90.0 + t, "left_pwm": 1500.0 + t, "right_pwm": 1500.0 - t}
+    (tmp_path / "own.csv").write_text(text_of(table))
+    found = guess_mapping(tmp_path / "own.csv")
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.channels["x"], north, atol=0.02)
+    np.testing.assert_allclose(run.channels["y"], east, atol=0.02)
+    assert sum("metres from the first fix" in question for question in found.asked) == 1
+    assert {"left_pwm", "right_pwm"} <= {g.channel for g in found.columns}
+    nowhere = {"t": t, "latitude": 0.0 * t, "longitude": 0.0 * t}
+    assert not guess_table(pl.DataFrame(nowhere), Path("own.csv")).columns
+
+
+def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None:
+    t = np.arange(0.0, 100.0, 0.1)
+    t[500], t[-1] = t[499], np.nan
+    found = guess_table(pl.DataFrame({"Timestamp(s)": t, "u": np.sin(t)}), Path("own.csv"))
+    assert found.time.entry == {"column": "Timestamp(s)", "unit": "s", "disorder": "drop"}
+    assert found.time.doubt == "0.10% of the rows are no later than one before: leave them out?"
 
 
 SHIP = """

@@ -100,6 +100,19 @@ def test_what_is_not_measured_starts_at_zero() -> None:
     np.testing.assert_allclose(value, [[0.0, 1.0], [0.0, np.cos(2.0)]])
 
 
+def test_a_channel_without_a_report_in_a_stretch_starts_on_its_curve() -> None:
+    """Its reports lie before and after, and the stretch between two gaps of another sensor is short."""
+    t = CLOCK[:6]
+    measured = np.column_stack([np.cos(t), np.sin(t)])
+    one, none = np.full(6, np.nan), np.full(6, np.nan)
+    one[2] = np.sin(t[2])
+    at, names, noise = np.array([0, 3]), ("v", "u"), np.array([SIGMA, SIGMA])
+    start = start_values(t, measured, names, noise, at, np.column_stack([np.cos(t), none]))
+    np.testing.assert_allclose(start, np.column_stack([np.cos(t[at]), np.sin(t[at])]), atol=2 * SIGMA)
+    start = start_values(t, measured, names, noise, at, np.column_stack([np.cos(t), one]))
+    np.testing.assert_allclose(start[:, 1], np.sin(t[2]))
+
+
 # --- windows ----------------------------------------------------------------------------------------------
 
 

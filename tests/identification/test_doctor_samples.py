@@ -15,6 +15,7 @@ from undertow.identification.doctor.findings import (
     Finding,
     as_toml,
     column_edit,
+    delay_edit,
     edited,
     frames_edits,
     into_file,
@@ -148,6 +149,20 @@ def test_one_speed_in_one_direction_leaves_drag_open() -> None:
     assert "a current cannot be distinguished from a constant force" in text
 
 
+def test_a_clock_that_ticks_when_it_likes_has_lost_no_rows() -> None:
+    """An estimator that publishes at the report of each of several sensors; an even one without some rows."""
+    of_each = [np.arange(0.0, 60.0, step) for step in (0.0081, 0.0095, 0.0913)]
+    t = np.sort(np.concatenate(of_each))
+    t = t[np.concatenate([[True], np.diff(t) > 1e-4])]
+    found = _found(_run(t, u=np.sin(t)))
+    assert "gaps" not in found
+    assert "jitter" in found
+    even = np.arange(0.0, 60.0, 0.01)
+    kept = RNG.random(len(even)) > 0.2
+    found = _found(_run(even[kept], u=np.sin(even[kept])))
+    assert found["gaps"].evidence["share"] == pytest.approx(0.2, abs=0.03)
+
+
 # --- lines for mapping files -----------------------------------------------------------------------------
 def test_a_column_edit_keeps_what_the_mapping_says_already() -> None:
     mapping = LogMapping.model_validate(
@@ -204,3 +219,24 @@ def test_a_mapping_file_keeps_comments_and_odd_names() -> None:
     assert new.endswith("[water]\nvelocity = [0.1, 0.0, 0.0]\n")
     whole = as_toml(edits, whole=True)
     assert whole.startswith('schema = "undertow/mapping/1"\n[columns]\n"my heading" = ')
+
+
+def test_a_formula_is_mended_in_the_formula() -> None:
+    mapping = LogMapping.model_validate(
+        {
+            "columns": {"b": {"channel": "v"}},
+            "channels": {"psi": {"expression": "a + pi", "delay": "0.1 s"}, "u": "sin(a)", "w": "cos(a)"},
+        }
+    )
+    degrees = column_edit(mapping, "psi", unit="deg", wrapped=True)
+    assert as_toml([degrees]) == (
+        '[channels]\npsi = { expression = "a + pi", unit = "deg", delay = "0.1 s", wrapped = true }'
+    )
+    assert edited(mapping, [degrees]).channels["psi"].wrapped
+    flipped = column_edit(mapping, "psi", times=-1.0, offset=90.0)
+    assert edited(mapping, [flipped]).channels["psi"].expression == "-1 * (a + pi) + 90"
+    exchanged = edited(mapping, reassigned(mapping, {"u": ("w", 1.0), "w": ("u", -1.0)})).channels
+    assert (exchanged["u"].expression, exchanged["w"].expression) == ("cos(a)", "-1 * (sin(a))")
+    assert not reassigned(mapping, {"u": ("v", 1.0), "v": ("u", 1.0)})  # the formula would have to go
+    late = delay_edit(mapping, "psi", 0.2)
+    assert edited(mapping, [late]).channels["psi"].delay == "0.3 s"

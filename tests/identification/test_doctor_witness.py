@@ -16,15 +16,25 @@ from tests.cli.bad import text_of
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.quick import first_quick, quick_if
 from undertow.identification.doctor.clocks import Latency, late_source
-from undertow.identification.doctor.dynamics import best_of, dynamic_mistakes, dynamics_of, reversed_commands
+from undertow.identification.doctor.dynamics import (
+    best_of,
+    dynamic_mistakes,
+    dynamics_of,
+    largest_commands,
+    other_units,
+    reversed_commands,
+    swapped_commands,
+)
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.findings import Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import in_degrees, wrapped_angles
+from undertow.identification.doctor.signs import Weight, _remaining
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
+from undertow.model.loading import load_vehicle
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 Columns = dict[str, np.ndarray]
@@ -89,6 +99,97 @@ def test_an_attitude_beyond_upright_is_in_degrees() -> None:
     assert in_degrees([Run("level", t, level)], LogMapping(), POSE) is None
     assert in_degrees([Run("rolling", t, level | {"phi": 3.0 * t})], LogMapping(), POSE) is None
     assert in_degrees([Run("no pitch", t, tilted)], LogMapping(), ("x", "y", "psi")) is None
+
+
+TURNING = """schema = "undertow/vehicle/1"
+name = "turning"
+degrees_of_freedom = ["roll", "pitch", "yaw"]
+signs = "magnitudes"
+[effects.rigid_body]
+I_x = "0.2 kg m^2"
+I_y = "0.3 kg m^2"
+I_z = "0.3 kg m^2"
+[effects.linear_damping]
+K_p = { value = 0.2, estimate = true }
+M_q = { value = 0.3, estimate = true }
+N_r = { value = 0.3, estimate = true }
+"""
+
+
+def _rolling(t: np.ndarray) -> dict[str, np.ndarray]:
+    """A vehicle that rolls over and over."""
+    phi, theta, psi = 0.5 * t + np.sin(t), 0.8 * np.sin(0.7 * t), 0.8 * np.sin(0.5 * t)
+    phi_dot, theta_dot, psi_dot = 0.5 + np.cos(t), 0.56 * np.cos(0.7 * t), 0.4 * np.cos(0.5 * t)
+    p = phi_dot - np.sin(theta) * psi_dot  # Euler rates to body rates (Fossen 2021, section 2.2)
+    q = np.cos(phi) * theta_dot + np.cos(theta) * np.sin(phi) * psi_dot
+    r = -np.sin(phi) * theta_dot + np.cos(theta) * np.cos(phi) * psi_dot
+    forces = {"tau_K": np.sin(t), "tau_M": np.cos(t), "tau_N": np.sin(0.5 * t)}
+    return {"t": t, "phi": phi, "theta": theta, "psi": psi, "p": p, "q": q, "r": r, **forces}
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_degrees_that_jump_are_found_beside_turning_rates(tmp_path: Path, slow: bool) -> None:
+    """A vehicle that rolls over: no rate of phi agrees before both the unit and the jumps are mended."""
+    columns = _rolling(np.arange(0.0, 30.0, 0.02))
+    t, phi, theta = (columns[n] for n in ("t", "phi", "theta"))
+    roll = np.degrees(np.angle(np.exp(1j * phi)))
+    attitude = {"phi": roll, "theta": np.degrees(theta), "psi": np.degrees(columns["psi"])}
+    if slow:  # every third row: in between are curves, which go through the jumps
+        attitude = {n: np.where(np.arange(len(t)) % 3 == 0, a, np.nan) for n, a in attitude.items()}
+    (tmp_path / "vehicle.toml").write_text(TURNING)
+    (tmp_path / "log.csv").write_text(text_of(columns | attitude))
+    vehicle = load_vehicle(tmp_path / "vehicle.toml")
+    mapping = LogMapping.model_validate({"channels": {"phi": "phi", "theta": "theta", "psi": "psi"}})
+    found = examine(vehicle, [read_log(tmp_path / "log.csv", mapping)], mapping=mapping)
+    assert [m.id for m in found.result.mistakes] == ["degrees_for_radians", "wrapped_angle"]
+    mended = edited(mapping, found.edits)
+    assert all(channel.unit == "deg" for channel in mended.channels.values())
+    assert mended.channels["phi"].wrapped
+    run = read_log(tmp_path / "log.csv", mended)
+    np.testing.assert_allclose(run.reports("phi")[::3], phi[::3], atol=1e-4)
+    assert not examine(vehicle, [run], mapping=mended).result.mistakes
+
+
+@pytest.mark.parametrize(("rows", "minutes"), [(270, False), (100, True)])
+def test_a_radian_has_other_degrees_than_a_minute_has_seconds(
+    tmp_path: Path, rows: int, minutes: bool
+) -> None:
+    """Where the steps are so short that the clock may be wrong, 57.3 and 60 are told apart by the nearer."""
+    columns = _rolling(np.arange(0.0, 15.0, 1 / rows))
+    (tmp_path / "vehicle.toml").write_text(TURNING)
+    entries = {} if minutes else {n: {"channel": n, "unit": "deg/s"} for n in "pqr"}
+    clock = {"t": columns["t"] / 60} if minutes else {}
+    (tmp_path / "log.csv").write_text(text_of(columns | clock))
+    mapping = LogMapping.model_validate({"columns": entries})
+    run = read_log(tmp_path / "log.csv", mapping)
+    found = examine(load_vehicle(tmp_path / "vehicle.toml"), [run], mapping=mapping)
+    assert [m.id for m in found.result.mistakes][:1] == ["time_unit" if minutes else "radians_for_degrees"]
+
+
+def test_pulses_beyond_the_end_of_a_curve_are_no_commands_of_it(tmp_path: Path) -> None:
+    columns = _rolling(np.arange(0.0, 30.0, 0.05))
+    place = 'name = "side"\nposition = [0, 0.2, 0]\ndirection = [1, 0, 0]\n'
+    thruster = f'[[thrusters]]\n{place}curve = "t200-16v"\n'
+    (tmp_path / "vehicle.toml").write_text(TURNING + thruster)
+    vehicle = load_vehicle(tmp_path / "vehicle.toml")
+    assert largest_commands(vehicle) == {"side": 1.0}
+    share = 0.8 * np.sin(1.3 * columns["t"])
+    (tmp_path / "log.csv").write_text(text_of(columns | {"side": 1500.0 + 400.0 * share}))
+    run = read_log(tmp_path / "log.csv", None, ["side"])
+    (mistake,) = [m for m in examine(vehicle, [run]).result.mistakes if m.id == "command_unit"]
+    assert "scale = 0.0025, offset = -3.75" in mistake.mapping
+    right = [m.undo(run) for m in other_units(vehicle, [run])]
+    np.testing.assert_allclose(right[0].channels["side"], share, atol=1e-9)
+    read_right = [m.clause for m in other_units(vehicle, right)]
+    assert not [clause for clause in read_right if "a share of the limit" in clause]  # as it is read
+
+
+def test_of_readings_as_simple_the_one_that_explains_most_comes_first() -> None:
+    """An exchange with a thruster that does nothing there takes the contradiction away, too."""
+    vehicle = load_vehicle("bluerov2-6")
+    reversed_, swapped = reversed_commands(vehicle)[0], next(iter(swapped_commands(vehicle)))
+    weights = [(swapped, Weight(np.zeros(1), 0.5, 3)), (reversed_, Weight(np.zeros(1), 0.6, 3))]
+    assert _remaining(weights, [w for _, w in weights]) == [reversed_, swapped]
 
 
 def test_steps_of_a_turn_among_large_ones_are_no_jumps() -> None:

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from tests.identification.long_surge import simulated, steps
-from tests.identification.surge import surge_vehicle
+from tests.identification.surge import INTERVAL, surge_run, surge_vehicle
 from undertow.errors import UndertowError
-from undertow.identification.api import Estimator, Method
+from undertow.identification.api import Estimator, Method, fit
+from undertow.identification.diagnosis.validation import SimulationValidator
+from undertow.identification.estimation.data import channel_noise
+from undertow.identification.estimation.windows import longest_stretch
 from undertow.identification.logs.run import Run
 
 VEHICLE = surge_vehicle()
@@ -62,3 +65,18 @@ def test_a_parameter_with_a_prior_needs_no_equation() -> None:
 def test_a_longer_log_is_fitted(method: Method) -> None:
     fit = Estimator(method, None).fit(VEHICLE, [first(60)])
     assert fit.values["X_udot"] == pytest.approx(-1.1, abs=1.5)
+
+
+def test_validation_logs_full_of_gaps_are_predicted_as_far_as_they_go() -> None:
+    """Windows of 5 s fit into none of their stretches, which last 2.8 s, though the log lasts 30 s."""
+    run = surge_run(0.01)
+    u = np.where(np.arange(len(run.t)) % 15 == 14, np.nan, run.channels["u"])
+    gappy = replace(surge_run(0.01, 1), channels={**run.channels, "u": u})
+    stretch = longest_stretch(VEHICLE, gappy)
+    assert stretch == pytest.approx(13 * INTERVAL)
+    done = fit(VEHICLE, [run], [gappy], method="weak")
+    assert done.before.windows.horizon == pytest.approx(0.9 * stretch)
+    assert len(done.before.windows) == 10
+    judge = SimulationValidator(VEHICLE, [run], [gappy], channel_noise([gappy], ("x", "u")))
+    assert judge.windows.horizon == pytest.approx(stretch)
+    assert all(horizon <= stretch for horizon in judge.horizons)

@@ -205,7 +205,7 @@ REFUSED = [
         "I_z cannot differ forward and backward: give one",
     ),
     ('x_g = "5 cm"', "x_g = { forward = 1, backward = 2 }", r"rigid_body\] x_g needs one 'value'"),
-    ('x_g = "5 cm"', "x_g = { value = 1, estimate = true }", r"x_g cannot be estimated.*static moment"),
+    ('x_g = "5 cm"', "x_g = { value = 1, estimate = true }", r"x_g cannot be estimated.*mx_g = \{ value"),
     ('x_g = "5 cm"', 'x_g = "5 kg"', r"rigid_body\] x_g: '5 kg' has the dimension"),
     ('x_g = "5 cm"', "x_g = 0.05\nmx_g = 2.0", "says the same thing twice, by mx_g and x_g"),
     # the vehicle as a whole

@@ -35,7 +35,7 @@ from .estimation.residual import without_spikes
 from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
-from .estimation.windows import Prediction, cut, horizons, prediction_error
+from .estimation.windows import HORIZONS, Prediction, cut, horizons, longest_stretch, prediction_error
 from .logs.checks import check_fit
 from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
@@ -350,8 +350,8 @@ def refit(
     )
     report(0.8, "predicting validation data")
     refitted, rest = in_runs(fit, test)
-    longest = max(float(r.t[-1] - r.t[0]) for r in rest)
-    windows = cut(rest, vehicle, min(horizon, 0.9 * longest))
+    longest = max(longest_stretch(vehicle, run) for run in rest)
+    windows = cut(rest, vehicle, min(horizon, HORIZONS.longest * longest))
     as_given = [adapted(vehicle, run)[0] for run in test]
     before, after = (predict_each(each, windows) for each in (as_given, refitted))
     return Refit(vehicle, fit, estimator, train, test, before, after)

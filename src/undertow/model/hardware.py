@@ -110,6 +110,11 @@ class Curve:
         ]
         return cls(shifted[0], ((-limit, limit, tuple(shifted[1:])),))
 
+    @property
+    def largest(self) -> float:
+        """Largest magnitude of a command that the curve tells from a smaller one."""
+        return max(abs(self.pieces[0][0]), abs(self.pieces[-1][1]))
+
     def thrust(self, command: sm.Expr) -> sm.Expr:
         """Thrust at a command, N: what every piece adds up to there."""
         return _thrust(self, command)

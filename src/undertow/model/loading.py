@@ -505,10 +505,21 @@ def _touched(
     return [n for n, v in converted.items() if moved[n] != v]
 
 
+def _made_of(effect: Effect, key: str) -> list[str]:
+    """Parameters of an effect that a key stands for, whatever their values."""
+    ones = dict.fromkeys((p.name for p in effect.parameters), 1.0)
+    return _touched(effect, {**ones, key: 1.0}, effect.from_file({**ones, key: 1.0}), key)
+
+
 def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
     place = f"[effects.{effect.id}] {key}"
     if (entry.estimate or entry.sigma is not None) and key not in effect.former_keys:
-        raise UndertowError(f"{place} cannot be estimated: estimate the static moment instead")
+        base = _made_of(effect, key)
+        shown = ", ".join(f"{p.name} ({p.about})" for p in effect.parameters if p.name in base)
+        lines = ", ".join(f"{name} = {{ value = ..., estimate = true }}" for name in base)
+        raise UndertowError(
+            f"{place} cannot be estimated by itself: motion shows {shown}; state {lines} in its place"
+        )
     if entry.value is None:
         raise UndertowError(f"{place} needs one 'value'")
     return si_of(place, entry.value, effect.file_units()[key])

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from tests.quick import first_quick
+from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import examine
 from undertow.identification.logs.formats import rosbag
 from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 
@@ -285,3 +287,27 @@ def test_messages_that_are_damaged_are_blank(tmp_path: Path) -> None:
     columns = read_field_log(path).series["/odometry"].columns
     assert np.isnan(columns["pose.pose.position.x"]).sum() == 1
     assert np.isnan(columns["pose.pose.orientation.psi"]).sum() == 1
+
+
+def test_an_import_without_a_motion_says_what_is_left_out_and_how_to_read_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lists of numbers have no names: which of them is a rate only those know who made the log."""
+    monkeypatch.setenv("COLUMNS", "300")
+    path = tmp_path / "own.bag"
+    with BagWriter(path) as out:
+        for k in range(30):
+            out.write("/thrusters", 0.1 * k, out.commands(np.ones(2)))
+            out.write("/imu/list", 0.1 * k, out.commands(np.arange(4.0)))
+    table = tmp_path / "own.parquet"
+    assert main(["import", str(path), "--out", str(table)]) == 0
+    said = capsys.readouterr().out
+    assert "no column is known to be a motion" in said
+    assert "/imu/list has layout.data_offset, data[0-3]" in said
+    line = next(part for part in said.split("`") if "channel =" in part)
+    (tmp_path / "log.toml").write_text(f'schema = "undertow/mapping/1"\n[columns]\n{line}\n')
+    words = ["import", str(path), "--map", str(tmp_path / "log.toml"), "--out", str(table), "--force"]
+    assert main(words) == 0
+    assert "no column is known" not in capsys.readouterr().out
+    run = read_log(table, read_mapping(tmp_path / "own.toml"))
+    np.testing.assert_allclose(run.channels["r"], np.radians(3.0))

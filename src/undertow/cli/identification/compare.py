@@ -116,7 +116,8 @@ def _error_map(result: ComparisonResult) -> Any:
 def _budget(result: ComparisonResult) -> Any:
     shares = {(s.effect, s.degree_of_freedom): s.share for s in result.budget}
     rows = []
-    for effect in dict.fromkeys(s.effect for s in result.budget):
+    effects = dict.fromkeys(s.effect for s in result.budget)
+    for effect in sorted(effects, key=lambda name: name == "unexplained"):  # it comes last
         row = [shares.get((effect, dof)) for dof in result.degrees_of_freedom]
         rows.append((effect, *(_number(None if v is None else 100 * v, ".1f") for v in row)))
     return table(("effect", *result.degrees_of_freedom), rows)

@@ -72,6 +72,8 @@ def import_(
     _write(found, meaning, target, beside)
     read = [(name, column.channel, column.unit or "") for name, column in meaning.columns.items()]
     section(f"{log}: {found.format}", table(("column", "channel", "unit"), read))
+    for line in _without_motion(found, meaning, log, target):
+        say(line, "yellow")
     say(f"what the columns mean stands in {beside}: correct it there where it is wrong")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")
 
@@ -97,6 +99,25 @@ def _elements_together(columns: Iterable[str]) -> list[str]:
         arrays.setdefault(_ELEMENT.sub("[]", name), []).append(place[1] if place else "")
     ends = {name: "-".join(dict.fromkeys((at[0], at[-1]))) for name, at in arrays.items()}
     return [name.replace("[]", f"[{end}]") for name, end in ends.items()]
+
+
+def _without_motion(log: FieldLog, meaning: LogMapping, path: Path, out: Path) -> list[str]:
+    """What to do where no motion is among the columns that a mapping reads."""
+    from undertow.identification.logs.run import MEASURED
+
+    read = {column.channel for column in meaning.columns.values()} | {*meaning.channels}
+    if read & MEASURED:
+        return []
+    used = {name.rpartition(".")[0] for name in meaning.columns}
+    others = [series for series in log.series.values() if series.name not in used and series.columns]
+    holds = "; ".join(f"{s.name} has {', '.join(_elements_together(s.columns))}" for s in others)
+    example = f"{others[0].name}.{[*others[0].columns][-1]}" if others else "SERIES.column"
+    line = f'"{example}" = {{ channel = "r", unit = "deg/s" }}'
+    return [
+        f"no column is known to be a motion, and {out} has none of the others: {holds}",
+        f"say what they are in a mapping file, in lines like `{line}`: undertow import {path} --map FILE "
+        f"--out {out} --force",
+    ]
 
 
 def _write(log: FieldLog, meaning: LogMapping, out: Path, beside: Path) -> None:

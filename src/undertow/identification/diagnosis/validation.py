@@ -37,6 +37,7 @@ from undertow.identification.estimation.windows import (
     Windows,
     cut,
     horizons,
+    longest_stretch,
     position_error,
     prediction_error,
 )
@@ -215,8 +216,9 @@ class SimulationValidator:
 
     @cached_property
     def shortest(self) -> float:
-        """A little less than the shortest validation run, s."""
-        return 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
+        """A little less than the shortest validation run, s; no window is longer than every stretch."""
+        whole = 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
+        return min(whole, max(longest_stretch(self._vehicle, run) for run in self.test))
 
     @cached_property
     def windows(self) -> Windows:

@@ -25,6 +25,7 @@ from undertow.identification.estimation.weak_form import (
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect, Wrench
+from undertow.model.hardware import Curve
 from undertow.model.symbols import FORCE, POSE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -325,23 +326,29 @@ def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
             )
 
 
+def largest_commands(vehicle: Vehicle) -> dict[str, float]:
+    """Largest magnitudes of commands: the limits that are stated, and the ends of curves that hold zero."""
+    curves = {t.name: t.law for t in vehicle.thrusters if isinstance(t.law, Curve)}
+    ends = {n: c.largest for n, c in curves.items() if c.pieces[0][0] <= 0.0 <= c.pieces[-1][1]}
+    return ends | vehicle.command_limits
+
+
 def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
     """Commands as percent, as a share of the largest, or as pulse widths, where the file has limits."""
-    limits = {t.name: t.limit for t in vehicle.thrusters if t.limit is not None}
+    known, surfaces = largest_commands(vehicle), {s.name for s in vehicle.surfaces}
+    limits = {name: most for name, most in known.items() if name not in surfaces}
     if not limits:
         return
     largest = max(float(np.nanmax(np.abs(r.channels[n]))) for r in runs for n in limits)
-    units = {
-        "in percent of the limit": (0.01, 0.0, 100.0),
-        "a share of the limit (-1 to 1)": (1.0, 0.0, 1.0),
-        "pulse widths in microseconds": (
-            1.0 / SETTINGS.pwm_travel,
-            -SETTINGS.pwm_middle / SETTINGS.pwm_travel,
-            2200.0,
-        ),
+    travel, middle = SETTINGS.pwm_travel, SETTINGS.pwm_middle
+    units = {  # scale, offset, and what the largest in a log is at least and at most
+        "in percent of the limit": (0.01, 0.0, 1.05, 105.0),
+        "a share of the limit (-1 to 1)": (1.0, 0.0, 0.0, 1.05),
+        "pulse widths in microseconds": (1.0 / travel, -middle / travel, middle - travel, 2310.0),
     }
-    for clause, (scale, offset, most) in units.items():
-        if largest <= 1.05 * most:
+    for clause, (scale, offset, least, most) in units.items():
+        nothing = offset == 0.0 and all(top * scale == 1.0 for top in limits.values())
+        if least <= largest <= most and not nothing:
             yield _in_unit(clause, limits, scale, offset)
 
 

@@ -201,17 +201,23 @@ class _Examiner:
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
             text = f"{unit.clause}: only then have pose rates and velocities the same size"
             self._undo(Explanation(unit, text, {}), impossible=True)
-        unasked = [n for n in self.vehicle.pose_names if n not in self.kinematics.rows]
-        if degrees := mistakes.in_degrees(self.runs, self.mapping, unasked):
+        self._mend_angles([n for n in self.vehicle.pose_names if n not in self.kinematics.rows])
+
+    def _mend_angles(self, names: Sequence[str]) -> None:
+        """Undo what angles show by themselves: degrees, of those named, and jumps."""
+        if degrees := mistakes.in_degrees(self.runs, self.mapping, names):
             self._undo(degrees, apply=self._afresh, impossible=True)
         for wrapped in mistakes.wrapped_angles(self.runs):
             self._undo(wrapped)
-        self.findings += mistakes.angles_across_jumps(self.runs)
 
     def undo_reading_mistakes(self) -> None:
         for _ in range(_MOST_MISTAKES):
             if not self.kinematics or not self._undo_next(self.kinematics):
-                return
+                break
+        # Degrees that also jump have no rate that any single mistake would mend.
+        if self.kinematics and sensors.contradicted(self.kinematics, self.runs):
+            self._mend_angles([n for n in self.vehicle.pose_names if n == "theta"])
+        self.findings += mistakes.angles_across_jumps(self.runs)
 
     def _undo_next(self, kinematics: Kinematics) -> bool:
         """Undo the mistake that explains most; False where there is none that is certain."""

@@ -12,6 +12,7 @@ from pydantic import Field
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
     SCHEMA,
+    Channel,
     Column,
     LogMapping,
     seconds_of,
@@ -95,8 +96,13 @@ Edits = tuple[Edit, ...]
 
 
 def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
-    """Change attributes of the column of a channel; `times` multiplies its scale and its offset."""
+    """Change attributes of the column of a channel; `times` multiplies its scale and its offset.
+
+    Of a channel that is a formula, they change the formula.
+    """
     name, column = column_of(mapping, channel)
+    if name in mapping.channels:
+        return _formula_edit(name, mapping.channels[name], changes)
     times = changes.pop("times", 1.0)
     scaled = {"scale": times * column.scale, "offset": times * column.offset}
     changed = column.model_copy(update={**scaled, **changes})
@@ -104,23 +110,37 @@ def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
     return Edit("columns", name, {"channel": changed.channel} | content)
 
 
+def _formula_edit(name: str, computed: Channel, changes: dict[str, Any]) -> Edit:
+    """The same of a formula, which has its scale and its offset in its arithmetic."""
+    times = changes.pop("times", 1.0) * changes.pop("scale", 1.0)
+    offset = changes.pop("offset", 0.0)
+    text = computed.expression if times == 1.0 else f"{times:.9g} * ({computed.expression})"
+    text = text if offset == 0.0 else f"{text} + {offset:.9g}"
+    changed = computed.model_copy(update={"expression": text, **changes})
+    return Edit("channels", name, changed.model_dump(exclude_defaults=True))
+
+
 def delay_edit(mapping: LogMapping, channel: str, more: float) -> Edit:
     """Add so many seconds to the delay of the column, or of the expression, that becomes a channel."""
-    name = turned_name(channel, mapping.frames.position)
-    computed = mapping.channels.get(name)
-    if computed is None:
-        given = column_of(mapping, channel)[1].delay
-        return column_edit(mapping, channel, delay=f"{seconds_of(given, channel) + more:.3g} s")
-    delay = f"{seconds_of(computed.delay, channel) + more:.3g} s"
-    return Edit("channels", name, computed.model_dump(exclude_defaults=True) | {"delay": delay})
+    given = column_of(mapping, channel)[1].delay
+    return column_edit(mapping, channel, delay=f"{seconds_of(given, channel) + more:.3g} s")
 
 
 def reassigned(mapping: LogMapping, places: TypingMapping[str, tuple[str, float]]) -> Edits:
-    """Let columns of channels become others: channel to (channel that its column stands for now, sign)."""
+    """Let columns of channels become others: channel to (channel that its column stands for now, sign).
+
+    Formulas are exchanged among themselves. Between a formula and a column nothing is said: the line of the
+    formula would have to go.
+    """
+    signs = {t: sign * _axis_sign(mapping, s) * _axis_sign(mapping, t) for t, (s, sign) in places.items()}
+    computed = [column_of(mapping, s)[0] in mapping.channels for s, _ in places.values()]
+    if any(computed):
+        moved = [(t, column_edit(mapping, s, times=signs[t]).value) for t, (s, _) in places.items()]
+        return tuple(Edit("channels", column_of(mapping, t)[0], v) for t, v in moved) * all(computed)
     found = []
-    for target, (source, sign) in places.items():
+    for target, (source, _) in places.items():
         name, column = column_of(mapping, source)
-        times = sign * _axis_sign(mapping, source) * _axis_sign(mapping, target)
+        times = signs[target]
         turned = column.model_copy(update={"scale": times * column.scale, "offset": times * column.offset})
         into = column_of(mapping, target)[1].channel
         found.append(Edit("columns", name, turned.model_dump(exclude_defaults=True) | {"channel": into}))
@@ -132,9 +152,16 @@ def _axis_sign(mapping: LogMapping, channel: str) -> float:
 
 
 def column_of(mapping: LogMapping, channel: str) -> tuple[str, Column]:
-    """Column of the log that becomes a channel; without a mapping it is called like the channel."""
+    """Column of the log that becomes a channel, or what stands for it.
+
+    Without a mapping it is called like the channel, as is a formula.
+    """
     name = turned_name(channel, mapping.frames.position)
     found = {c.channel: (n, c) for n, c in mapping.columns.items()}
+    computed = mapping.channels.get(name)
+    if computed is not None:  # a formula: its result is as a column without a scale
+        said = {"unit": computed.unit, "delay": computed.delay, "wrapped": computed.wrapped}
+        return name, Column.model_validate({"channel": name, **said})
     return found.get(name, (name, Column(channel=name)))
 
 

@@ -13,7 +13,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .dynamics import other_units, rederived
+from .dynamics import largest_commands, other_units, rederived
 from .forces import Forces, ForceTable, without
 from .kinematics import Kinematics
 from .mistakes import (
@@ -284,7 +284,7 @@ class _PlausibilityCheck:
 
     def by_limits(self) -> Explanation | None:
         """Commands far beyond what the vehicle file has as the largest."""
-        limits = self.vehicle.command_limits
+        limits = largest_commands(self.vehicle)
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
         far = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
         if not far:

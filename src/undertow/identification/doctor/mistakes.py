@@ -215,7 +215,12 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMap
     linear = {*kinematics.rows} & {*POSITIONS}
     both = bool(linear) and len(linear) < len(kinematics.rows)
     units = _time_units(mapping) if both else likely_time_units(runs, mapping)
-    return next((m for m, factor in units if abs(ratio / factor - 1.0) < PLAUSIBLE.ratio), None)
+    found = next(((m, f) for m, f in units if abs(ratio / f - 1.0) < PLAUSIBLE.ratio), None)
+    # A minute has 60 seconds, a radian 57.3 degrees: of angles alone the nearer of them is meant.
+    degrees = [] if linear else [180 / np.pi, np.pi / 180]
+    if found is None or any(abs(np.log(ratio / d)) < abs(np.log(ratio / found[1])) for d in degrees):
+        return None
+    return found[0]
 
 
 def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
@@ -574,7 +579,7 @@ def _turned_in_a_second(run: Run) -> float:
 
 
 def _unwrapping(name: str) -> Undo:
-    return lambda run: with_channels(run, {name: unwrapped(run.channels[name])}) if run.has(name) else run
+    return lambda run: with_reports(run, {name: unwrapped(run.reports(name))}) if run.has(name) else run
 
 
 def _jumps(run: Run, name: str) -> int:
@@ -586,7 +591,8 @@ def _jumps(run: Run, name: str) -> int:
 
 
 def _present_angles(run: Run, name: str) -> Array:
-    data = run.channels.get(name, np.zeros(0))
+    """Reports of an angle: curves between those of a slow one go through its jumps."""
+    data = run.reports(name) if run.has(name) else np.zeros(0)
     return data[np.isfinite(data)]
 
 

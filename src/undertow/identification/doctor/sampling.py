@@ -25,6 +25,10 @@ class SamplingSettings:
     jitter: float = 0.05  # spread of the steps, as a share of the usual one
     gap: float = 5.0  # steps of this many usual ones are gaps: nothing is integrated across them
     missing: float = 0.02  # share of rows or cells that are missing
+    # Where rows are lost from an even clock, this share of the longer steps is a whole number of usual ones,
+    # as near as this; a clock that ticks when it likes has steps of any length.
+    whole: float = 0.7
+    near: float = 0.2
     held: float = 1.8  # rows per new value from which a sensor counts as slower than its log
     irregular: float = 0.35  # share of its intervals that may be irregular
     excited: float = 3.0  # rms over noise below which a motion says nothing
@@ -112,7 +116,8 @@ def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
 
 def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     gaps, few = step[step > SETTINGS.gap * usual], step[(step > 1.5 * usual) & (step <= SETTINGS.gap * usual)]
-    lost = float(np.sum(np.round(step / usual)[step > 1.5 * usual] - 1.0))
+    few = few if _are_whole(few / usual) else few[:0]
+    lost = float(sum(np.sum(np.round(long / usual) - 1.0) for long in (gaps, few)))
     share = lost / (lost + len(run.clock))
     if not len(gaps) and share < SETTINGS.missing:
         return
@@ -128,6 +133,12 @@ def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
         f"({len(few)} short spells, {len(gaps)} gaps{longest}); nothing is interpolated",
         evidence={"share": share, "gaps": float(len(gaps)), "longest": float(step.max())},
     )
+
+
+def _are_whole(ratios: Array) -> bool:
+    """Whether steps, in usual ones, are those of an even clock with rows left out."""
+    off = np.abs(ratios - np.round(ratios))
+    return bool(len(ratios)) and float(np.mean(off < SETTINGS.near)) > SETTINGS.whole
 
 
 def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
@@ -158,14 +169,14 @@ def _held(runs: Sequence[Run], name: str, mapping: LogMapping) -> Finding | None
         return None
     rows, seconds = (float(np.median([p[i] for p in periods])) for i in (0, 1))
     edit = column_edit(mapping, name)
-    edit = column_edit(mapping, name, fresh=edit.key)
+    held = () if edit.table == "channels" else (column_edit(mapping, name, fresh=edit.key),)
     return Finding(
         id="held_values",
         severity="warning",
         text=f"{name} has a new value only every {rows:.1f} rows ({seconds:.3g} s) and repeats the last one "
         f"in between: most rows are up to {seconds:.2g} s late",
         evidence={"rows": rows, "seconds": seconds},
-        mapping=as_toml([edit]),
+        mapping=as_toml(held),
     )
 
 

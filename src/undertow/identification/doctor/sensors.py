@@ -491,6 +491,11 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
             )
 
 
+def contradicted(kinematics: Kinematics, runs: Sequence[Run]) -> bool:
+    """Whether some pose rate and the velocities have more apart than is called consistent."""
+    return bool(np.any(kinematics.mismatch(runs).excess > SETTINGS.rest))
+
+
 def without_measurement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding | None:
     """Velocities that say nothing while the pose moves; None where there are none."""
     rates = kinematics.rates(runs)

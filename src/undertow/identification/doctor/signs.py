@@ -212,13 +212,14 @@ def _wild(gain: Array | np.floating) -> Flags:
 
 
 def _remaining(weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight]) -> list[Mistake]:
-    """Mistakes that do as well as the best of the good ones, the simplest first."""
+    """Mistakes that do as well as the best of the good ones: the simplest, then what explains most."""
     if not good:
         return []
     enough = SETTINGS.as_good * max(w.explained for w in good)
     best = min((w for w in good if w.explained >= enough), key=lambda w: w.total)
     near = best.total + SETTINGS.excluded**2 * best.spread
-    return sorted((m for m, w in weighed if w.total <= near and w.explained >= enough), key=lambda m: m.count)
+    left = [(m, w) for m, w in weighed if w.total <= near and w.explained >= enough]
+    return [m for m, _ in sorted(left, key=lambda pair: (pair[0].count, -pair[1].explained))]
 
 
 def _mean(value: Array, error: Array) -> tuple[float, float]:

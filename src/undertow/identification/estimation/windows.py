@@ -277,7 +277,8 @@ def start_values(
 
     Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what differs
     from the integral of the measured angular rates: that is kinematics and holds for every model. Where some
-    samples are no reports, NaN in `reported`, only the others are smoothed.
+    samples are no reports, NaN in `reported`, only the others are smoothed; of a channel whose reports lie
+    all before and after the stretch, the curve through them is.
     """
     value = np.zeros((len(at), len(names)))
     there = np.isfinite(measured).all(axis=0)
@@ -287,6 +288,7 @@ def start_values(
         widths, degree = (SETTINGS.widths, 2) if names[i] not in turned else (SETTINGS.widths_of_angles, 1)
         rest = measured[:, i] - known
         own = np.flatnonzero(np.isfinite(rest if reported is None else reported[:, i]))
+        own = own if len(own) else np.arange(len(t))
         smooth = partial(local_value, t[own], rest[own], sigma=float(sigma[i]), widths=widths, degree=degree)
         value[:, i] = known[at] + (smooth(at) if len(own) == len(t) else _in_between(t, own, smooth, at))
     return value
@@ -550,7 +552,7 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
     half of the next longer. Where the model has no time constant (no damping, or an unstable one), they are
     shares of the record. Short windows have twenty samples at least, as far as the record allows.
     """
-    stretches = [_longest_stretch(vehicle, run) for run in runs]
+    stretches = [longest_stretch(vehicle, run) for run in runs]
     record = float(np.sum(stretches))
     limit = min(HORIZONS.longest * float(np.median(stretches)), record / HORIZONS.fewest_windows)
     known = time_constants(vehicle, runs)
@@ -565,7 +567,7 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
     return min(short, middle / HORIZONS.apart), middle, long
 
 
-def _longest_stretch(vehicle: Vehicle, run: Run) -> float:
+def longest_stretch(vehicle: Vehicle, run: Run) -> float:
     """Length of the longest part of a run without gaps, s."""
     wanted = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
     names = [n for n in wanted if run.has(n)]  # what `cut` wants without gaps

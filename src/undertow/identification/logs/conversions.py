@@ -37,13 +37,17 @@ def north_east(latitude: Array, longitude: Array) -> tuple[Array, Array]:
     there = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not len(there):
         return np.full(len(latitude), np.nan), np.full(len(latitude), np.nan)
-    lat, lon = np.radians(latitude), np.radians(longitude)
-    lat0, lon0 = lat[there[0]], lon[there[0]]
-    square = _FLATTENING * (2.0 - _FLATTENING)
-    across = _RADIUS / np.sqrt(1.0 - square * np.sin(lat0) ** 2)
-    along = across * (1.0 - square) / (1.0 - square * np.sin(lat0) ** 2)
-    turned = (lon - lon0 + np.pi) % (2.0 * np.pi) - np.pi
-    return along * (lat - lat0), across * np.cos(lat0) * turned
+    lat0, lon0 = latitude[there[0]], longitude[there[0]]
+    north, east = metres_per_degree(lat0)
+    return north * (latitude - lat0), east * ((longitude - lon0 + 180.0) % 360.0 - 180.0)
+
+
+def metres_per_degree(latitude: float) -> tuple[float, float]:
+    """Metres to the north in a degree of latitude, and to the east in one of longitude, at a latitude."""
+    lat, square = np.radians(latitude), _FLATTENING * (2.0 - _FLATTENING)
+    across = _RADIUS / np.sqrt(1.0 - square * np.sin(lat) ** 2)
+    along = across * (1.0 - square) / (1.0 - square * np.sin(lat) ** 2)
+    return float(np.radians(along)), float(np.radians(across * np.cos(lat)))
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,26 @@ from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
+from .checks import in_order
 from .conversions import angles
-from .guess_frames import Axes, axes_of, formulas, quaternion_in, rate_of_heading, unit_of_heading
-from .guess_names import NO_FIT, RATES, WANTED, Name, is_clock, part_of_quaternion
+from .guess_frames import (
+    Axes,
+    axes_of,
+    formulas,
+    place_of,
+    quaternion_in,
+    rate_of_heading,
+    unit_of_heading,
+)
+from .guess_names import (
+    NO_FIT,
+    RATES,
+    WANTED,
+    Name,
+    is_clock,
+    latitude_and_longitude,
+    part_of_quaternion,
+)
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping
 from .run import FORCES, UNITS
@@ -47,6 +64,9 @@ class GuessSettings:
         2100.0,
     )  # width of the pulses that servos and speed controllers take, us
     full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
+    late: float = (
+        0.05  # share of rows that may be no later than one before, of a clock that rises all the same
+    )
     fast: float = 50.0  # rows a second, beyond which a vehicle moves more slowly than it is logged
 
 
@@ -87,11 +107,18 @@ def guess_table(
     read = _rates_by_heading(read, {n: data[n.column] for n in names}, t)
     turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
     attitude = angles(*(data[n] for n in turned)) if turned else {}
-    axes = axes_of({g.channel: data[g.column] * _factor(g) for g in read} | attitude, t)
-    read += _attitude(turned)
+    globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
+    place = place_of(*((n, data[n]) for n in globe)) if globe else {}
+    globe = globe if place else ()
+    along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
+    known = {g.channel: data[g.column] * _factor(g) for g in read}
+    known |= {channel: values for channel, (_, values) in place.items()}
+    axes = axes_of(known | attitude, t, along_earth=along_earth)
+    read += _attitude(turned) + _place(globe, place)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += [_command(command, name, data[name.column], units) for command, name in driving.items()]
-    used = {time.column, *turned, *(g.column for g in read), *(str(g.entry.get("fresh", "")) for g in read)}
+    used = {time.column, *turned, *globe, *(g.column for g in read)}
+    used |= {str(g.entry.get("fresh", "")) for g in read}
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in names if n.force and n.column not in used]
@@ -129,6 +156,19 @@ def _attitude(quaternion: Sequence[str]) -> list[Guess]:
     return [
         Guess(", ".join(quaternion), {"channel": channel, "expression": text, "unit": "rad"})
         for channel, text in entries.items()
+    ]
+
+
+def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
+    """North and east of the first fix, from latitude and longitude."""
+    asked = "x and y: metres from the first fix of this log, if these are degrees; are they?"
+    return [
+        Guess(
+            ", ".join(globe),
+            {"channel": channel, "expression": formula, "unit": "m"},
+            asked if channel == "x" else "",
+        )
+        for channel, (formula, _) in place.items()
     ]
 
 
@@ -172,7 +212,11 @@ def _seconds(unit: str) -> float:
 
 
 def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
-    rising = [n for n, column in data.items() if len(column) > 1 and np.all(np.diff(column) > 0)]
+    # Rows without a time are the last ones of a log that was cut off.
+    clocks = {n: column[np.isfinite(column)] for n, column in data.items()}
+    late = {n: 1.0 - float(np.mean(in_order(c))) for n, c in clocks.items() if len(c) > 1}
+    rising = [n for n, share in late.items() if share == 0.0]
+    rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
     named = [n for n in table.columns if is_clock(n) and (n in rising or n not in data)]
     found = next(iter([*named, *rising]), None)
     if found is None:
@@ -189,9 +233,13 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
         if stated
         else f"{step:.4g} from {one} to {one}: that is {rate:.3g} {one}s a second if it is in {unit}; is it?"
     )
+    entry, asked = {"column": found, "unit": unit}, [said] if said else []
     if rate > SETTINGS.fast and np.all(sampled):
-        said += f"{' ' if said else ''}{rate:.3g} rows a second: every = {round(rate / 20)} would do at first"
-    return Guess(found, {"column": found, "unit": unit}, said)
+        asked.append(f"{rate:.3g} rows a second: every = {round(rate / 20)} would do at first")
+    if late[found]:
+        entry["disorder"] = "drop"
+        asked.append(f"{late[found]:.2%} of the rows are no later than one before: leave them out?")
+    return Guess(found, entry, " ".join(asked))
 
 
 def _no_time(data: Mapping[str, Array]) -> str:
@@ -202,10 +250,13 @@ def _no_time(data: Mapping[str, Array]) -> str:
             row = int(still[0])
             return (
                 f"column {name!r} does not rise in {len(still)} of {len(column)} rows, first from "
-                f"{column[row]:.9g} to {column[row + 1]:.9g} in row {row + 2}: write the times with more "
+                f"{column[row]:.15g} to {column[row + 1]:.15g} in row {row + 2}: write the times with more "
                 "digits, or row number times sampling interval, into a column that rises"
             )
-    return "no column counts the time, none rises from row to row"
+    return (
+        "no column counts the time, none rises from row to row; write the log with the time of each row (row "
+        "number times sampling interval, where that is even)"
+    )
 
 
 def _sampled(data: Mapping[str, Array], time: str) -> Flags:
@@ -226,8 +277,10 @@ def _unit_of_time(t: Array, step: float) -> str:
 def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
     """The column of each channel: the plainest of those whose names mean it."""
     found: dict[str, Name] = {}
+    names = list(names)
+    body = any(n.motion(only) in VELOCITY[:2] and not n.along_earth for n in names)
     for name in names:
-        channel = name.motion(only)
+        channel = "" if body and name.along_earth else name.motion(only)  # never one of each
         if channel and (channel not in found or name.rank < found[channel].rank):
             found[channel] = name
     return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
@@ -279,7 +332,9 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
             doubt += (
                 f"{' ' if doubt else ''}most rows repeat the one before: is the sensor slower than the log?"
             )
-    if channel == "z" and not set(name.words) & {"d", "down", "depth"}:
+    if name.is_upward and channel in ("z", "w"):
+        entry["scale"] = -1
+    elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
     return Guess(name.column, entry, doubt)
 

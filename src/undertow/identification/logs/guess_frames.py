@@ -10,6 +10,8 @@ import numpy as np
 
 from undertow.typing import Array
 
+from .conversions import metres_per_degree
+
 
 @dataclass(frozen=True)
 class FrameSettings:
@@ -62,8 +64,13 @@ class Axes:
     questions: tuple[str, ...] = ()
 
 
-def axes_of(channels: Mapping[str, Array], t: Array) -> Axes:
-    """The axes that position, heading and velocity (by channel, SI) agree with, as far as logged."""
+def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = False) -> Axes:
+    """The axes that position, heading and velocity (by channel, SI) agree with, as far as logged.
+
+    `along_earth`: the velocities are called those to the north and to the east.
+    """
+    if along_earth:
+        return Axes(_ENTRIES[_EARTH][0], (_HEADING,) if "psi" in channels else ())
     if not {"x", "y", "psi"} <= channels.keys():
         turning = any(name in channels for name in ("psi", "r", "v", "w", "y", "z"))
         return Axes(questions=(f"{_WHICH} Position and heading, which tell, are not both logged",) * turning)
@@ -157,6 +164,30 @@ def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[s
     return found
 
 
+# --- places on the globe ---------------------------------------------------------------------------
+def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[str, tuple[str, Array]]:
+    """North and east of the first fix, m, of columns in degrees: formula and values; {} where they are none.
+
+    A fix at zero and zero is that of a receiver without one.
+    """
+    (_, lat), (_, lon) = latitude, longitude
+    fixes = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
+    if not len(fixes) or np.nanmax(np.abs(lat)) > 90.0 or np.nanmax(np.abs(lon)) > 360.0:
+        return {}
+    first = fixes[0]
+    found = {}
+    for channel, (name, data), size in zip(
+        "xy", (latitude, longitude), metres_per_degree(float(lat[first])), strict=True
+    ):
+        formula = f"({_in_formula(name)} - {data[first]:.9f}) * {size:.2f}".replace("- -", "+ ")
+        found[channel] = formula, (data - data[first]) * size
+    return found
+
+
+def _in_formula(name: str) -> str:
+    return name if name.isidentifier() else f'column("{name}")'
+
+
 # --- attitudes ------------------------------------------------------------------------------------
 def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
     """Columns w, x, y, z of a quaternion: alike but for these letters, and of length one; none: ()."""
@@ -176,7 +207,7 @@ def _is_unit(columns: Sequence[Array]) -> bool:
 
 def formulas(names: Sequence[str]) -> dict[str, str]:
     """Roll, pitch and yaw, rad, from columns w, x, y, z, as a mapping file computes them."""
-    w, x, y, z = (n if n.isidentifier() else f'column("{n}")' for n in names)
+    w, x, y, z = map(_in_formula, names)
     ahead, across = f"1 - 2*({y}**2 + {z}**2)", f"2*({w}*{z} + {x}*{y})"
     return {
         "phi": f"atan2(2*({w}*{x} + {y}*{z}), 1 - 2*({x}**2 + {y}**2))",

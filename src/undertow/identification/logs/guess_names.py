@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 from undertow.model.symbols import POSE, VELOCITY
 
@@ -23,8 +24,11 @@ _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
 _SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
 _PLACES = {
     "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
-    "z": 2, "d": 2, "depth": 2, "down": 2,
+    "z": 2, "d": 2, "depth": 2, "down": 2, "up": 2,
 }  # fmt: skip
+# Words for directions of the earth: a speed in one of them is along no axis of the vehicle.
+_EARTH = {"n": 0, "north": 0, "e": 1, "east": 1, "d": 2, "down": 2, "up": 2}
+_EARTH_SPEEDS = {"vn": 0, "ve": 1, "vd": 2, "vu": 2}
 _TURNS = {
     "phi": 0,
     "roll": 0,
@@ -51,7 +55,10 @@ WANTED = {
 }  # fmt: skip
 # Less direct than the measurement where the log has both.
 _RANK = {"meas": 0, "measured": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
-_PLAIN = {"pos", "position", "pose", "att", "attitude", "imu", "gps", "dvl", "nav", "body", "vel", "angle"}
+_PLAIN = {
+    "pos", "position", "pose", "att", "attitude", "imu", "gps", "dvl", "nav", "body", "vel", "angle", "enu",
+    "ned",
+}  # fmt: skip
 _DRIVES = {
     "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
     "propeller", "motor", "throttle", "esc", "tau",
@@ -87,6 +94,7 @@ _COUNTS = {
 }  # fmt: skip
 _COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "angle": "rad", "throttle": "command"}
 _BY_UNIT, NO_FIT = 2.9, 9.0
+_GLOBE = ({"lat", "latitude"}, {"lon", "lng", "long", "longitude"})
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
 
@@ -107,17 +115,19 @@ class Name:
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+", spaced) if w]
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
         if bracket is not None:
-            return cls(column, tuple(words), _UNITS.get(bracket[1].strip().lower(), ""))
+            unit = bracket[1].strip().lower().replace("_", " ")
+            return cls(column, tuple(words), _UNITS.get(unit, ""))
         for length in (2, 1):
             unit = _UNITS.get(" ".join(words[-length:]), "")
-            if unit and len(words) > length:
+            speed = unit == "N" and {"v", *_OF_SPEED} & {*words}  # to the north: none is counted in newtons
+            if unit and len(words) > length and not speed:
                 return cls(column, tuple(words[:-length]), unit)
         return cls(column, tuple(words), "rpm" if "rpm" in words else "pwm" if "pwm" in words else "")
 
     @property
     def rank(self) -> tuple[int, int]:
         """How far the name is from that of a plain measurement; the least wins."""
-        known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN}
+        known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN, *_EARTH_SPEEDS}
         return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
 
     def motion(self, only: int | None = None) -> str:
@@ -132,8 +142,39 @@ class Name:
         fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
         return found if found and (not self.unit or self.unit in fits[found]) else ""
 
+    @property
+    def along_earth(self) -> bool:
+        """Whether it is a speed to the north, east, down or up."""
+        return self._along_earth is not None and self.motion() in VELOCITY[:3]
+
+    @property
+    def is_upward(self) -> bool:
+        """Whether it grows upwards."""
+        return bool({"up", "vu"} & self._with_pairs)
+
+    @property
+    def _along_earth(self) -> int | None:
+        """Place among north, east and down of a speed in one of them, such as "vE_mps" or "North_Vel"."""
+        words = set(self.words)
+        if self.unit in RATES or words & _OF_RATE:
+            return None
+        if words & {"v", *_OF_SPEED} or self.unit in _SPEEDS:
+            return next((_EARTH[w] for w in self.words if w in _EARTH), self._earth_speed)
+        return self._earth_speed
+
+    @property
+    def _earth_speed(self) -> int | None:
+        return next((place for w, place in _EARTH_SPEEDS.items() if w in self._with_pairs), None)
+
+    @property
+    def _with_pairs(self) -> set[str]:
+        """The words, and what two in a row make together: "vN" and "v_n" are the "vn" of others."""
+        return {*self.words, *(a + b for a, b in pairwise(self.words))}
+
     def _axis(self, only: int | None) -> str:
         words = set(self.words)
+        if self._along_earth is not None:
+            return VELOCITY[self._along_earth]
         speed = self.unit in _SPEEDS or bool(words & _OF_SPEED)
         rate = self.unit in RATES or bool(words & _OF_RATE)
         for word in self.words:
@@ -208,12 +249,20 @@ class Name:
     def is_command(self) -> bool:
         """Whether it looks like what drives a vehicle."""
         numbered = any(re.fullmatch(r"[uftm]\d+|tau[xyzkmn]", word) for word in self.words)
-        return bool({*self.unnumbered} & _DRIVES or numbered) and "limit" not in self.words
+        drives = bool({*self.unnumbered} & _DRIVES or numbered) or self.unit == "pwm"
+        return drives and "limit" not in self.words
 
     @property
     def unnumbered(self) -> list[str]:
         """The words without numbers at their ends, of columns that differ in these."""
         return [re.sub(r"\d+$", "", word) for word in self.words]
+
+
+def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
+    """The first columns that are called latitude and longitude; () where one of them is missing."""
+    known = [(column, {*Name.of(column).words}) for column in columns]
+    found = [next((c for c, words in known if words & called), "") for called in _GLOBE]
+    return tuple(found) if all(found) else ()
 
 
 def part_of_quaternion(column: str, columns: Container[str]) -> bool:

@@ -75,6 +75,7 @@ class Channel(_Strict):
     expression: str  # arithmetic in the cells of columns, see `Formula`
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
     delay: str | float = 0.0  # as that of a column
+    wrapped: bool | None = None  # as that of a column
 
     def in_units_of(self, factor: float) -> Channel:
         """The formula with one unit as so many of another, in which its channel is wanted as it is."""
@@ -377,7 +378,8 @@ class Formula:
         try:
             tree = ast.parse(self.text.strip(), mode="eval")
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise UndertowError(f"formula {self.text!r} is no arithmetic: {error}") from error
+            reason = error.msg if isinstance(error, SyntaxError) else str(error)
+            raise UndertowError(f"formula {self.text!r} is no arithmetic ({reason}): {_HOW}") from error
         if sum(1 for _ in ast.walk(tree)) > _LIMITS.parts:
             raise UndertowError(f"formula {self.text!r} has more than {_LIMITS.parts} parts: shorten it")
         return tree.body
@@ -426,4 +428,7 @@ class Formula:
         return function
 
 
-_HOW = f"write numbers, columns, + - * / ** and {', '.join(_FUNCTIONS)}"
+_HOW = (
+    f"write numbers, columns (column('its name') where that is no plain word), + - * / ** and "
+    f"{', '.join(_FUNCTIONS)}"
+)
