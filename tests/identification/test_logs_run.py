@@ -50,5 +50,6 @@ def test_segments_end_at_long_steps_and_on_request_at_missing_samples():
     run = _run([0, 1, 2, 3, 7.9, 14, 15], u=[0, nan, 1, 2, 3, nan, 4])
     assert run.segments() == [slice(0, 5), slice(5, 7)]
     assert run.segments(["u"]) == [slice(0, 1), slice(2, 5), slice(6, 7)]
+    assert run.segments(across=run.t[5] - run.t[4]) == [slice(0, 7)]
     assert _run([3.0], u=[1]).segments() == [slice(0, 1)]
     assert _run([0, 1], u=[nan, nan]).segments("u") == []

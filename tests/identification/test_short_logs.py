@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.identification.api import Estimator, Method, fit
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import channel_noise
-from undertow.identification.estimation.windows import longest_stretch
+from undertow.identification.estimation.windows import cut, longest_stretch
 from undertow.identification.logs.run import Run
 
 VEHICLE = surge_vehicle()
@@ -80,3 +80,13 @@ def test_validation_logs_full_of_gaps_are_predicted_as_far_as_they_go() -> None:
     judge = SimulationValidator(VEHICLE, [run], [gappy], channel_noise([gappy], ("x", "u")))
     assert judge.windows.horizon == pytest.approx(stretch)
     assert all(horizon <= stretch for horizon in judge.horizons)
+
+
+def test_short_holes_of_a_fast_log_end_no_window() -> None:
+    """At 200 Hz, 60 ms without a sample are twelve steps, and nothing for a vehicle of this mass."""
+    t = np.arange(0.0, 20.0, 0.005)
+    t = t[t % 2.0 >= 0.06]
+    run = Run("fast", t, {"u": np.sin(t), "tau_X": np.cos(t)})
+    assert longest_stretch(VEHICLE, run) == pytest.approx(20.0, abs=0.1)
+    assert len(run.segments(["u"])) == 10
+    assert len(cut([run], VEHICLE, 5.0)) == 4

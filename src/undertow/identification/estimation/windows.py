@@ -15,7 +15,7 @@ from scipy.special import chdtri
 from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run, unwrapped
+from undertow.identification.logs.run import GAPS, Run, unwrapped
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
@@ -193,7 +193,7 @@ def _stretches(
     needed = [*pose, *vehicle.velocity_names]
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     found = []
-    for piece in run.segments([*needed, *vehicle.command_names]):
+    for piece in run.segments([*needed, *vehicle.command_names], across=GAPS.harmless):
         t = run.t[piece]
         measured = np.column_stack([_column(run.channels, n, piece) for n in names])
         own = {n: run.reports(n) for n in run.reported}
@@ -571,7 +571,10 @@ def longest_stretch(vehicle: Vehicle, run: Run) -> float:
     """Length of the longest part of a run without gaps, s."""
     wanted = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
     names = [n for n in wanted if run.has(n)]  # what `cut` wants without gaps
-    return max((float(run.t[s.stop - 1] - run.t[s.start]) for s in run.segments(names)), default=0.0)
+    return max(
+        (float(run.t[s.stop - 1] - run.t[s.start]) for s in run.segments(names, across=GAPS.harmless)),
+        default=0.0,
+    )
 
 
 def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:

@@ -38,7 +38,19 @@ UNITS = dict(
 )
 MEASURED = frozenset(POSE + VELOCITY + ACCELERATION)
 """Channels that a sensor of the motion reports; all others are held until they change."""
-_GAP = 5.0  # a step this many times the median step ends a segment
+
+
+@dataclass(frozen=True)
+class GapSettings:
+    """How long nothing may be known for."""
+
+    steps: float = 5.0  # times the usual step: a longer step ends a segment
+    # s that a simulation goes on across: the shortest time constants of vehicles that carry a computer are
+    # three times as long and more, and what they do meanwhile follows from their motion before.
+    harmless: float = 0.1
+
+
+GAPS = GapSettings()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,13 +228,15 @@ class Run:
         reported = {name: there[rows] for name, there in self.reported.items()}
         return replace(self, t=self.t[rows], channels=channels, wrapped=wrapped, reported=reported)
 
-    def segments(self, names: Iterable[str] = ()) -> list[builtins.slice]:
+    def segments(self, names: Iterable[str] = (), *, across: float = 0.0) -> list[builtins.slice]:
         """Return index slices without a time step longer than five usual steps.
 
         Parameters
         ----------
         names : iterable of str
             If given, a sample where one of these channels is missing also ends a segment.
+        across : float
+            Time step, s, that ends none, however many usual steps it is.
 
         Returns
         -------
@@ -231,7 +245,8 @@ class Run:
         """
         whole = np.asarray(np.isfinite(self.matrix(names)).all(axis=1))
         step = np.diff(self.t)
-        together = step <= _GAP * max(np.median(step), self.step) if len(step) else np.empty(0, dtype=bool)
+        usual = max(float(np.median(step)), self.step) if len(step) else 0.0
+        together = step <= max(GAPS.steps * usual, across)
         joined = np.concatenate([[False], together & whole[1:] & whole[:-1], [False]])
         starts, stops = np.flatnonzero(whole & ~joined[:-1]), np.flatnonzero(whole & ~joined[1:]) + 1
         return [builtins.slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]

@@ -10,7 +10,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags, Index
 
-from .run import MEASURED, UNITS, Run
+from .run import GAPS, MEASURED, UNITS, Run
 
 
 @dataclass(frozen=True)
@@ -165,8 +165,13 @@ def between(t: Array, known: Array, reports: Array) -> Array:
         return np.full(len(t), np.nan)
     after = np.clip(np.searchsorted(known, t), 1, len(known) - 1)
     apart = known[after] - known[after - 1]
-    lost = (apart > SETTINGS.lost * np.median(np.diff(known))) & (t > known[after - 1]) & (t < known[after])
+    lost = (apart > _longest(np.median(np.diff(known)))) & (t > known[after - 1]) & (t < known[after])
     return np.where(lost, np.nan, PchipInterpolator(known, reports, extrapolate=False)(t))
+
+
+def _longest(usual: float) -> float:
+    """Longest time between reports, s, between which something is known, where so much is usual."""
+    return max(SETTINGS.lost * usual, GAPS.harmless)
 
 
 def _held(t: Array, one: Series, before: float) -> Array:
@@ -180,7 +185,7 @@ def _held(t: Array, one: Series, before: float) -> Array:
     total = np.append(0.0, np.cumsum(np.nan_to_num(values[:-1]) * np.diff(times)))
     until = [total[i] + np.nan_to_num(values[i]) * (x - times[i]) for i, x in ((at, t), (last, t[1:]))]
     held[new] = (until[1][new] - until[0][new]) / np.diff(t)[new]
-    old = (at > 0) & (t - times[at] > SETTINGS.lost * one.usual())
+    old = (at > 0) & (t - times[at] > _longest(one.usual()))
     return np.where(old, np.nan, held)
 
 
