@@ -362,7 +362,8 @@ def test_rivals_that_make_no_sense_are_refused(names: list[str], words: str) -> 
 
 def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
     log = _log(drag_plan.manoeuvre, 0, 5).slice(0.0, 12.0)
-    said = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], [log], tries=10)
+    said, apart = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], [log], tries=10)
+    assert apart
     assert "linear_damping and quadratic_damping" in said
     assert "standard deviations apart (these logs:" in said
     assert said.endswith("undertow plan --goal separate --between linear_damping,quadratic_damping.")

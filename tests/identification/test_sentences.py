@@ -145,6 +145,10 @@ def test_each_verdict_says_what_to_do() -> None:
     either = _diagnosis("indistinguishable", indistinguishable=equals)
     assert "but wind would do the same" in first_sentence(either)
     assert "--goal separate --between lift,wind --out plan.csv" in next_command(either, LINE)
+    hopeless = [Indistinguishable(effects=["lift", "wind"], reason="", separable=False)]
+    never = _diagnosis("indistinguishable", indistinguishable=hopeless, effects=["lift"])
+    assert "no run that was tried would tell them apart" in first_sentence(never)
+    assert "undertow add lift" in next_command(never, LINE)
     two = [*equals, Indistinguishable(effects=["slosh", "wind"], reason="")]
     both = _diagnosis("indistinguishable", indistinguishable=two, effects=["lift", "slosh"])
     assert "but wind would do the same" in first_sentence(both)  # once

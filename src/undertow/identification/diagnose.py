@@ -245,11 +245,11 @@ class ResultBuilder:
         """The sets, each with the manoeuvre that would tell its effects apart."""
         places = [i for i, rivals in enumerate(self.found.rivals) if rivals]
         return [
-            s.model_copy(update={"separated_by": self._separating(i, s)})
+            s.model_copy(update=dict(zip(("separated_by", "separable"), self._separating(i, s), strict=True)))
             for i, s in zip(places, self.judgement.sets, strict=False)
         ]
 
-    def _separating(self, place: int, equals: Indistinguishable) -> str:
+    def _separating(self, place: int, equals: Indistinguishable) -> tuple[str, bool | None]:
         others = [f for i, f in enumerate(self.found.winners) if i != place]
         effect_sets = [self.found.effect_set, *self.found.rivals[place]]
         values = {c.findings[place].id: c.findings[place].trial.fit.values for c in effect_sets}
@@ -263,7 +263,7 @@ class ResultBuilder:
                 tries=self.settings.manoeuvres,
             )
         except UndertowError as error:
-            return f"No manoeuvre can be suggested: {error}"
+            return f"No manoeuvre can be suggested: {error}", None
 
     def _normalised(self, fit: Fitted) -> float:
         """Error in units of the noise; what unknown first states leave open is left out on both sides."""

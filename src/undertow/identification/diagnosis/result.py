@@ -168,11 +168,15 @@ class Step(ResultTable):
 
 
 class Indistinguishable(ResultTable):
-    """Effects that these data cannot tell apart, why, and which manoeuvre would."""
+    """Effects that these data cannot tell apart, why, and which manoeuvre would.
+
+    `separable` says whether any that was tried would; null where none was.
+    """
 
     effects: list[str]
     reason: str
     separated_by: str = ""
+    separable: bool | None = None
 
 
 class Equivalent(ResultTable):

@@ -295,8 +295,10 @@ def suggest(
     *,
     known: Catalogue | None = None,
     tries: int = SETTINGS.suggested,
-) -> str:
-    """Say which kind of manoeuvre would tell effects apart, within the commands and motions of the logs.
+) -> tuple[str, bool]:
+    """Say which kind of manoeuvre would tell effects apart, and whether any does.
+
+    It keeps within the commands and motions of the logs.
 
     Effects of one model are joined by +; "none" is the model without any. Fits begin at `values`, by id of
     the effect and name of the parameter, SNAME signs.
@@ -306,16 +308,18 @@ def suggest(
     apart = min(plan.separations, key=lambda s: s.deviations)
     between = " and ".join(apart.pair)
     if apart.deviations < SETTINGS.separated:
-        return (
+        words = (
             f"No manoeuvre of {plan.duration:g} s that was tried would tell {between} apart: the best leaves "
             f"them {apart.deviations:.2g} standard deviations from each other."
         )
+        return words, False
     now = "" if apart.deviations_now is None else f" (these logs: {_plainly(apart.deviations_now)})"
-    return (
+    words = (
         f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would set {between} "
         f"{_plainly(apart.deviations)} standard deviations apart{now}; write it with undertow plan "
         f"--goal separate --between {','.join(ids)}."
     )
+    return words, True
 
 
 def _plainly(value: float) -> str:

@@ -167,11 +167,15 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
     disturbance = "; the rest is a disturbance, which no model of these signals predicts"
     use = disturbance if diagnosis.predictable else ", and can be used as it is"
+    apart = (
+        "record the run that tells them apart before one of them is taken for the cause"
+        if _separable(diagnosis)
+        else "no run that was tried would tell them apart: take any to predict, and none for the cause"
+    )
     sentences: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
-        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same or much of it: record the "
-        "run that tells them apart before one of them is taken for the cause.",
+        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same or much of it: {apart}.",
         "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "
         "explain.",
         "not_identifiable": f"Something is missing and these logs do not say what: {left}; record a run with "
@@ -184,11 +188,16 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     )
 
 
+def _separable(diagnosis: Diagnosis) -> bool:
+    """Whether a run can be recorded that tells every set apart, as far as is known."""
+    return all(s.separable is not False for s in diagnosis.indistinguishable)
+
+
 def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:
     """The command that does what the first sentence says, with the files of this one."""
     # What only helps to predict is added one by one: the first may be enough.
     effects, freed = diagnosis.effects or diagnosis.helps[:1], diagnosis.freed
-    if diagnosis.verdict == "indistinguishable" and diagnosis.indistinguishable:
+    if diagnosis.verdict == "indistinguishable" and diagnosis.indistinguishable and _separable(diagnosis):
         between = ",".join(diagnosis.indistinguishable[0].effects)
         return line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
     if len(effects) == 1 and not freed:
