@@ -60,6 +60,14 @@ def test_what_many_runs_show_is_said_once_of_the_worst() -> None:
     assert found.text.endswith("; less so in dive 0, dive 2")
 
 
+def test_a_log_far_denser_than_the_motion_is_said_with_what_would_do() -> None:
+    t = np.arange(0.0, 10.0, 0.0025)
+    found = _found(_run(t, u=np.sin(t)), LogMapping.model_validate({"time": {"every": 2}}))["dense"]
+    assert found.evidence["rate"] == pytest.approx(400.0)
+    assert found.mapping == "[time]\nevery = 40", "of the rows of the file"
+    assert "dense" not in _found(_run(np.arange(0.0, 10.0, 0.05), u=RNG.standard_normal(200)))
+
+
 def test_missing_rows_are_counted() -> None:
     t = np.arange(0.0, 50.0, 0.05)
     kept = np.ones(len(t), dtype=bool)

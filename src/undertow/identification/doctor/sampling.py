@@ -48,6 +48,8 @@ class SamplingSettings:
     stretch: int = 256  # samples of a stretch whose spectrum is taken
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
     steep: float = 0.7
+    # Rows a second beyond which a vehicle moves more slowly than it is logged, and those that will do.
+    dense: tuple[float, float] = (50.0, 20.0)
     names: int = 5  # runs that are named where many show the same
     repeats: float = 0.3  # share of rows that repeat the one before, from which a channel is held or coarse
 
@@ -98,6 +100,7 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
             "(times are taken as they are)",
             evidence={"jitter": jitter, "step": usual},
         )
+    yield from _dense(usual, mapping)
     yield from _absent(run, channels)
 
 
@@ -139,6 +142,21 @@ def _are_whole(ratios: Array) -> bool:
     """Whether steps, in usual ones, are those of an even clock with rows left out."""
     off = np.abs(ratios - np.round(ratios))
     return bool(len(ratios)) and float(np.mean(off < SETTINGS.near)) > SETTINGS.whole
+
+
+def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
+    """A log that has far more rows than the motion of a vehicle needs."""
+    limit, enough = SETTINGS.dense
+    if usual * limit < 1.0:
+        every = mapping.time.every * round(1.0 / (usual * enough))
+        yield Finding(
+            id="dense",
+            severity="note",
+            text=f"{1.0 / usual:.3g} rows a second are more than the motion of a vehicle needs: a first look is "
+            f"that much faster with every = {every} under [time] in the mapping file",
+            evidence={"rate": 1.0 / usual},
+            mapping=as_toml([Edit("time", "every", every)]),
+        )
 
 
 def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
