@@ -152,8 +152,8 @@ def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
         yield Finding(
             id="dense",
             severity="note",
-            text=f"{1.0 / usual:.3g} rows a second are more than the motion of a vehicle needs: a first look is "
-            f"that much faster with every = {every} under [time] in the mapping file",
+            text=f"{1.0 / usual:.3g} rows a second are more than the motion of a vehicle needs: a first look "
+            f"is that much faster with every = {every} under [time] in the mapping file",
             evidence={"rate": 1.0 / usual},
             mapping=as_toml([Edit("time", "every", every)]),
         )
