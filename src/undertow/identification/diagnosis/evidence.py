@@ -337,8 +337,9 @@ def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> E
 def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> FoundEffect | None:
     """Another effect with those of its terms alone that give the force of the chosen one.
 
-    None where it cannot give that force, or was tried with no other terms. Terms that explain something else,
-    rightly or wrongly, are no evidence against it here.
+    None where it cannot give that force with as few terms, does not explain half as much of the validation
+    data, or was tried with no other terms. Terms that explain something else, rightly or wrongly, are no
+    evidence against it here.
     """
     mine, theirs = _terms_of(chosen.trial.fit, chosen, bench), _terms_of(other.trial.full, other, bench)
     if mine is None or theirs is None:
@@ -348,13 +349,16 @@ def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> Found
     size = np.linalg.lstsq(theirs.columns, force, rcond=None)[0]
     kept = np.sum((theirs.columns * size) ** 2, axis=0) > share * np.sum(force**2)
     names = [n for n, keep in zip(theirs.names, kept, strict=True) if keep]
-    if not names or set(names) == set(other.parameters):
+    if not 0 < len(names) <= len(mine.names) or set(names) == set(other.parameters):
         return None
     columns = theirs.columns[:, kept]
     left = force - columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
     if np.sum(left**2) > share * np.sum(force**2):
         return None
-    return replace(other, trial=other.trial.with_only(names, bench))
+    alone = other.trial.with_only(names, bench)
+    before, by_chosen, by_other = (s.error for s in (bench.base_score, chosen.trial.score, alone.score))
+    enough = before - by_other > bench.settings.kept_gain * (before - by_chosen)
+    return replace(other, trial=alone) if enough else None
 
 
 class _Terms(NamedTuple):
