@@ -88,7 +88,7 @@ def test_a_vehicle_may_use_it_as_the_page_says(tmp_path: Path) -> None:
 
 # --- your-own-log.md --------------------------------------------------------------------------------
 def test_the_files_of_the_page_are_read(tmp_path: Path) -> None:
-    vehicle_file, _, mapping, *_ = _blocks("your-own-log.md", "toml")
+    vehicle_file, wrench, _, mapping, *_ = _blocks("your-own-log.md", "toml")
     (tmp_path / "my-rov.toml").write_text(vehicle_file, encoding="utf-8")
     (tmp_path / "log.toml").write_text(mapping, encoding="utf-8")
     vehicle = load_vehicle(tmp_path / "my-rov.toml")
@@ -96,6 +96,8 @@ def test_the_files_of_the_page_are_read(tmp_path: Path) -> None:
     assert vehicle.command_names == ("port", "starboard")
     channels = {c.channel for c in read_mapping(tmp_path / "log.toml").columns.values()}
     assert {*vehicle.command_names, *vehicle.velocity_names} <= channels
+    (tmp_path / "my-rov.toml").write_text(f"{vehicle_file}\n{wrench}", encoding="utf-8")
+    assert load_vehicle(tmp_path / "my-rov.toml").command_names == ("port", "starboard", "surge_force")
 
 
 # --- pictures of the catalogue ----------------------------------------------------------------------
