@@ -168,14 +168,14 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     disturbance = "; the rest is a disturbance, which no model of these signals predicts"
     use = disturbance if diagnosis.predictable else ", and can be used as it is"
     apart = (
-        "record the run that tells them apart before one of them is taken for the cause"
+        ": record the run that tells them apart before one of them is taken for the cause"
         if _separable(diagnosis)
-        else "no run that was tried would tell them apart: take any to predict, and none for the cause"
+        else ", and no run that was tried would tell them apart: take any to predict, and none for the cause"
     )
     sentences: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
-        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same or much of it: {apart}.",
+        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same or much of it{apart}.",
         "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "
         "explain.",
         "not_identifiable": f"Something is missing and these logs do not say what: {left}; record a run with "
