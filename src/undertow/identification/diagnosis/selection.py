@@ -8,7 +8,7 @@ much as matters and nowhere worse, and that it says the same in every run and ev
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -319,7 +319,10 @@ class _Selector:
         if doubt:
             return Graded(chosen, [], worth[chosen.id], doubt)
         others = [f for i, f in found.items() if f is not chosen and worth[i].enough(least)]
-        others += self._in_its_place(chosen, current, others, before, ahead)
+        plain = {chosen.id, *(f.id for f in others if not doubts.get(f.id))}
+        alone = self._in_its_place(chosen, current, plain, before, ahead)
+        doubts = {i: doubt for i, doubt in doubts.items() if i not in {f.id for f in alone}}
+        others = [f for f in others if f.id not in {f.id for f in alone}] + alone
         series = [f for f in others if _is_series_of(chosen, f)]
         for f in others:
             if f.id not in doubts and self._as_good_where_it_acts(f, chosen, before, ahead):
@@ -333,16 +336,17 @@ class _Selector:
         self,
         chosen: FoundEffect,
         current: Round,
-        others: Sequence[FoundEffect],
+        plain: Collection[str],
         before: Mapping[float, Array],
         ahead: dict[str, dict[float, Array]],
     ) -> list[FoundEffect]:
         """Effects that some of their terms alone make worth adding, where these give the chosen one's force.
 
         Their predictions take the place of those with all terms in `ahead`.
+
+        plain: ids of effects that need no such trial.
         """
-        known = {chosen.id, *(f.id for f in others)}
-        tried = (in_its_place(f, chosen, current.bench) for f in current.findings if f.id not in known)
+        tried = (in_its_place(f, chosen, current.bench) for f in current.findings if f.id not in plain)
         found = [f for f in tried if f is not None]
         worthy = []
         for f, squares in zip(found, self._ahead([f.trial.fit for f in found]), strict=True):
