@@ -135,9 +135,12 @@ def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surg
 
 @pytest.mark.slow
 def test_water_in_the_hull_is_said_where_added_masses_are_only_guessed() -> None:
-    """A mass of two thirds: every guess is off by its own few per cent, and all must go the same way."""
+    """A mass of two thirds: every guess is off by its own few per cent, and all must go the same way.
+
+    The weight is that of the trimmed vehicle, and not the mass times g.
+    """
     case = make_case("mini-auv", (), 21, duration=60.0)
-    model, runs = vehicle_of(case), runs_of(case)
+    model, runs = replace(vehicle_of(case), follows={}), runs_of(case)
     dry = model.with_values({"m": replace(model.value_of("m"), value=0.67 * model.value_of("m").value)})
     train = prepare(runs[:3], dry)
     bench = open_bench(dry, train, prepare(runs[3:], dry, sigma=train.sigma))
