@@ -140,28 +140,26 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
     for run in runs:
         if trust_log or not all(run.has(n) for n in needed):
             continue
-        where, after_all = (
-            f"log '{run.source or run.name}'",
-            "go on all the same with --trust-log (trust_log=True)",
-        )
-        if found := _refused(vehicle, run):
+        where = f"log '{run.source or run.name}'"
+        after_all = "go on all the same with --trust-log (trust_log=True)"
+        examiner = _of_one(vehicle, run)
+        unmeasured = sensors.without_measurement(examiner.kinematics, [run]) if examiner.kinematics else None
+        if found := _refused(examiner):
             finding, edits = found
             raise UndertowError(
                 f"{where} is impossible: {finding.text}; write {_on_one_line(edits)} into the mapping file "
                 f"(undertow doctor --mend does), or {after_all}"
             )
-        if unmeasured := _without_measurement(vehicle, run):
+        if unmeasured:
             raise UndertowError(f"{where}: {unmeasured.text}, or {after_all}")
 
 
-def _without_measurement(vehicle: Vehicle, run: Run) -> Finding | None:
-    kinematics = Kinematics([run], vehicle)
-    return sensors.without_measurement(kinematics, [run]) if kinematics else None
+def _of_one(vehicle: Vehicle, run: Run) -> _Examiner:
+    return _Examiner(vehicle, [run], run.mapping or LogMapping())
 
 
-def _refused(vehicle: Vehicle, run: Run) -> tuple[Finding, Edits] | None:
+def _refused(examiner: _Examiner) -> tuple[Finding, Edits] | None:
     """What cannot be in a log, and all that mends it."""
-    examiner = _Examiner(vehicle, [run], run.mapping or LogMapping())
     examiner.look_at_samples()
     examiner.undo_reading_mistakes()
     examiner.undo_what_cannot_be()
@@ -173,7 +171,7 @@ def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
 
     Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
     """
-    found = {r.name: _refused(vehicle, r) for r in runs} if len(runs) > 1 else {}
+    found = {r.name: _refused(_of_one(vehicle, r)) for r in runs} if len(runs) > 1 else {}
     wrong = {name: one[0] for name, one in found.items() if one is not None}
     if len(wrong) == len(runs):
         return {}

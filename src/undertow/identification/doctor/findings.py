@@ -134,9 +134,11 @@ def reassigned(mapping: LogMapping, places: TypingMapping[str, tuple[str, float]
     """
     signs = {t: sign * _axis_sign(mapping, s) * _axis_sign(mapping, t) for t, (s, sign) in places.items()}
     computed = [column_of(mapping, s)[0] in mapping.channels for s, _ in places.values()]
+    if any(computed) and not all(computed):
+        return ()
     if any(computed):
         moved = [(t, column_edit(mapping, s, times=signs[t]).value) for t, (s, _) in places.items()]
-        return tuple(Edit("channels", column_of(mapping, t)[0], v) for t, v in moved) * all(computed)
+        return tuple(Edit("channels", column_of(mapping, t)[0], v) for t, v in moved)
     found = []
     for target, (source, _) in places.items():
         name, column = column_of(mapping, source)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.identification.estimation.data import channel_noise, noise_by_order
+from undertow.identification.logs.guess import SETTINGS as GUESS
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import FORCES, UNITS, Run
 from undertow.model.catalogue import catalogue, logged_quantities
@@ -48,8 +49,6 @@ class SamplingSettings:
     stretch: int = 256  # samples of a stretch whose spectrum is taken
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
     steep: float = 0.7
-    # Rows a second beyond which a vehicle moves more slowly than it is logged, and those that will do.
-    dense: tuple[float, float] = (50.0, 20.0)
     names: int = 5  # runs that are named where many show the same
     repeats: float = 0.3  # share of rows that repeat the one before, from which a channel is held or coarse
 
@@ -146,9 +145,8 @@ def _are_whole(ratios: Array) -> bool:
 
 def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
     """A log that has far more rows than the motion of a vehicle needs."""
-    limit, enough = SETTINGS.dense
-    if usual * limit < 1.0:
-        every = mapping.time.every * round(1.0 / (usual * enough))
+    if usual * GUESS.fast < 1.0:
+        every = mapping.time.every * round(1.0 / (usual * GUESS.enough))
         yield Finding(
             id="dense",
             severity="note",

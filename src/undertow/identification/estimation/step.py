@@ -114,7 +114,8 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
         for other, factor in model.functions.followers(name).items():
             stated = model.functions.vehicle.value_of(other)
             if stated.sigma is not None:
-                centre[k], weight[k] = _both(centre[k], weight[k], stated.value, stated.sigma, factor)
+                by_other = stated.value / factor, abs(factor) / (PRIOR_WIDTH * stated.sigma)
+                centre[k], weight[k] = _together((centre[k], weight[k]), by_other)
     return centre, weight
 
 
@@ -152,15 +153,11 @@ def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
     return float(np.sum((stiffness * (values - centre)) ** 2))
 
 
-def _both(centre: float, weight: float, value: float, sigma: float, factor: float) -> tuple[float, float]:
-    """One prior for two: of a parameter, and of its multiple."""
-    other = abs(factor) / (PRIOR_WIDTH * sigma)
-    total = weight**2 + other**2
-    return (weight**2 * centre + other**2 * value / factor) / total, float(np.sqrt(total))
+Prior = tuple[Array | float, Array | float]
 
 
-def _together(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Two priors as one."""
+def _together(first: Prior, second: Prior) -> tuple[Array, Array]:
+    """Two priors as one: centres, and one over their standard deviations."""
     square = first[1] ** 2 + second[1] ** 2
     mean = first[1] ** 2 * first[0] + second[1] ** 2 * second[0]
     return mean / np.maximum(square, 1e-300), np.sqrt(square)

@@ -68,6 +68,7 @@ class GuessSettings:
         0.05  # share of rows that may be no later than one before, of a clock that rises all the same
     )
     fast: float = 50.0  # rows a second, beyond which a vehicle moves more slowly than it is logged
+    enough: float = 20.0  # rows a second that will do then
 
 
 SETTINGS = GuessSettings()
@@ -235,7 +236,7 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     )
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
     if rate > SETTINGS.fast and np.all(sampled):
-        asked.append(f"{rate:.3g} rows a second: every = {round(rate / 20)} would do at first")
+        asked.append(f"{rate:.3g} rows a second: every = {round(rate / SETTINGS.enough)} would do at first")
     if late[found]:
         entry["disorder"] = "drop"
         asked.append(f"{late[found]:.2%} of the rows are no later than one before: leave them out?")
