@@ -41,7 +41,9 @@ from .mistakes import (
 )
 from .sampling import DROP, excitation, excitation_findings, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
-from .signs import by_signs
+from .signs import by_signs, suspected
+
+_MODEL = "a term that the model lacks, or a controller that answers the motion"
 
 
 def _explanation(
@@ -276,7 +278,12 @@ class _Examiner:
         if found is not None and at.explained_by(found.mistake):
             return found
         signs = by_signs(self.vehicle, self.runs, found, lambda: wirings(*known))
-        return signs if found is not None or signs is None or at.no_worse(signs.mistake) else None
+        if found is not None or (signs is not None and at.no_worse(signs.mistake)):
+            return signs
+        doubt = suspected(self.vehicle, self.runs, lambda: wirings(*known))
+        if doubt is not None:
+            self._doubt(doubt, [*(m.clause for m in doubt.rivals), _MODEL])
+        return None
 
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""

@@ -24,9 +24,12 @@ from undertow.identification.logs.table import (
     LogLimits,
     Origin,
     elapsed,
+    in_unit_of_cells,
     is_dates,
+    lacking_zeros,
     numbers,
     seconds,
+    taken_as_missing,
 )
 from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue, logged_quantities
@@ -257,6 +260,8 @@ def run_of_table(
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     policy = missing_commands or mapping.missing_commands
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
+    sources = {n: in_unit_of_cells(table, n, c, mapping, where) for n, c in sources.items()}
+    lost = taken_as_missing(table, sources, mapping)
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
@@ -274,7 +279,10 @@ def run_of_table(
         reported=_reported(own.reported, mapping),
         wrapped=swap_attitude(own.wrapped) if _attitude(mapping) == "ENU" else own.wrapped,
         source=str(path),
-        notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
+        notes=(
+            *(*notes, *lost, *_conversions(sources, mapping, where)),
+            *_unused(table.columns, sources, mapping),
+        ),
         sigma=_stated_noise(sources, mapping, where),
         mapping=mapping,
         dropped=rows - table.height,
@@ -283,7 +291,7 @@ def run_of_table(
     run = _unwrapped(run, _said_to_jump(sources, mapping))
     run = with_report_noise(run, slow, part=before is not None)
     run = replace(run, held=_held(run, mapping.held))
-    if own.several:
+    if own.several or policy == "hold":
         run = _where_commanded(run, [*commands, *FORCES], policy, before)
     return _checked(run, [*commands, *FORCES], policy, where, before)
 
@@ -327,6 +335,7 @@ def _time(
     if spec.unit == "iso" or is_dates(table, spec.column):
         t, first, _ = seconds(table, spec.column, where, origin)
         notes += [f"time counts from {first}"] if first else []
+        notes += lacking_zeros(table, spec.column)
     else:
         scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
         since, start = elapsed(table, mapping, scale, where, origin)
