@@ -177,8 +177,8 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
     down, first = _is_down(sources[0][0]), sources[0][0]
     if not (first.frame or first.child or _said(first.series.name, "ned", "enu")):
         known.notes.append(
-            f"{first.series.name} ({first.type}) names no frame: taken for east-north-up, as REP 103 has it; in "
-            'a mapping file [frames] position = "NED", body = "FRD" says otherwise'
+            f"{first.series.name} ({first.type}) names no frame: taken for east-north-up, as REP 103 has it; "
+            'in a mapping file [frames] position = "NED", body = "FRD" says otherwise'
         )
     pose = next((topic for topic, fields in sources if "pose" in fields), None)
     twist = next((topic for topic, fields in sources if "twist" in fields), None)
