@@ -212,6 +212,23 @@ def test_fractions_of_a_second_without_their_zeros(log):
     np.testing.assert_allclose(log(sound.replace("Z", ""), {"time": {"unit": "iso"}}).t, [0, 0.05, 0.1])
 
 
+def test_a_command_may_be_made_of_two_clocks(log):
+    """Revolutions and the angle of an azimuth thruster, each stamped by its own controller."""
+    t = np.arange(0.0, 30.0, 0.1)
+    rows = [(s, f"{np.sin(s):.6f},,") for s in t]
+    rows += [(s + 0.03, f",{10 + (s > 15):g},") for s in t]
+    rows += [(s + 0.06, f",,{0.5 if s > 20 else 0.0:g}") for s in t]
+    text = "t,u,rev,angle\n" + "".join(f"{s:.3f},{cells}\n" for s, cells in sorted(rows))
+    thrust = {"channels": {"f1": {"expression": "2*rev**2*cos(angle)", "unit": "N"}}}
+    run = log(text, thrust, ["f1"])
+    known = run.t > 1.0
+    expected = 2 * (10.0 + (run.t > 15.1)) ** 2 * np.where(run.t > 20.1, np.cos(0.5), 1.0)
+    off = np.abs(run.channels["f1"] - expected)[known] > 1e-6
+    assert off.sum() <= 4, "but for the rows in which one of them changes"
+    apart = {"channels": {"psi": {"expression": "rev*angle", "unit": "rad"}}}
+    refused(log, text, "channel 'psi', rev and angle, have no row in common", mapping=apart)
+
+
 def test_a_constant_channel_is_noted_and_refused_on_demand(log):
     run = log("t,u,v\n0,1,0.5\n1,2,0.5\n2,3,\n")
     assert "constant channels (not used, or a dead sensor): v = 0.5" in run.notes

@@ -267,7 +267,8 @@ class Name:
     def is_command(self) -> bool:
         """Whether it looks like what drives a vehicle."""
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
-        drives = bool({*self.unnumbered} & _DRIVES or numbered) or self.unit == "pwm"
+        single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
+        drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
         return drives and "limit" not in self.words
 
     @property

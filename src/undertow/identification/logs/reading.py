@@ -40,9 +40,10 @@ from undertow.typing import Array, Flags, Progress
 
 from . import checks
 from .formats.fieldlog import Window
-from .mapping import Channel, Column, CommandPolicy, Held, LogMapping, mapping_beside, seconds_of
+from .mapping import Column, CommandPolicy, Held, LogMapping, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,
+    computed,
     dropping_disorder,
     field_log,
     must_have,
@@ -52,7 +53,13 @@ from .opening import (
 )
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
-from .series import OneClock, Series, are_several, on_one_clock, with_report_noise
+from .series import (
+    OneClock,
+    Series,
+    are_several,
+    on_one_clock,
+    with_report_noise,
+)
 
 Commands = dict[str, float]
 
@@ -269,7 +276,7 @@ def run_of_table(
         read = {
             c.channel: _values(table, name, c, mapping, where, begins=begins) for name, c in sources.items()
         }
-        read |= {name: _computed(table, name, c, mapping, where) for name, c in mapping.channels.items()}
+        read |= {n: computed(table, n, c, mapping, where, commands) for n, c in mapping.channels.items()}
         own = _on_rows(t, read, sources, mapping, where, before or {})
         channels = _turned(own.channels, mapping, where)
     run = Run(
@@ -421,18 +428,6 @@ def _where_commanded(run: Run, names: Iterable[str], policy: str, before: Comman
     lost = begin - float(run.t[0]), float(run.t[-1]) - end
     note = f"{lost[0]:.3g} s at the beginning and {lost[1]:.3g} s at the end without a command left out"
     return run.slice(begin, end).with_notes(*([note] if any(lost) else []))
-
-
-def _computed(table: pl.DataFrame, name: str, channel: Channel, mapping: LogMapping, where: str) -> Array:
-    """Values of a channel that is a formula in columns."""
-    formula = channel.formula
-    values = formula.of({n: numbers(table, n, mapping, where) for n in formula.columns})
-    scale, offset = 1.0, 0.0
-    if channel.unit is not None:
-        wanted = UNITS.get(name) or si_unit(channel.unit)
-        scale, offset = scale_offset(channel.unit, wanted, of=f"{where}: unit of channel {name!r}")
-    shape = np.full(table.height, 1.0)  # a formula without columns is the same in every row
-    return scale * values * shape + offset
 
 
 def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:
