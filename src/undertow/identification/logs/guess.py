@@ -130,15 +130,9 @@ def guess_table(
     ]
     used = {time.column, *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
-    commands = vehicle.command_names if vehicle else ()
-    lacking = [c for c in commands if c not in {g.channel for g in read}]
-    wrench = [n.column for n in names if n.force and n.column not in used]
-    questions = [_LACKING.format(c) for c in lacking]
-    questions += [_WRENCH.format(", ".join(wrench))] if lacking and wrench else []
-    questions += [
-        _FLAG.format(f) for f, column in flags.items() if f not in used and len(np.unique(column)) > 1
-    ]
     lost = {c: texts for c in data if c in used and (texts := texts_in(table, c, reading))}
+    questions = _questions(vehicle, read, [n for n in names if n.column not in used])
+    questions += [_FLAG.format(f) for f, c in flags.items() if f not in used and len(np.unique(c)) > 1]
     questions += [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in lost.items()]
     return GuessedMapping(
         path.name,
@@ -149,6 +143,15 @@ def guess_table(
         reading.model_copy(update={"not_numbers": "missing"}) if lost else reading,
         tuple(questions),
     )
+
+
+def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Name]) -> list[str]:
+    """What to ask of commands without a column, and of forces among the columns that are `left`."""
+    commands = vehicle.command_names if vehicle else ()
+    lacking = [c for c in commands if c not in {g.channel for g in read}]
+    wrench = [n.column for n in left if n.force]
+    asked = [_LACKING.format(c) for c in lacking]
+    return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
 _LACKING = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
