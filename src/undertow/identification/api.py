@@ -21,6 +21,7 @@ from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
+from .diagnosis.parallel import one_thread
 from .diagnosis.result import Role, RunInfo, ValuesByRun, read_diagnosis, run_info
 from .diagnosis.validation import training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
@@ -321,6 +322,7 @@ def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
     return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
 
 
+@one_thread()
 def refit(
     vehicle: Vehicle,
     runs: Sequence[Run],
@@ -526,6 +528,7 @@ def add_effect(
     return done.fit.vehicle
 
 
+@one_thread()
 def try_effect(
     vehicle: Vehicle,
     effect: str,
@@ -567,6 +570,7 @@ def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path
     save_vehicle(addition.fit.vehicle, template, out, history=entry)
 
 
+@one_thread()
 def plan(
     vehicle: Vehicle,
     runs: Sequence[Run],

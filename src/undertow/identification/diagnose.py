@@ -14,7 +14,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
-from undertow.identification.diagnosis.parallel import in_background
+from undertow.identification.diagnosis.parallel import in_background, one_thread
 from undertow.identification.diagnosis.validation import repeats, training_and_validation, with_velocities
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
@@ -545,6 +545,7 @@ class DiagnosisResult:
         return html(repr(self), head, rows)
 
 
+@one_thread()
 def diagnose(
     vehicle: Vehicle,
     runs: Sequence[Run],
