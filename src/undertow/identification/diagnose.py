@@ -15,14 +15,19 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.identification.diagnosis.parallel import in_background, one_thread
-from undertow.identification.diagnosis.validation import repeats, training_and_validation, with_velocities
+from undertow.identification.diagnosis.splitting import (
+    Runs,
+    normalised,
+    repeats,
+    training_and_validation,
+    with_velocities,
+)
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -548,8 +553,8 @@ class DiagnosisResult:
 @one_thread()
 def diagnose(
     vehicle: Vehicle,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     known: Catalogue | None = None,
     report: Progress = lambda done, words: None,
@@ -563,7 +568,7 @@ def diagnose(
     ----------
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
-    runs, validation : sequence of Run
+    runs, validation : Run or sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
@@ -600,8 +605,8 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
-    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
-    logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
+    vehicle, *both = normalised(vehicle, runs, validation)
+    logs, judges = (with_velocities(vehicle, given) for given in both)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)
     with in_background(lambda: examine(vehicle, [*logs, *judges]).result) as examined:
