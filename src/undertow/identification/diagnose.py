@@ -22,6 +22,7 @@ from undertow.identification.diagnosis.splitting import (
     training_and_validation,
     with_velocities,
 )
+from undertow.identification.doctor.dynamics import without_refuted
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.by_run import origins
@@ -145,6 +146,12 @@ class ResultBuilder:
         if self._selection is not None:
             graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
             self._selection = replace(self._selection, graded=graded)
+
+    @property
+    def leaves_only_noise(self) -> bool:
+        """Whether the model with what is named, or as it is where nothing is missing, leaves only noise."""
+        named = bool(self.judgement.effects) or self.judgement.verdict == "adequate"
+        return named and self._residual_is_noise
 
     @property
     def after(self) -> Fitted:
@@ -624,7 +631,8 @@ def diagnose(
         builder = _builder(vehicle, found, validator, effects, report)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
-        diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())
+        diagnosis = summarised(builder.build(infos, time.perf_counter() - began))
+        diagnosis = _with_doctor(diagnosis, examined(), explained=builder.leaves_only_noise)
     return DiagnosisResult(
         diagnosis,
         builder.given.vehicle,
@@ -638,8 +646,13 @@ def diagnose(
     )
 
 
-def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
-    """The diagnosis with what the doctor found; mistakes come first among the warnings."""
+def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool) -> Diagnosis:
+    """The diagnosis with what the doctor found; mistakes come first among the warnings.
+
+    explained: whether the logs as they are read leave only noise.
+    """
+    if explained:
+        examined = without_refuted(examined)
     mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
     ids = ", ".join(f.id for f in examined.mistakes)
     first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if mistakes else []
