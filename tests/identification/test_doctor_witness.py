@@ -312,7 +312,7 @@ def _sailed(vehicle: Vehicle, model: Model, rng: np.random.Generator) -> Run:
     x = model.simulate(start, u, dt)
     noise = {"x": 0.02, "y": 0.02, "z": 0.02, "u": 0.005, "v": 0.005, "w": 0.005}
     read = {n: x[:, i] + rng.normal(0.0, noise.get(n, 0.002), count) for i, n in enumerate(model.states[:12])}
-    return Run("dive", dt * np.arange(count), read | dict(zip(vehicle.command_names, u.T, strict=True)))
+    return Run("dive", np.linspace(0.0, dt * (count - 1), count), read | dict(zip(vehicle.command_names, u.T, strict=True)))
 
 
 def test_a_current_that_the_model_lacks_is_no_other_unit() -> None:
