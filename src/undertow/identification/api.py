@@ -21,8 +21,9 @@ from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
+from .diagnosis.parallel import one_thread
 from .diagnosis.result import Role, RunInfo, ValuesByRun, read_diagnosis, run_info
-from .diagnosis.validation import training_and_validation, with_velocities
+from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
@@ -41,7 +42,6 @@ from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
 from .logs.mapping import LogMapping, read_mapping
 from .logs.opening import save_log as save_log
-from .logs.pose_velocity import as_reported
 from .logs.reading import read_log as read
 from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
@@ -321,10 +321,11 @@ def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
     return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
 
 
+@one_thread()
 def refit(
     vehicle: Vehicle,
-    runs: Sequence[Run],
-    holdout: Sequence[Run],
+    runs: Runs,
+    holdout: Runs,
     estimator: Estimator,
     horizon: float,
     report: Progress = lambda done, words: None,
@@ -332,12 +333,12 @@ def refit(
     trust_log: bool = False,
 ) -> Refit:
     """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it."""
+    vehicle, runs, holdout = normalised(vehicle, runs, holdout)
     if not free_parameters(vehicle):
         raise UndertowError(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
-    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
     train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     report(0.0, "fitting")
     # Whole logs have been looked at: what is left of them without the validation data need not be.
@@ -406,8 +407,8 @@ def read_log(
 
 def fit(
     vehicle: Vehicle,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     method: str = "default",
     horizon: float = 5.0,
@@ -423,7 +424,7 @@ def fit(
     ----------
     vehicle : Vehicle
         The model.
-    runs, validation : sequence of Run
+    runs, validation : Run or sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
         "default" (the weak form, then output error), "weak", "integral", "instrumental", "output_error" or
@@ -478,8 +479,8 @@ def _method(name: str) -> Method:
 def add_effect(
     vehicle: Vehicle,
     effect: str,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     force: bool = False,
 ) -> Vehicle:
@@ -491,7 +492,7 @@ def add_effect(
         The model.
     effect : str
         Id of an effect of the catalogue.
-    runs, validation : sequence of Run
+    runs, validation : Run or sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     force : bool
         Add it even if it does not lower the error on validation data.
@@ -526,11 +527,12 @@ def add_effect(
     return done.fit.vehicle
 
 
+@one_thread()
 def try_effect(
     vehicle: Vehicle,
     effect: str,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     known: Catalogue | None = None,
     keep_all: bool = False,
@@ -567,6 +569,7 @@ def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path
     save_vehicle(addition.fit.vehicle, template, out, history=entry)
 
 
+@one_thread()
 def plan(
     vehicle: Vehicle,
     runs: Sequence[Run],
