@@ -13,6 +13,7 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from tests.identification.surge import M_X, MASS, TRUTH, surge_vehicle
 from tests.quick import first_quick
+from undertow.codegen.functions import Functions
 from undertow.identification.api import Estimator
 from undertow.identification.diagnosis.addition import add_effect, set_up_addition
 from undertow.identification.estimation.data import prepare
@@ -23,6 +24,7 @@ from undertow.identification.estimation.output_error import (
     fit_output_error,
     horizon_error,
 )
+from undertow.identification.estimation.scales import largest_values
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.model.vehicle import Vehicle
 
@@ -217,3 +219,17 @@ def test_where_only_noise_is_left_the_end_is_sharper_than_the_weak_form_and_righ
         # Over windows of a time constant, each with a start of its own, errors are ten times as large.
         assert final.standard_errors[name] < weak.standard_errors[name]
         assert value == pytest.approx(case.truth["parameters"][name], abs=4.0 * final.standard_errors[name])
+
+
+def test_a_bound_does_not_grow_with_every_fit() -> None:
+    """From the stated -23 kg m^2 a fit may go to ten times that; from there the next may not."""
+    otter = ut.load_vehicle("otter")
+    stated = abs(otter.value_of("N_rdot").value)
+    first = float(largest_values(Functions(otter), ["N_rdot"])[0])
+    assert first == pytest.approx(10.0 * stated)
+
+    far = otter.with_values({"N_rdot": replace(otter.value_of("N_rdot"), value=-0.9 * first)})
+    fitted = replace(far, fitted_to={"N_rdot": frozenset({"log"})})
+    again, edited = (float(largest_values(Functions(v), ["N_rdot"])[0]) for v in (fitted, far))
+    assert 0.9 * first <= again <= first
+    assert edited == pytest.approx(9.0 * first)  # what a user writes is stated
