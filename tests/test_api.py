@@ -7,6 +7,7 @@ import inspect
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,29 @@ def test_an_effect_says_what_it_is(vehicle: ut.Vehicle) -> None:
 def test_the_same_log_for_fit_and_validation_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:
     with pytest.raises(ut.UndertowError, match="have the same content: give each once"):
         ut.fit(vehicle, [run], [run])
+
+
+def test_one_run_needs_no_list(vehicle: ut.Vehicle, run: ut.Run) -> None:
+    alone, listed = (ut.fit(vehicle, runs, method="weak") for runs in (run, [run]))
+    assert alone.errors == listed.errors
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([], "there is no log to fit to"),
+        (["dive.csv"], r"a log is given as str \('dive.csv'\): read it with undertow.read_log"),
+    ],
+)
+def test_logs_that_are_none_are_refused(vehicle: ut.Vehicle, given: list[ut.Run], message: str) -> None:
+    for call in (ut.fit, ut.diagnose, partial(ut.add_effect, effect="ocean_current")):
+        with pytest.raises(ut.UndertowError, match=message):
+            call(vehicle, runs=given)
+
+
+def test_the_path_of_a_vehicle_is_no_vehicle(run: ut.Run) -> None:
+    with pytest.raises(ut.UndertowError, match=r"given as str: read it with undertow\.load_vehicle"):
+        ut.diagnose("vehicle.toml", [run])  # type: ignore[arg-type]
 
 
 def test_a_velocity_that_never_changes_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:

@@ -33,6 +33,4 @@ def _machine() -> str:
 
 
 if __name__ == "__main__":
-    # As the command line has it: matrices are small here.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     main()

@@ -1,4 +1,4 @@
-"""A clock that is told which stage begins, and a sampler that looks where the processor is."""
+"""A sampler that looks on the call stack which module is at work, and for which stage of the diagnosis."""
 
 from __future__ import annotations
 
@@ -6,43 +6,16 @@ import os
 import signal
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
 
 INTERVAL = 0.002
 """Seconds of processor time between two looks."""
+OTHER = "other"
 _PACKAGE = os.sep + "undertow" + os.sep
-
-
-class Clock:
-    """Adds up wall and processor seconds of stages; each lasts until the next begins."""
-
-    def __init__(self) -> None:
-        self.wall: dict[str, float] = defaultdict(float)
-        self.cpu: dict[str, float] = defaultdict(float)
-        self.stage, self._since = "", (time.perf_counter(), processor_seconds())
-
-    def begin(self, stage: str) -> str:
-        """From now on it is this stage; the one before is returned."""
-        now, before = (time.perf_counter(), processor_seconds()), self.stage
-        self.wall[before] += now[0] - self._since[0]
-        self.cpu[before] += now[1] - self._since[1]
-        self.stage, self._since = stage, now
-        return before
-
-    def during(self, stage: str, action: Callable[..., Any]) -> Callable[..., Any]:
-        """The action as a stage of its own."""
-
-        def timed(*given: Any, **named: Any) -> Any:
-            before = self.begin(stage)
-            try:
-                return action(*given, **named)
-            finally:
-                self.begin(before)
-
-        return timed
+Place = tuple[str, str]
+"""Module of undertow and function in it."""
 
 
 def processor_seconds() -> float:
@@ -52,15 +25,22 @@ def processor_seconds() -> float:
 
 
 @contextmanager
-def sampled(clock: Clock) -> Iterator[dict[tuple[str, str], float]]:
-    """Processor seconds by module of undertow and stage, with what NumPy, SciPy and C do for the module."""
-    found: dict[tuple[str, str], float] = defaultdict(float)
+def sampled(stages: Mapping[Place, str]) -> Iterator[dict[Place, float]]:
+    """Processor seconds by module of undertow and stage, with what NumPy, SciPy and C do for the module.
+
+    A function of `stages` has all that it calls counted for its stage; of several on the stack it is the
+    one that stands first in `stages`.
+    """
+    found: dict[Place, float] = defaultdict(float)
     last = time.process_time()
 
     def look(_: int, frame: FrameType | None) -> None:
         nonlocal last
         now = time.process_time()
-        found[_module(frame), clock.stage] += now - last
+        places = _places(frame)
+        there = set(places)
+        stage = next((words for place, words in stages.items() if place in there), OTHER)
+        found[places[0][0] if places else OTHER, stage] += now - last
         last = now
 
     before = signal.signal(signal.SIGPROF, look)
@@ -72,11 +52,13 @@ def sampled(clock: Clock) -> Iterator[dict[tuple[str, str], float]]:
         signal.signal(signal.SIGPROF, before)
 
 
-def _module(frame: FrameType | None) -> str:
-    """The innermost module of undertow that is at work."""
+def _places(frame: FrameType | None) -> list[Place]:
+    """The functions of undertow on the stack, the innermost first."""
+    found = []
     while frame is not None:
         file = frame.f_code.co_filename
         if _PACKAGE in file:
-            return file.rpartition(_PACKAGE)[2].removesuffix(".py").replace(os.sep, ".")
+            module = file.rpartition(_PACKAGE)[2].removesuffix(".py").replace(os.sep, ".")
+            found.append((module, frame.f_code.co_name))
         frame = frame.f_back
-    return "other"
+    return found

@@ -1,42 +1,33 @@
-"""Diagnoses with a clock in them."""
+"""Diagnoses whose processor time is looked at, stage by stage."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import cache
 
+from undertow.errors import UndertowError
 from undertow.identification import diagnose as module
-from undertow.identification.diagnosis import rounds
+from undertow.identification.diagnosis import rounds, search
 from undertow.identification.diagnosis.candidates import candidates
+from undertow.identification.doctor import examine
+from undertow.identification.estimation import data
 from undertow.model.catalogue import Catalogue, catalogue
 
 from .case import HIDDEN, material
-from .clock import Clock, processor_seconds, sampled
+from .clock import OTHER, Place, processor_seconds, sampled
 
 SIZES = (5, 10, 20)
-ACTIONS = {
-    (module, "prepare"): "reading out velocities, weak form, noise",
-    (module, "check_excitation"): "is anything moved?",
-    (module, "examine"): "doctor: signs, frames, clocks, units",
-    (module, "SimulationValidator"): "setting up simulations",
-    (rounds, "_screened"): "search: every effect, tried in the weak form",
-    (rounds, "_tried"): "search: promising effects, fitted",
-    (rounds, "_final"): "search: leading effects, judged under their noise",
-}
-"""Stages that are functions of a module, by its name for them."""
-TOLD = {
-    "fitting the model as it is": "search: the model as it is",
-    "looking at all effects together": "search: all effects together",
-    "judging the result by simulation": "judging and wording the result, by simulation",
-}
-"""What the diagnosis reports, and the stage that begins with it."""
-
-
-_FIRST, _THEN = ([stage for (where, _), stage in ACTIONS.items() if where is one] for one in (module, rounds))
-_AS_IT_IS, *_LAST = TOLD.values()
-_ORDER = (*_FIRST, _AS_IT_IS, *_THEN, *_LAST)
+_ACTIONS = (
+    (examine, "examine", "doctor: signs, frames, clocks, units"),
+    (rounds, "_screened", "search: every effect, tried in the weak form"),
+    (rounds, "_tried", "search: promising effects, fitted"),
+    (rounds, "_final", "search: leading effects, judged under their noise"),
+    (search, "_rivals", "search: alternatives"),
+    (search, "search", "search: the model as it is, and effects together"),
+    (data, "prepare", "reading out velocities, weak form, noise"),
+    (module, "diagnose", "judging and wording the result, by simulation"),
+)
 
 
 @dataclass(frozen=True)
@@ -45,40 +36,53 @@ class Profile:
 
     Attributes
     ----------
-    wall, cpu : dict
-        Seconds by stage, in order.
     modules : dict
         Seconds of the processor by module of undertow and stage.
     named : list of str
         What was found missing.
     """
 
-    wall: dict[str, float]
-    cpu: dict[str, float]
-    modules: dict[tuple[str, str], float]
+    modules: dict[Place, float]
     named: list[str]
+
+    @property
+    def stages(self) -> dict[str, float]:
+        """Seconds of the processor by stage, the longest first."""
+        found: dict[str, float] = defaultdict(float)
+        for (_, stage), seconds in self.modules.items():
+            found[stage] += seconds
+        return dict(sorted(found.items(), key=lambda one: -one[1]))
+
+    @property
+    def by_module(self) -> list[tuple[str, dict[str, float]]]:
+        """Seconds of every module by stage, the busiest module first."""
+        found: dict[str, dict[str, float]] = defaultdict(dict)
+        for (name, stage), seconds in self.modules.items():
+            found[name][stage] = seconds
+        return sorted(found.items(), key=lambda one: -sum(one[1].values()))
 
 
 @cache
 def warmed_up() -> None:
     """Compile what the case needs, so that the cache holds it."""
-    profiled(subset(1))
+    found(subset(1))
+
+
+def stages() -> dict[Place, str]:
+    """Functions of the diagnosis that are stages of it, the innermost first."""
+    for where, name, _ in _ACTIONS:
+        if not hasattr(where, name):
+            raise UndertowError(f"{where.__name__} has no {name}: say in benchmarks/profile what it is now")
+    return {(w.__name__.removeprefix("undertow."), name): words for w, name, words in _ACTIONS}
 
 
 def profiled(known: Catalogue) -> Profile:
     """Diagnose the case with these effects; what helper processes do is not seen."""
-    clock = Clock()
-    with _stages(clock), sampled(clock) as modules:
-        vehicle, train, test = material()
-        clock.begin("other")
-        outcome = module.diagnose(
-            vehicle, train, test, known=known, report=lambda _, words: _begin(clock, words)
-        )
-        clock.begin("")
-    del clock.wall[""], clock.cpu[""]
-    order = [s for s in (*_ORDER, "other") if s in clock.wall]
-    wall, cpu = ({s: t[s] for s in order} for t in (clock.wall, clock.cpu))
-    return Profile(wall, cpu, {k: v for k, v in modules.items() if k[1]}, list(outcome.diagnosis.effects))
+    vehicle, train, test = material()
+    with sampled(stages()) as modules:
+        outcome = module.diagnose(vehicle, train, test, known=known)
+    inside = {place: t for place, t in modules.items() if place[1] != OTHER}
+    return Profile(inside, list(outcome.diagnosis.effects))
 
 
 def found(known: Catalogue) -> list[str]:
@@ -114,21 +118,3 @@ def sizes() -> list[int]:
 def growth() -> dict[int, float]:
     """Processor seconds against the number of effects tried."""
     return {size: seconds(subset(size)) for size in sizes()}
-
-
-def _begin(clock: Clock, words: str) -> None:
-    if words in TOLD:
-        clock.begin(TOLD[words])
-
-
-@contextmanager
-def _stages(clock: Clock) -> Iterator[None]:
-    """Functions of the diagnosis that tell the clock when they begin and end."""
-    originals = {place: getattr(*place) for place in ACTIONS}
-    for place, action in originals.items():
-        setattr(*place, clock.during(ACTIONS[place], action))
-    try:
-        yield
-    finally:
-        for place, action in originals.items():
-            setattr(*place, action)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-from collections import defaultdict
 from pathlib import Path
 
 import undertow
@@ -24,8 +23,7 @@ Made by `python -m benchmarks.profile` ({machine}).
 20 Hz. It answers: {named}. Compiled code is in the cache, files are read; what is timed is the diagnosis. A
 timer that counts processor time looks every {interval:.0f} ms which module is at work; what NumPy, SciPy and
 compiled code do counts for the module that called them. All in one process (`UNDERTOW_JOBS=1`); on several
-cores the candidates, their fits and the doctor run beside each other. Wall time is longer than processor time
-where other programs kept the machine busy.
+cores the candidates, their fits and the doctor run beside each other.
 
 ![Seconds of the processor by module, stacked by stage]({picture})
 
@@ -67,23 +65,15 @@ def page(profile: Profile, growth: dict[int, float], machine: str) -> str:
     )
 
 
-def by_module(profile: Profile) -> list[tuple[str, dict[str, float]]]:
-    """Seconds of every module by stage, the busiest module first."""
-    found: dict[str, dict[str, float]] = defaultdict(dict)
-    for (name, stage), seconds in profile.modules.items():
-        found[name][stage] = seconds
-    return sorted(found.items(), key=lambda one: -sum(one[1].values()))
-
-
 def _stages(profile: Profile) -> str:
-    wall, cpu = sum(profile.wall.values()), sum(profile.cpu.values())
-    lines = ["| stage | wall, s | processor, s | share of the processor |", "| --- | ---: | ---: | ---: |"]
-    lines += [f"| {s} | {profile.wall[s]:.2f} | {c:.2f} | {c / cpu:.0%} |" for s, c in profile.cpu.items()]
-    return "\n".join([*lines, f"| **all** | **{wall:.2f}** | **{cpu:.2f}** | |"]) + "\n"
+    whole = sum(profile.stages.values())
+    lines = ["| stage | processor, s | share |", "| --- | ---: | ---: |"]
+    lines += [f"| {s} | {t:.2f} | {t / whole:.0%} |" for s, t in profile.stages.items()]
+    return "\n".join([*lines, f"| **all** | **{whole:.2f}** | |"]) + "\n"
 
 
 def _modules(profile: Profile) -> str:
-    found, whole = by_module(profile), sum(profile.modules.values())
+    found, whole = profile.by_module, sum(profile.modules.values())
     lines = ["| module of `undertow` | processor, s | share | most of it in | what the module is |"]
     lines += ["| --- | ---: | ---: | --- | --- |"]
     for name, stages in found[:SHOWN]:
@@ -103,20 +93,15 @@ def _first_line(module: str) -> str:
 
 
 def _meaning(profile: Profile) -> str:
-    used, cpu = profile.cpu, sum(profile.cpu.values())
-    slow = sorted(used, key=lambda s: -used[s])
-    longest, next_ = (f"{used[stage] / cpu:.0%}" for stage in slow[:2])
-    (first, first_stages), (second, second_stages) = by_module(profile)[:2]
-    both = (sum(first_stages.values()) + sum(second_stages.values())) / sum(profile.modules.values())
-    searched = sum(c for s, c in used.items() if s.startswith("search")) / cpu
-    busy = cpu / sum(profile.wall.values())
+    used = profile.stages
+    whole = sum(used.values())
+    (longest, first), (next_, second), (_, third), *_ = used.items()
+    searched = sum(t for s, t in used.items() if s.startswith("search")) / whole
     return (
         f"{searched:.0%} of the work is the search for the effect, {1 - searched:.0%} stands around\n"
-        f"it (examining the logs, simulating the result). The longest stage, *{slow[0]}*,\n"
-        f"takes {longest}, the next, *{slow[1]}*, {next_}. Without any one of the others the\n"
-        f"diagnosis would be at most {cpu / (cpu - used[slow[2]]):.2f} times as fast. The modules\n"
-        f"`{first}` and `{second}` do {both:.0%} of the work.\n"
-        f"Processor over wall time is {busy:.2f}, where 1 is a core for this process alone."
+        f"it (examining the logs, simulating the result). The longest stage, *{longest}*,\n"
+        f"takes {first / whole:.0%}, the next, *{next_}*, {second / whole:.0%}. Without any one of the\n"
+        f"others the diagnosis would be at most {whole / (whole - third):.2f} times as fast."
     )
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from undertow.figures import figure, look, save_png
 
 from .measure import Profile
-from .page import SHOWN, by_module
+from .page import SHOWN
 
 _LEAST = 0.005  # share of all below which a stage is not drawn
 
@@ -23,17 +23,16 @@ def draw(profile: Profile, target: Path) -> None:
 
 def stacked(profile: Profile) -> Figure:
     """A bar for every module that takes much, the busiest on top."""
-    modules = by_module(profile)[:SHOWN]
-    stages = [s for s, t in profile.cpu.items() if t > _LEAST * sum(profile.cpu.values())]
+    modules, used = profile.by_module[:SHOWN], profile.stages
+    stages = [s for s, t in used.items() if t > _LEAST * sum(used.values())]
     names = [name for name, _ in modules]
     with look():
         picture, axes = figure(4.4, 1, 1)
         axis, left = axes[0, 0], [0.0] * len(modules)
         for stage, colour in zip(stages, colormaps["tab10"].colors, strict=False):
             widths = [found.get(stage, 0.0) for _, found in modules]
-            axis.barh(
-                names, widths, left=left, color=colour, label=f"{stage} ({profile.cpu[stage]:.1f} s in all)"
-            )
+            label = f"{stage} ({used[stage]:.1f} s in all)"
+            axis.barh(names, widths, left=left, color=colour, label=label)
             left = [a + b for a, b in zip(left, widths, strict=True)]
         for place, total in enumerate(left):
             axis.text(total, place, f" {total:.1f} s", va="center")

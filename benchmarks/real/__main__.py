@@ -11,19 +11,20 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.results.text import errors
+from benchmarks.trust.ablation import Data, ablations, answering
 from benchmarks.trust.cases import part
 from benchmarks.trust.measure import Record
-from benchmarks.trust.run import add_run_options, records, run
+from benchmarks.trust.run import Work, add_run_options, records, run
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
-from .cases import KINDS, Case, plan
+from .cases import KINDS, Case, ablated, plan
 from .logs import LogSet, log_sets
-from .measure import worker
+from .measure import material, worker
 from .page import page
 from .unsaid import unsaid_page
 
@@ -53,7 +54,7 @@ examples:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; 0 when all went well, 1 when a case failed to run, 2 for a bad request."""
     options = _parser().parse_args(arguments)
-    commands = {"run": _run, "list": _list, "one": _one, "page": _page, "unsaid": _unsaid}
+    commands = {"run": _run, "ablate": _ablate, "list": _list, "one": _one, "page": _page, "unsaid": _unsaid}
     try:
         return commands[options.command](options)
     except (ValueError, OSError, UndertowError) as error:
@@ -76,11 +77,15 @@ def _parser() -> argparse.ArgumentParser:
     doing.add_argument(
         "--keep", type=Path, metavar="FOLDER", help="whole diagnoses as JSON, one file for each"
     )
+    ablating = commands.add_parser("ablate", help="a sample with each number of the diagnosis switched off")
+    ablating.add_argument("--source", type=Path, required=True, metavar="FILE.jsonl", help="appended to")
+    ablating.add_argument("--number", action="append", default=[], metavar="NAME", help="only these numbers")
+    add_run_options(ablating)
     one = commands.add_parser("one", help="diagnose one case and print everything")
     one.add_argument("case", help="id of the case")
     for command in (doing, listing):
         _add_plan(command)
-    for command in (doing, listing, one):
+    for command in (doing, listing, ablating, one):
         _add_data(command)
     paging = commands.add_parser("page", help="the tables of a run")
     unsaid = commands.add_parser("unsaid", help="what could not be said of the logs as they are, and why")
@@ -130,6 +135,21 @@ def _run(options: argparse.Namespace) -> int:
         options.keep.mkdir(parents=True, exist_ok=True)
     work = worker(_sets(options), options.data, options.keep)
     return int(run(_planned(options), options.out, work, report=_report, **limits) > 0)
+
+
+def _ablate(options: argparse.Namespace) -> int:
+    sets = _sets(options)
+    doing = ablations(ablated(sets), options.number)
+    limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
+    return int(run(doing, options.source, _answered(sets, options.data), report=_report, **limits) > 0)
+
+
+def _answered(sets: Mapping[str, LogSet], data: Path) -> Work:
+    def given(case: Case) -> Data:
+        found = material(case, sets[case.logs], data)
+        return found.vehicle, found.train, found.test
+
+    return answering(given)
 
 
 def _report(record: Record, left: int) -> None:

@@ -83,6 +83,12 @@ def plan(sets: Mapping[str, LogSet], seed: int = BASE_SEED) -> list[Case]:
     return first + [c for c in others if c.removed] + _balanced([c for c in others if not c.removed])
 
 
+def ablated(sets: Mapping[str, LogSet]) -> list[Case]:
+    """Every fifth case of the logs with one degree of freedom, whose diagnoses take seconds."""
+    quick = [case for case in plan(sets) if case.logs.startswith(("box-", "roll-"))]
+    return [case for case in quick if case.kind != "prediction"][::5]
+
+
 def _balanced(injections: list[Case]) -> list[Case]:
     """Injections one by one, next the one whose kind of change, logs and size came least often so far.
 

@@ -19,7 +19,7 @@ from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.fleet.engine import Engine, engine
 
-from .ablation import ablation_page, ablations, answered, sample
+from .ablation import ablation_page, ablations, answering, of_simulation, sample
 from .cases import BASE_SEED, ROUNDS, Planned, part, plan
 from .measure import Record, measured
 from .report import goal_table, page
@@ -83,6 +83,10 @@ def _parser() -> argparse.ArgumentParser:
     ablating.add_argument("--source", type=Path, required=True, metavar="FILE.jsonl", help="appended to")
     ablating.add_argument("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
     ablating.add_argument("--number", action="append", default=[], metavar="NAME", help="only these numbers")
+    ablating.add_argument(
+        "--beside", type=Path, action="append", default=[], metavar="FILE.jsonl",
+        help="of `python -m benchmarks.real ablate`: counted on the page, too",
+    )  # fmt: skip
     ablating.add_argument("--cases", type=int, metavar="N", help="only the first cases of the sample")
     ablating.add_argument("--vehicle", action="append", help="only its cases with these vehicles")
     add_run_options(ablating)
@@ -164,8 +168,9 @@ def _ablate(options: argparse.Namespace) -> int:
     cases = [c for c in sample() if not options.vehicle or c.vehicle in options.vehicle]
     doing = ablations(cases[: options.cases], options.number)
     limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
-    failed = run(doing, options.source, answered, report=_report_record, **limits)
-    text = ablation_page(records(options.source))
+    work = answering(of_simulation)
+    failed = run(doing, options.source, work, report=_report_record, **limits)
+    text = ablation_page(r for path in (options.source, *options.beside) for r in records(path))
     if options.out is None:
         print(text)
     else:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmarks.results.text import table
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.settings import About, Settings
+from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
 
 from .cases import HARD, OTHER_FORMS, Planned, plan
 from .material import simulated, written_to_memory
 from .measure import Record, answer_of
+from .run import Job, Work
 
+Data = tuple[Vehicle, Sequence[Run], Sequence[Run]]
 #: Every so many cases of the first round of the plan, without those whose size has to be searched for.
 EVERY = 3
 INTRODUCTION = """\
@@ -22,29 +26,47 @@ INTRODUCTION = """\
 
 All of them stand in `undertow.identification.diagnosis.settings.Settings`. The command below switches each of
 them off in turn, where that is possible, and diagnoses a fixed sample of the cases of the
-[trust benchmark](trust.md) again. The table counts the answers (verdict, effects named, sets) that differ
-from those of the default settings. A number that makes no difference on the whole sample is to be removed;
-where fewer cases were run than the sample has, no difference is no evidence. Where it says "not run" there is
-no ablation yet, and the number rests on what stands under "chosen by" alone. A number with * was added for a
-single case of a benchmark.
+[trust benchmark](trust.md) again, and one of the [real logs](real.md) with one degree of freedom. The table
+counts the answers (verdict, effects named, sets) that differ from those of the default settings. A number
+that makes no difference on the whole sample is to be removed; where fewer cases were run than the sample has,
+no difference is no evidence. Where it says "not run" there is no ablation yet, and the number rests on what
+stands under "chosen by" alone. A number with * was added for a single case of a benchmark.
 
 """
 HOW = """
     python -m benchmarks.trust ablate --source ablation.jsonl --out docs/ablation.md
     python -m benchmarks.trust ablate --source ablation.jsonl --number named_share --cases 5
+    python -m benchmarks.real ablate --source ablation-real.jsonl
+    python -m benchmarks.trust ablate --source ablation.jsonl --cases 0 --beside ablation-real.jsonl
 """
 
 
 @dataclass(frozen=True)
-class Ablated(Planned):
+class Ablated:
     """A case that is diagnosed with one number switched off, or none where `number` is empty."""
 
+    case: Job
     number: str = ""
 
     @property
     def id(self) -> str:
         """The case and the number, as one word."""
-        return f"{super().id}:{self.number or 'default'}"
+        return f"{self.case.id}:{self.number or 'default'}"
+
+    @property
+    def kind(self) -> str:
+        """That of the case."""
+        return self.case.kind
+
+    @property
+    def label(self) -> str:
+        """What is special about the case."""
+        return self.case.label
+
+    @property
+    def vehicle(self) -> str:
+        """What the case is about."""
+        return self.case.vehicle
 
     @property
     def settings(self) -> Settings:
@@ -64,22 +86,30 @@ def switchable() -> list[str]:
     return [name for name, about in Settings.about().items() if about.off is not None]
 
 
-def ablations(cases: Sequence[Planned], numbers: Sequence[str] = ()) -> list[Ablated]:
+def ablations(cases: Sequence[Job], numbers: Sequence[str] = ()) -> list[Ablated]:
     """Every case as it is, and with each of these numbers switched off, by default all that can be."""
     for name in numbers:
         if name not in switchable():
             raise ValueError(f"--number {name!r} cannot be switched off: choose of {', '.join(switchable())}")
-    return [Ablated(**asdict(case), number=n) for case in cases for n in ("", *(numbers or switchable()))]
+    return [Ablated(case, n) for case in cases for n in ("", *(numbers or switchable()))]
 
 
-def answered(case: Planned) -> Record:
-    """The answer of the diagnosis to a case."""
-    assert isinstance(case, Ablated)
-    data = written_to_memory(simulated(case))
-    began = time.perf_counter()
-    answer = answer_of(diagnose(*data, settings=case.settings).diagnosis)
-    said = {name: getattr(answer, name) for name in ("verdict", "named", "sets")}
-    return {"id": case.id, "number": case.number, "answer": said, "seconds": time.perf_counter() - began}
+def answering(data: Callable[[Any], Data]) -> Work:
+    """What is done with an ablation: the answer of the diagnosis to the vehicle and logs of its case."""
+
+    def answered(one: Ablated) -> Record:
+        given = data(one.case)
+        began = time.perf_counter()
+        answer = answer_of(diagnose(*given, settings=one.settings).diagnosis)
+        said = {name: getattr(answer, name) for name in ("verdict", "named", "sets")}
+        return {"id": one.id, "number": one.number, "answer": said, "seconds": time.perf_counter() - began}
+
+    return answered
+
+
+def of_simulation(case: Planned) -> Data:
+    """Vehicle and logs of a case of the trust benchmark."""
+    return written_to_memory(simulated(case))
 
 
 def ablation_page(records: Iterable[Record]) -> str:
@@ -87,7 +117,10 @@ def ablation_page(records: Iterable[Record]) -> str:
     kept = [r for r in records if "failure" not in r]
     commits = ", ".join(sorted({str(r.get("commit", "unknown")) for r in kept})) or "none"
     whole = len(sample())
-    run = f"The sample has {whole} cases. Diagnoses so far: {len(kept)}, with commit {commits}.\n"
+    run = (
+        f"The sample has {whole} simulated cases, and those of real logs. "
+        f"Diagnoses so far: {len(kept)}, with commit {commits}.\n"
+    )
     head = ("number", "meaning", "value", "off", "chosen by", "cases run", "answers changed")
     rows = [_row(name, about, kept) for name, about in Settings.about().items()]
     changed = [line for name in switchable() for line in _changes(name, kept)]

@@ -25,7 +25,7 @@ from undertow.identification.diagnosis.associations import (
 )
 from undertow.identification.diagnosis.residual import ForceRows, how, remaining, sentence
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
-from undertow.identification.diagnosis.validation import split_into_pieces
+from undertow.identification.diagnosis.splitting import split_into_pieces
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.logs.pose_velocity import velocities_from_pose

@@ -17,8 +17,8 @@ from undertow.errors import UndertowError
 from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import compare_scores, explained
+from undertow.identification.diagnosis.splitting import split_into_pieces
 from undertow.identification.diagnosis.trial import Score, open_bench, try_candidate
-from undertow.identification.diagnosis.validation import split_into_pieces
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run

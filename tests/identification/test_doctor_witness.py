@@ -15,6 +15,8 @@ from benchmarks.hidden_effects import Case, make_case
 from tests.cli.bad import text_of
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.quick import first_quick, quick_if
+from undertow.codegen.simulate import Model
+from undertow.codegen.simulate import compile as compile_model
 from undertow.identification.doctor.clocks import Latency, late_source
 from undertow.identification.doctor.dynamics import (
     best_of,
@@ -24,17 +26,20 @@ from undertow.identification.doctor.dynamics import (
     other_units,
     reversed_commands,
     swapped_commands,
+    without_refuted,
 )
 from undertow.identification.doctor.examine import Examined, examine
-from undertow.identification.doctor.findings import Finding, edited
+from undertow.identification.doctor.findings import Examination, Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mistakes import in_degrees, wrapped_angles
+from undertow.identification.doctor.mistakes import in_degrees, with_channels, wrapped_angles
 from undertow.identification.doctor.signs import Weight, _remaining
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
+from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 Columns = dict[str, np.ndarray]
@@ -286,3 +291,56 @@ def test_a_dry_mass_shows_in_added_masses_that_are_known_to_fifteen_per_cent(
     for finding in findings:
         assert "looks like the dry mass" in finding.text
         assert abs(finding.evidence["found"] - stated.value) < 2.0 * finding.evidence["error"]
+
+
+# --- what the model lacks is no unit ------------------------------------------------------------------------
+def _torpedo_in(current: tuple[float, float]) -> tuple[Vehicle, list[Run]]:
+    """A bundled torpedo whose values are some per cent off, and runs of it in a current to north and east."""
+    vehicle, rng = load_vehicle("remus100"), np.random.default_rng(115)
+    guessed = {n: v for n, v in vehicle.values.items() if v.estimate}
+    off = {n: replace(v, value=v.value * (1 + 0.1 * rng.standard_normal())) for n, v in guessed.items()}
+    water = dict(zip(("V_N", "V_E"), map(Value, current), strict=True))
+    model = compile_model(vehicle.with_values(off).with_effect(catalogue()["ocean_current"], water))
+    return vehicle, [_sailed(vehicle, model, np.random.default_rng(seed)) for seed in range(1150, 1153)]
+
+
+def _sailed(vehicle: Vehicle, model: Model, rng: np.random.Generator) -> Run:
+    dt, count = 0.05, 2000
+    steps = rng.uniform([2.5, -0.12, -0.04], [5.0, 0.12, 0.04], (count // 60 + 1, 3))
+    u = np.repeat(steps, 60, axis=0)[:count]
+    start = np.array([{"u": 1.5, "z": 10.0}.get(n, 0.0) for n in model.states])
+    x = model.simulate(start, u, dt)
+    noise = {"x": 0.02, "y": 0.02, "z": 0.02, "u": 0.005, "v": 0.005, "w": 0.005}
+    read = {n: x[:, i] + rng.normal(0.0, noise.get(n, 0.002), count) for i, n in enumerate(model.states[:12])}
+    return Run(
+        "dive",
+        np.linspace(0.0, dt * (count - 1), count),
+        read | dict(zip(vehicle.command_names, u.T, strict=True)),
+    )
+
+
+def test_a_current_that_the_model_lacks_is_no_other_unit() -> None:
+    vehicle, runs = _torpedo_in((0.15, -0.1))
+    examined = examine(vehicle, runs).result
+    assert not examined.mistakes
+    (doubt,) = (f for f in examined.findings if f.id == "motion_unit")
+    assert doubt.severity == "warning"
+    assert any("ocean_current" in other for other in doubt.alternatives)
+
+
+def test_feet_are_found_all_the_same() -> None:
+    vehicle, runs = _torpedo_in((0.0, 0.0))
+    feet = [with_channels(r, {n: r.channels[n] / 0.3048 for n in "xyzuvw"}) for r in runs]
+    (mistake,) = examine(vehicle, feet).result.mistakes
+    assert mistake.id == "motion_unit"
+    assert "are in ft and ft/s" in mistake.text
+
+
+def test_a_mistake_is_refuted_by_a_model_that_leaves_only_noise() -> None:
+    """What a mistake would leave is more than what the model leaves of the log as it is."""
+    examined = Examination(undertow="", vehicle="", runs=[], findings=[], excitation=[], seconds=0.0)
+    leaving = {"surge": 300.0, "surge_undone": 20.0}
+    wrong = Finding(id="reversed_thruster", severity="mistake", text="", evidence=leaving)
+    right = wrong.model_copy(update={"evidence": {"surge": 300.0, "surge_undone": 1.1}})
+    seen = examined.model_copy(update={"findings": [wrong, right]})
+    assert without_refuted(seen).mistakes == [right]

@@ -20,13 +20,14 @@ from undertow.identification.diagnosis.evidence import (
     null_distribution,
     p_value,
 )
+from undertow.identification.diagnosis.splitting import repeats
 from undertow.identification.diagnosis.trial import (
     best_start,
     comparable_mean_squares,
     open_bench,
     try_candidate,
 )
-from undertow.identification.diagnosis.validation import repeats, worse_by_rank_test
+from undertow.identification.diagnosis.validation import worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened

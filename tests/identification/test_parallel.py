@@ -9,10 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
+import undertow as ut
 from benchmarks.hidden_effects import make_case, write_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.errors import UndertowError
+from undertow.identification.api import try_effect
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.parallel import in_background, jobs, mapped
 from undertow.identification.diagnosis.validation import SimulationValidator
@@ -44,6 +47,23 @@ def test_one_job_is_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(mapped(lambda i: os.getpid(), 3)) == [os.getpid()] * 3
     with in_background(os.getpid) as found:
         assert found() == os.getpid()
+
+
+def test_the_linear_algebra_has_one_thread_in_long_work(tmp_path: Path) -> None:
+    write_case(make_case("usv", ("lift",), 11, duration=20.0), tmp_path)
+    model = load_vehicle(tmp_path / "vehicle.toml")
+    run = read_log(tmp_path / "train_1.csv", channels=model.command_names)
+    seen: dict[str, list[int]] = {"fit": [], "add": []}
+    with threadpool_limits(2):
+        ut.fit(model, [run], report=lambda *_: seen["fit"].extend(blas_threads()))
+        try_effect(model, "lift", [run], report=lambda *_: seen["add"].extend(blas_threads()))
+        assert set(blas_threads()) == {2}
+    assert set(seen["fit"]) == set(seen["add"]) == {1}
+
+
+def blas_threads() -> list[int]:
+    """Threads of every library of linear algebra that is loaded."""
+    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
 
 @shared_memory
@@ -85,11 +105,15 @@ def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
     model = load_vehicle(tmp_path / "vehicle.toml")
     runs = [read_log(tmp_path / f"{n}.csv", channels=model.command_names) for n in ("train_1", "holdout")]
     known, answers = {i: catalogue()[i] for i in ("lift", "constant_force")}, []
+    threads: set[int] = set()
     for number in ("1", "2"):
         monkeypatch.setenv("UNDERTOW_JOBS", number)
-        answers.append(
-            diagnose(model, runs[:1], runs[1:], known=known).diagnosis.model_dump(exclude={"seconds"})
-        )
+        with threadpool_limits(2):
+            result = diagnose(
+                model, runs[:1], runs[1:], known=known, report=lambda *_: threads.update(blas_threads())
+            )
+        answers.append(result.diagnosis.model_dump(exclude={"seconds"}))
+    assert threads == {1}
     assert answers[0] == answers[1]
     assert answers[0]["effects"] == ["lift"]
 

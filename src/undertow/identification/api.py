@@ -21,8 +21,9 @@ from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
+from .diagnosis.parallel import one_thread
 from .diagnosis.result import Role, RunInfo, ValuesByRun, read_diagnosis, run_info
-from .diagnosis.validation import training_and_validation, with_velocities
+from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
 from .estimation.adaptation import adapted, in_runs
@@ -41,7 +42,6 @@ from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
 from .logs.mapping import LogMapping, read_mapping
 from .logs.opening import save_log as save_log
-from .logs.pose_velocity import as_reported
 from .logs.reading import read_log as read
 from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
@@ -368,10 +368,11 @@ def read_log(
     return read(path, meaning, commands, window=window)
 
 
+@one_thread()
 def fit(
     vehicle: Vehicle,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     method: str = "default",
     horizon: float = 5.0,
@@ -387,7 +388,7 @@ def fit(
     ----------
     vehicle : Vehicle
         The model.
-    runs, validation : sequence of Run
+    runs, validation : Run or sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     method : str
         "default" (the weak form, then output error), "weak", "integral", "instrumental", "output_error" or
@@ -429,12 +430,12 @@ def fit(
     """
     constraints = Constraints(read_equalities(equal, vehicle), dissipative)
     estimator = Estimator(_method(method), horizon, constraints, loss)
+    vehicle, runs, validation = normalised(vehicle, runs, validation)
     if not free_parameters(vehicle):
         raise UndertowError(
             f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
-    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
     train, test = training_and_validation(vehicle, runs, validation, trust_log=trust_log)
     report(0.0, "fitting")
     # Whole logs have been looked at: what is left of them without the validation data need not be.
@@ -464,8 +465,8 @@ def _method(name: str) -> Method:
 def add_effect(
     vehicle: Vehicle,
     effect: str,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     force: bool = False,
 ) -> Vehicle:
@@ -477,7 +478,7 @@ def add_effect(
         The model.
     effect : str
         Id of an effect of the catalogue.
-    runs, validation : sequence of Run
+    runs, validation : Run or sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     force : bool
         Add it even if it does not lower the error on validation data.
@@ -512,11 +513,12 @@ def add_effect(
     return done.fit.vehicle
 
 
+@one_thread()
 def try_effect(
     vehicle: Vehicle,
     effect: str,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     known: Catalogue | None = None,
     keep_all: bool = False,
@@ -553,6 +555,7 @@ def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path
     save_vehicle(addition.fit.vehicle, template, out, history=entry)
 
 
+@one_thread()
 def plan(
     vehicle: Vehicle,
     runs: Sequence[Run],

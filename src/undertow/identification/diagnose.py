@@ -14,15 +14,21 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.files import write_whole
-from undertow.identification.diagnosis.parallel import in_background
-from undertow.identification.diagnosis.validation import repeats, training_and_validation, with_velocities
+from undertow.identification.diagnosis.parallel import in_background, one_thread
+from undertow.identification.diagnosis.splitting import (
+    Runs,
+    normalised,
+    repeats,
+    training_and_validation,
+    with_velocities,
+)
+from undertow.identification.doctor.dynamics import without_refuted
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
@@ -140,6 +146,12 @@ class ResultBuilder:
         if self._selection is not None:
             graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
             self._selection = replace(self._selection, graded=graded)
+
+    @property
+    def leaves_only_noise(self) -> bool:
+        """Whether the model with what is named, or as it is where nothing is missing, leaves only noise."""
+        named = bool(self.judgement.effects) or self.judgement.verdict == "adequate"
+        return named and self._residual_is_noise
 
     @property
     def after(self) -> Fitted:
@@ -545,10 +557,11 @@ class DiagnosisResult:
         return html(repr(self), head, rows)
 
 
+@one_thread()
 def diagnose(
     vehicle: Vehicle,
-    runs: Sequence[Run],
-    validation: Sequence[Run] = (),
+    runs: Runs,
+    validation: Runs = (),
     *,
     known: Catalogue | None = None,
     report: Progress = lambda done, words: None,
@@ -562,7 +575,7 @@ def diagnose(
     ----------
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
-    runs, validation : sequence of Run
+    runs, validation : Run or sequence of Run
         Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
@@ -599,8 +612,8 @@ def diagnose(
     if false_alarms is not None:
         settings = replace(settings, false_alarm_rate=false_alarms)
     began = time.perf_counter()
-    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
-    logs, judges = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
+    vehicle, *both = normalised(vehicle, runs, validation)
+    logs, judges = (with_velocities(vehicle, given) for given in both)
     train, test = training_and_validation(vehicle, logs, judges, settings, trust_log=trust_log)
     data = prepare(train, vehicle)
     with in_background(lambda: examine(vehicle, [*logs, *judges]).result) as examined:
@@ -618,7 +631,8 @@ def diagnose(
         builder = _builder(vehicle, found, validator, effects, report)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
-        diagnosis = _with_doctor(summarised(builder.build(infos, time.perf_counter() - began)), examined())
+        diagnosis = summarised(builder.build(infos, time.perf_counter() - began))
+        diagnosis = _with_doctor(diagnosis, examined(), explained=builder.leaves_only_noise)
     return DiagnosisResult(
         diagnosis,
         builder.given.vehicle,
@@ -632,8 +646,13 @@ def diagnose(
     )
 
 
-def _with_doctor(diagnosis: Diagnosis, examined: Examination) -> Diagnosis:
-    """The diagnosis with what the doctor found; mistakes come first among the warnings."""
+def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool) -> Diagnosis:
+    """The diagnosis with what the doctor found; mistakes come first among the warnings.
+
+    explained: whether the logs as they are read leave only noise.
+    """
+    if explained:
+        examined = without_refuted(examined)
     mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
     ids = ", ".join(f.id for f in examined.mistakes)
     first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if mistakes else []

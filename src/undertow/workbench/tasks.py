@@ -19,7 +19,8 @@ from undertow.identification.diagnose import DiagnosisResult
 from undertow.identification.diagnose import diagnose as diagnosis
 from undertow.identification.diagnosis.addition import force_errors
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.diagnosis.validation import SimulationValidator, training_and_validation
+from undertow.identification.diagnosis.splitting import training_and_validation
+from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.doctor.examine import examine as doctor
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, base_parameters, correlation, notes

@@ -25,7 +25,6 @@ from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
-from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -34,8 +33,9 @@ from undertow.typing import Array
 
 from .search import last_fit
 from .settings import DEFAULT
+from .splitting import Runs, normalised, training_and_validation
 from .trial import best_start, screen, without_redundant
-from .validation import SimulationValidator, training_and_validation
+from .validation import SimulationValidator
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,10 @@ class Addition:
 
 
 def set_up_addition(
-    vehicle: Vehicle, runs: Sequence[Run], holdout: Sequence[Run] = (), *, trust_log: bool = False
+    vehicle: Vehicle, runs: Runs, holdout: Runs = (), *, trust_log: bool = False
 ) -> AdditionSetup:
     """Fit a model as it is, and get ready to judge what is added to it."""
-    vehicle = as_reported(vehicle.without_priors_from(run.sha256 for run in runs), runs)
+    vehicle, runs, holdout = normalised(vehicle, runs, holdout)
     train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)

@@ -13,6 +13,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from threadpoolctl import threadpool_limits
+
 from undertow.codegen.trajectories import processors
 
 T = TypeVar("T")
@@ -30,6 +32,17 @@ def jobs() -> int:
     if sys.platform != "linux" or _work or multiprocessing.current_process().daemon:
         return 1
     return processors()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """The linear algebra in one thread while the block, or the decorated function, runs.
+
+    Matrices are small here: threads that wait for each other take longer than they save, several times as
+    long beside helper processes or other programs. Limits only what is loaded already.
+    """
+    with threadpool_limits(1):
+        yield
 
 
 def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
@@ -97,4 +110,4 @@ def _begin() -> None:
     logging.disable()
 
 
-__all__ = ["in_background", "jobs", "mapped"]
+__all__ = ["in_background", "jobs", "mapped", "one_thread"]

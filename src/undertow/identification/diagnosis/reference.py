@@ -29,6 +29,7 @@ from undertow.model.symbols import FORCE_UNITS, POSE
 from undertow.typing import Array, Flags, Index
 
 from .associations import WAVE, Along, Clock, Column, command_of, plain_of, terms_of
+from .parallel import one_thread
 from .residual import ForceRow, ForceRows, forgetful, measured_pose, sliding, tested
 from .result import Predictability
 
@@ -163,9 +164,8 @@ def captured(
 def _one_thread() -> Iterator[None]:
     """Small trees lose more time by waiting for other threads than they win."""
     import sklearn.ensemble  # noqa: F401  takes long to import, and brings the threads that are limited
-    from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1):
+    with one_thread():
         yield
 
 

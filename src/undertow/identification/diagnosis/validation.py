@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -13,14 +12,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
-from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.adaptation import (
     adapted,
     factor_of_the_rest,
     in_runs,
     learned_from,
 )
-from undertow.identification.estimation.data import WeakData, channel_noise
+from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import (
     OutputErrorFit,
@@ -41,8 +39,6 @@ from undertow.identification.estimation.windows import (
     position_error,
     prediction_error,
 )
-from undertow.identification.logs.checks import check_fit
-from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -527,116 +523,3 @@ def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT
     if len(gap) < settings.testable_windows:
         return len(gap) >= settings.unanimous_windows and bool(np.all(gap > 0.0))
     return bool(wilcoxon(gap, alternative="greater").pvalue < settings.worse_chance and np.mean(gap) > 0.0)
-
-
-def repeats(
-    vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], settings: Settings = DEFAULT
-) -> list[tuple[str, str]]:
-    """Validation runs that repeat the commands of a run that was fitted, with that run.
-
-    A model that has learned the manoeuvre by heart does as well on them as the right one.
-    """
-    names = tuple(n for n in vehicle.command_names if n not in vehicle.inputs)
-    pairs = ((kept, fitted) for kept in test for fitted in train)
-    return [
-        (kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names, settings)
-    ]
-
-
-def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> bool:
-    """Whether two runs have the same commands, each counted from its own beginning."""
-    first, second = one.t - one.t[0], other.t - other.t[0]
-    common = first[first <= second[-1]]
-    if common[-1] < settings.same_length * min(first[-1], second[-1]):
-        return False
-    mine = np.nan_to_num(one.matrix(names)[: len(common)])
-    place = np.searchsorted(second, common, side="right") - 1
-    theirs = np.nan_to_num(other.matrix(names)[place])
-    # A command that is held, as of the propeller in a zigzag, is the same in manoeuvres that are not.
-    size = np.std(mine, axis=0)
-    moved = size > settings.changed_command * np.max(np.abs(mine), axis=0)
-    if not np.any(moved):
-        return False
-    difference = (mine - theirs)[:, moved] / size[moved]
-    return float(np.sqrt(np.mean(difference**2))) < settings.same_commands
-
-
-def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
-    """Runs with the velocities that they have a pose for only."""
-    for run in runs:
-        if held := [d for d in vehicle.degrees_of_freedom if d in run.held]:
-            raise UndertowError(
-                f"in run '{run.name}' a rig holds {', '.join(held)} of '{vehicle.name}': sort such logs by "
-                "undertow.identification.experiments.experiments, or give them to undertow fit or diagnose"
-            )
-    return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
-
-
-def training_and_validation(
-    vehicle: Vehicle,
-    runs: Sequence[Run],
-    validation: Sequence[Run],
-    settings: Settings = DEFAULT,
-    *,
-    trust_log: bool = False,
-) -> tuple[list[Run], list[Run]]:
-    """Runs to fit to and to judge by: as given, or pieces of `runs` where there are none for validation.
-
-    Velocities that a run lacks are taken from its pose.
-    """
-    runs, validation = with_velocities(vehicle, runs), with_velocities(vehicle, validation)
-    check_fit(runs, validation, vehicle)
-    refuse_impossible(vehicle, [*runs, *validation], trust_log=trust_log)
-    train, test = (list(runs), list(validation)) if validation else split_into_pieces(runs, settings)
-    check_excitation(vehicle, train, settings)
-    return train, test
-
-
-def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tuple[list[Run], list[Run]]:
-    """Cut every run into six pieces and keep the second and the fifth aside.
-
-    A run that is short beside the longest is fitted whole: predictions over its pieces would say nothing.
-    """
-    enough = settings.whole_below * max(float(run.t[-1] - run.t[0]) for run in runs)
-    short = [run for run in runs if float(run.t[-1] - run.t[0]) < enough]
-    runs = [run for run in runs if run not in short]
-    for run in runs:
-        if len(run.t) < settings.fewest_samples:
-            raise UndertowError(
-                f"run {run.name!r} has {len(run.t)} samples, too few to keep stretches of it aside "
-                f"({settings.fewest_samples} at the very least): give longer logs, or another run to judge "
-                "by with --holdout"
-            )
-    pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run, settings))]
-    train = [piece for i, piece in pieces if i not in settings.validation_pieces]
-    return [*short, *train], [piece for i, piece in pieces if i in settings.validation_pieces]
-
-
-def _pieces(run: Run, settings: Settings) -> list[Run]:
-    count = settings.pieces
-    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / count
-    # Between two samples: whether one lies on an edge must not hang on the last digit of its time.
-    beside = 0.25 * run.step
-    edges = [start + i * length - (beside if 0 < i < count else 0.0) for i in range(count + 1)]
-    gap = min(settings.piece_gap, 0.1 * length)
-    return [
-        replace(
-            run.slice(a, b if i == count - 1 else b - gap),
-            name=f"{run.name} [{a:.0f}-{b:.0f} s]",
-            part_of=run.origin,
-        )
-        for i, (a, b) in enumerate(pairwise(edges))
-    ]
-
-
-def check_excitation(vehicle: Vehicle, runs: Sequence[Run], settings: Settings = DEFAULT) -> None:
-    """Refuse logs in which no velocity of the vehicle stands out of its noise."""
-    names = [n for n in vehicle.velocity_names if all(r.has(n) for r in runs)]
-    noise = dict(zip(names, channel_noise(runs, names), strict=True))
-    largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in names}
-    if names and all(largest[n] < settings.excited * noise[n] or largest[n] == 0.0 for n in names):
-        seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
-        raise UndertowError(
-            f"nothing moves in these logs: standard deviation of {seen}; "
-            "log a manoeuvre in which the vehicle moves"
-        )

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-import sympy as sm
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
@@ -24,13 +23,13 @@ from undertow.identification.estimation.weak_form import (
 )
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
-from undertow.model.effect import Effect, Wrench
+from undertow.model.effects.ocean_current import OceanCurrent
 from undertow.model.hardware import Curve
-from undertow.model.symbols import FORCE, POSE, VELOCITY, Signals
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import Edits, Finding, column_edit
+from .findings import Edits, Examination, Finding, column_edit
 from .kinematics import Kinematics, jacobian, most_active
 from .mistakes import (
     SPEEDS,
@@ -85,6 +84,7 @@ class DynamicsSettings:
 
 
 SETTINGS = DynamicsSettings()
+_UNDONE = "_undone"  # ends names of evidence: what is left once a mistake is undone
 
 
 @dataclass(frozen=True)
@@ -158,6 +158,18 @@ class Dynamics:
         fit = self.refitted(undo=mistake.undo)
         return fit is None or self.gain(fit).overall >= 1.0
 
+    def in_a_current(self, mistake: Mistake) -> bool:
+        """Whether a current that the model lacks explains the motion as well as undoing a mistake does."""
+        if any(issubclass(type(e), OceanCurrent) for e in self.vehicle.effects):
+            return False
+        names = [p.name for p in OceanCurrent(()).parameters]
+        undone = self.refitted(undo=mistake.undo)
+        moved = self.refitted(vehicle=self.vehicle.with_effect(OceanCurrent, {}), free=names)
+        if undone is None or moved is None:
+            return False
+        unit, current = (self.gain(with_reestimated_noise(fit)).overall for fit in (undone, moved))
+        return current * SETTINGS.as_good > unit
+
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""
         return Gain(
@@ -218,7 +230,7 @@ class Gain:
     def evidence(self) -> dict[str, float]:
         """The same in numbers, for all of them."""
         rows = zip(self.names, self.before.tolist(), self.after.tolist(), strict=True)
-        return {f"{dof}{when}": v for dof, b, a in rows for when, v in (("", b), ("_undone", a))}
+        return {f"{dof}{when}": v for dof, b, a in rows for when, v in (("", b), (_UNDONE, a))}
 
 
 def normalised_mean_square(fit: WeakFit) -> Array:
@@ -543,52 +555,14 @@ def _standardised(fit: WeakFit) -> dict[str, float]:
     return {n: (fit.values[n] - v.value) / v.sigma for n, v in priors.items() if v.sigma}
 
 
-# --- squares ----------------------------------------------------------------------------------
-def lost_signs(at: Dynamics) -> Iterator[Finding]:
-    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern.
+def without_refuted(examined: Examination) -> Examination:
+    """What was found, less mistakes that explain less than a model does which leaves only noise as it is.
 
-    They are reported where |u| u in its place explains the logs decisively.
+    Mistakes that show in how a model explains motion are believed for want of a better explanation.
     """
-    vehicle = at.vehicle
-    for effect in vehicle.effects:
-        if not isinstance(effect, Wrench) or not (squares := _squares(effect, vehicle)):
-            continue
-        mended, terms = _with_signs(effect), ", ".join(squares)
-        others = tuple(mended if e is effect else e for e in vehicle.effects)
-        fit = at.refitted(vehicle=replace(vehicle, effects=others))
-        if fit is not None and (gain := at.gain(fit)).decisive:
-            yield Finding(
-                id="lost_sign",
-                severity="mistake",
-                text=f"effect {effect.id} has a square without its sign ({terms}), which pushes when moving "
-                f"astern: with |u| u for u^2, {gain.text}",
-                evidence=gain.evidence,
-                vehicle=f"effect {effect.id}: write sm.Abs(u) * u where it has u**2 ({terms})",
-            )
+    return examined.model_copy(update={"findings": [f for f in examined.findings if not _leaves_much(f)]})
 
 
-def _squares(effect: Wrench, vehicle: Vehicle) -> list[str]:
-    signals = vehicle.composition.signals
-    wrench = effect.wrench(signals)
-    return [
-        f"{FORCE[i]}: {VELOCITY[i]}^2"
-        for i in vehicle.dof_indices
-        if any(wrench[i].has(v**2) for v in (signals.nu[i], signals.nu_r[i]))
-    ]
-
-
-def _with_signs(effect: Wrench) -> Effect:
-    """The same effect with |v| v for v^2 along each motion."""
-    kind = type(effect)
-
-    def wrench(self: Wrench, s: Signals) -> sm.Matrix:
-        found = kind.wrench(self, s)
-        rows = [_signed(found[i], (s.nu[i], s.nu_r[i])) for i in range(6)]
-        return sm.Matrix(rows)
-
-    # The contract of an effect is kept: only its statement changes.
-    return type(kind.__name__, (kind,), {"wrench": wrench, "__doc__": kind.__doc__})(effect.thrusters)
-
-
-def _signed(force: sm.Expr, velocities: tuple[sm.Symbol, ...]) -> sm.Expr:
-    return sm.sympify(force, strict=True).xreplace({v**2: sm.Abs(v) * v for v in velocities})
+def _leaves_much(finding: Finding) -> bool:
+    left = [number for name, number in finding.evidence.items() if name.endswith(_UNDONE)]
+    return finding.severity == "mistake" and max(left, default=0.0) > SETTINGS.unexplained

@@ -22,7 +22,6 @@ from .dynamics import (
     Dynamics,
     dynamic_mistakes,
     dynamics_of,
-    lost_signs,
     other_mass,
     rederived,
     wirings,
@@ -41,7 +40,7 @@ from .mistakes import (
 )
 from .sampling import DROP, excitation, excitation_findings, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
-from .signs import by_signs
+from .signs import by_signs, lost_signs
 
 
 def _explanation(
@@ -75,6 +74,7 @@ def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str
 _MOST_MISTAKES = 3
 # In one motion alone, or for all of them alike, this does the same as a unit.
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
+_CURRENT = "a current that the vehicle file lacks (ocean_current), which explains as much"
 
 
 @dataclass(frozen=True)
@@ -260,14 +260,22 @@ class _Examiner:
             found = self._model_mistake(at)
             if found is None:
                 break
-            if found.mistake.id in UNITS_OF_MOTION and len(self.vehicle.dof_indices) == 1:
-                self._doubt(found, [_WEAK_THRUSTERS])
+            if others := self._instead_of_unit(at, found.mistake):
+                self._doubt(found, others)
                 break
             self._undo(found)
         if not any(f.severity == "mistake" for f in self.findings):
             self.doubt_forces()
         if at is not None:
             self._look_at_numbers(at)
+
+    def _instead_of_unit(self, at: Dynamics, mistake: Mistake) -> list[str]:
+        """What else than another unit of the motion explains how the model does."""
+        if mistake.id not in UNITS_OF_MOTION:
+            return []
+        if len(self.vehicle.dof_indices) == 1:
+            return [_WEAK_THRUSTERS]
+        return [_CURRENT] if at.in_a_current(mistake) else []
 
     def _model_mistake(self, at: Dynamics) -> Explanation | None:
         """What the fit of the model shows, and, where that leaves much, what the signs of commands do."""

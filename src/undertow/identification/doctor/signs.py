@@ -1,4 +1,4 @@
-"""Signs of commands: which way the motion answers every command in every run, whatever else acts.
+"""Signs: which way the motion answers every command in every run, whatever else acts; squares without one.
 
 The force that a motion needs is regressed on what the vehicle file says of every command, with a gain of its
 own for each, beside damping, lift and constant forces of any size. Gains are 1 where the file is right, and
@@ -8,19 +8,23 @@ explained where no gain may be.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import sympy as sm
 from scipy.optimize import nnls
 
 from undertow.errors import UndertowError
 from undertow.identification.estimation.between_runs import heterogeneity
 from undertow.identification.logs.run import Run
+from undertow.model.effect import Effect, Wrench
+from undertow.model.symbols import FORCE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .dynamics import part_of, rederived
+from .dynamics import Dynamics, part_of, rederived
+from .findings import Finding
 from .forces import StatedForces, without
 from .mistakes import Explanation, Mistake, Undo
 from .sensors import clustered_least_squares
@@ -264,3 +268,54 @@ def by_signs(
 
 def _reason(found: Explanation) -> str:
     return found.text.removeprefix(found.mistake.clause)
+
+
+# --- squares ----------------------------------------------------------------------------------
+def lost_signs(at: Dynamics) -> Iterator[Finding]:
+    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern.
+
+    They are reported where |u| u in its place explains the logs decisively.
+    """
+    vehicle = at.vehicle
+    for effect in vehicle.effects:
+        if not isinstance(effect, Wrench) or not (squares := _squares(effect, vehicle)):
+            continue
+        mended, terms = _with_signs(effect), ", ".join(squares)
+        others = tuple(mended if e is effect else e for e in vehicle.effects)
+        fit = at.refitted(vehicle=replace(vehicle, effects=others))
+        if fit is not None and (gain := at.gain(fit)).decisive:
+            yield Finding(
+                id="lost_sign",
+                severity="mistake",
+                text=f"effect {effect.id} has a square without its sign ({terms}), which pushes when moving "
+                f"astern: with |u| u for u^2, {gain.text}",
+                evidence=gain.evidence,
+                vehicle=f"effect {effect.id}: write sm.Abs(u) * u where it has u**2 ({terms})",
+            )
+
+
+def _squares(effect: Wrench, vehicle: Vehicle) -> list[str]:
+    signals = vehicle.composition.signals
+    wrench = effect.wrench(signals)
+    return [
+        f"{FORCE[i]}: {VELOCITY[i]}^2"
+        for i in vehicle.dof_indices
+        if any(wrench[i].has(v**2) for v in (signals.nu[i], signals.nu_r[i]))
+    ]
+
+
+def _with_signs(effect: Wrench) -> Effect:
+    """The same effect with |v| v for v^2 along each motion."""
+    kind = type(effect)
+
+    def wrench(self: Wrench, s: Signals) -> sm.Matrix:
+        found = kind.wrench(self, s)
+        rows = [_signed(found[i], (s.nu[i], s.nu_r[i])) for i in range(6)]
+        return sm.Matrix(rows)
+
+    # The contract of an effect is kept: only its statement changes.
+    return type(kind.__name__, (kind,), {"wrench": wrench, "__doc__": kind.__doc__})(effect.thrusters)
+
+
+def _signed(force: sm.Expr, velocities: tuple[sm.Symbol, ...]) -> sm.Expr:
+    return sm.sympify(force, strict=True).xreplace({v**2: sm.Abs(v) * v for v in velocities})
