@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from undertow.cli.main import main
+from undertow.errors import UndertowError
 from undertow.identification.logs.guess import guess_mapping, guess_table
 from undertow.identification.logs.guess_names import Name
 from undertow.identification.logs.guessed import Guess, GuessedMapping
@@ -393,3 +394,117 @@ def test_axes_that_have_to_be_turned_keep_what_turns_them(tmp_path: Path) -> Non
     assert {g.channel for g in found.columns} == {"x", "y", "psi", "u", "v", "tau_X"}
     plain = guess_table(table.rename({"x": "y", "y": "x"}), tmp_path / "own.csv", hull)
     assert {g.channel for g in plain.columns} == {"x", "u", "tau_X"}
+
+
+CATAMARAN = """
+schema = "undertow/vehicle/1"
+name = "boat"
+degrees_of_freedom = ["surge", "sway", "yaw"]
+signs = "sname"
+[effects.rigid_body]
+m = 55
+I_z = 14
+"""
+PAIR = "".join(
+    f'[[thrusters]]\nname = "{name}"\nposition = [-1, {side}, 0]\ndirection = [1, 0, 0]\n'
+    for name, side in (("port", -0.4), ("starboard", 0.4))
+)
+
+
+def _from_table(folder: Path, vehicle: str, table: pl.DataFrame) -> tuple[dict[str, Guess], GuessedMapping]:
+    (folder / "own.toml").write_text(vehicle)
+    found = guess_table(table, folder / "own.csv", load_vehicle(folder / "own.toml"))
+    return {g.channel: g for g in found.columns}, found
+
+
+def _swinging(rows: int = 200) -> dict[str, np.ndarray]:
+    t = np.arange(rows) / 10
+    return {"t": t, "psi": 0.5 * np.sin(0.3 * t), "u": 1.0 + 0.2 * np.sin(t), "n": 900 + 50 * np.cos(t)}
+
+
+def test_numbered_columns_of_a_vector_are_its_axes_and_dead_ones_are_none(tmp_path: Path) -> None:
+    """As a catamaran's interface wrote them: three of a vector by number, speeds that stayed zero."""
+    c = _swinging()
+    table = pl.DataFrame(
+        {
+            "current_time": 1.7e9 + c["t"],
+            **{f"orientation_{k}": a * DEGREES * c["psi"] for k, a in ((1, 0.01), (2, 0.02), (3, 1.0))},
+            **{f"rotational_velocities_{k}": 5 * np.sin(k * c["t"]) for k in (1, 2)},
+            "rotational_velocities_3": DEGREES * np.gradient(c["psi"], 0.1),
+            "north_m": 5 * c["t"],
+            "east_m": np.sin(c["t"]),
+            "speed_surge": 0.0 * c["t"],
+            "n1": c["n"],
+            "n2": c["n"] + 20,
+            "tau_N": np.sin(c["t"]),
+            "servo_position_0": c["u"],
+        }
+    )
+    guesses, found = _from_table(tmp_path, CATAMARAN + PAIR, table)
+    columns = {channel: guess.column for channel, guess in guesses.items()}
+    assert columns == {
+        **{"x": "north_m", "y": "east_m", "psi": "orientation_3", "r": "rotational_velocities_3"},
+        **{"port": "n1", "starboard": "n2"},
+    }
+    assert (guesses["psi"].entry["unit"], guesses["r"].entry["unit"]) == ("deg", "deg/s")
+    assert guesses["port"].entry["power"] == 2
+    reasons = {column: reason for reason, names in found.ignored.items() for column in names}
+    assert reasons["speed_surge"].startswith("never changes")
+    assert reasons["tau_N"].startswith("a force on the vehicle")
+    assert reasons["orientation_1"] == "a motion that the vehicle does not have"
+
+
+def test_a_log_with_dates_has_axes_like_any_other(tmp_path: Path) -> None:
+    """Dates are no numbers: axes need the times all the same. The quaternion's w is no heave."""
+    c = _swinging()
+    dates = [f"2025/04/09 11:15:{s:06.3f}" for s in c["t"]]
+    psi, v = c["psi"], 0.3 * np.cos(c["t"])
+    track = np.cumsum((c["u"] + 1j * v) * np.exp(1j * psi)) * 0.1
+    turned = {"w": np.cos(psi / 2), "x": 0 * psi, "y": 0 * psi, "z": np.sin(psi / 2)}
+    table = pl.DataFrame(
+        {
+            "time": dates,
+            "pose_position_x": track.real,
+            "pose_position_y": track.imag,
+            **{f"pose_orientation_{letter}": column for letter, column in turned.items()},
+            "twist_linear_x": c["u"],
+            "twist_linear_y": v,
+            "vibration_z": c["u"],
+        }
+    )
+    found = guess_table(table, tmp_path / "own.csv")
+    assert found.time.entry == {"column": "time", "unit": "iso"}
+    assert found.axes.entry == {"position": "NED", "body": "FRD"}
+    assert "Hence these axes" in found.axes.questions[0]
+    assert {g.channel for g in found.columns} == {"x", "y", "phi", "theta", "psi", "u", "v"}
+    odd = table.with_columns(time=pl.col("time").str.replace(" ", "_").str.replace(":15:", "h15m"))
+    with pytest.raises(UndertowError, match="no ISO 8601 time stamp"):
+        guess_table(odd.drop("pose_position_x"), tmp_path / "own.csv")
+
+
+def test_texts_among_numbers_are_asked_about(tmp_path: Path) -> None:
+    c = _swinging()
+    rate = [f"{r:.3f}" for r in np.gradient(c["psi"], 0.1)]
+    rate[7], rate[9] = "jan.45", "mai.67"
+    table = pl.DataFrame({"t": c["t"], "r_rad/s": rate, "throttle": [f"{100 * u:.1f}%" for u in c["u"]]})
+    found = guess_table(table, tmp_path / "own.csv")
+    assert any("such as 'jan.45' (2 of them)" in question for question in found.questions)
+    assert 'not_numbers = "missing"' in found.text()
+    (tmp_path / "log.toml").write_text(found.text())
+    table.write_csv(tmp_path / "own.csv")
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"), ["throttle"])
+    assert np.isnan(run.channels["r"]).sum() == 2
+    np.testing.assert_allclose(run.channels["throttle"], c["u"], atol=1e-3)
+
+
+def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Path) -> None:
+    wrench = {"surge_force": 0, "sway_force": 1, "yaw_moment": 5}
+    own = CATAMARAN + "".join(
+        f'[[thrusters]]\nname = "{n}"\nwrench = {[float(i == k) for i in range(6)]}\n'
+        for n, k in wrench.items()
+    )
+    columns = ("wrench_torque_z", "wrench_force_y", "wrench_force_x")
+    guesses, found = _guesses(tmp_path, own, **dict.fromkeys(columns, 50.0))
+    assert {n: guesses[n].column for n in wrench} == dict(zip(wrench, reversed(columns), strict=True))
+    assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
+    assert not any("looks like" in question for question in found.questions)

@@ -52,6 +52,8 @@ def test_a_file_of_a_type_is_complete_and_says_where_its_numbers_are_from(kind: 
     assert capsys.readouterr().err == ""
     assert [n for n, v in vehicle.values.items() if not v.source] == []
     assert [n for n, v in vehicle.values.items() if v.estimate and not v.sigma] == []
+    said = [n for n, v in vehicle.values.items() if v.source and v.source.startswith("assumed")]
+    assert [n for n in said if not vehicle.values[n].assumed] == [], "the place of the weight, too"
     assert {"rigid_body", "added_mass", "quadratic_damping"} <= {e.id for e in vehicle.effects}
     assert not any("nothing damps" in line or "absent" in line for line in hints(vehicle))
     assert vehicle.force_channels == ()

@@ -21,7 +21,7 @@ from undertow.identification.doctor.dynamics import reversed_commands, swapped_c
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import Explanation
-from undertow.identification.doctor.signs import SETTINGS, Signs, by_signs
+from undertow.identification.doctor.signs import SETTINGS, Signs, by_signs, suspected
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -195,3 +195,19 @@ def test_commands_say_which_of_two_clocks_is_wrong(early: bool, names: set[str])
     assert named == names, [f.text for f in found]
     assert all(abs(f.evidence["delay"] - seconds) < 0.1 for f in found)
     assert not any("before the commands, which" in f.text for f in result.findings)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_wiring_that_signs_contradict_short_of_certain_is_doubted(seed: int) -> None:
+    """Half a minute of one run: too little to undo anything, too much to say nothing."""
+    case = make_case("usv", ("ocean_current",), seed, duration=60.0, runs=("multisine",))
+    vehicle, (columns,) = true_vehicle(case), case.runs.values()
+    known = _known(vehicle)
+    wrong, right = (run_of("half", c) for c in (broken.swapped("f2", "f3")(columns), columns))
+    wrong, right = (run.slice(run.t[0] + 20, run.t[0] + 55) for run in (wrong, right))
+    assert by_signs(vehicle, [wrong], None, lambda: known) is None
+    doubt = suspected(vehicle, [wrong], lambda: known)
+    assert doubt is not None
+    assert doubt.mistake.clause == "commands f2 and f3 are in each other's place"
+    assert all(abs(error) < 1.0 for name, error in doubt.evidence.items() if name.endswith("_error"))
+    assert suspected(vehicle, [right], lambda: known) is None

@@ -172,8 +172,61 @@ def test_missing_commands_follow_the_policy(log):
     assert f"{reported}; the last value was held" in held.notes
     left = log(text, None, ["f1"], missing_commands="gap")
     np.testing.assert_array_equal(left.channels["f1"], [1, np.nan, np.nan, 4])
-    first = text.replace("0,0,1", "0,0,")
-    refused(log, first, "none comes before t = 0 s", channels=["f1"], missing_commands="hold")
+    later = log(text.replace("0,0,1\n1,1,", "0,0,\n1,1,5"), None, ["f1"], missing_commands="hold")
+    np.testing.assert_array_equal(later.t, [1, 2, 3])  # begins with the first command
+    assert "1 s at the beginning and 0 s at the end without a command left out" in later.notes
+    apart = "t,u,f1,f2\n0,0,1,\n1,1,,3\n"
+    refused(log, apart, "begin later (--from)", channels=["f1", "f2"], missing_commands="hold")
+
+
+def test_cells_may_state_their_unit(log):
+    """As loggers of motor drives write them: "1.757V"."""
+    text = "t,u,voltage,f1\n0,0.1,1.757V,50%\n1,0.2,1.5 V,-25%\n2,0.3,,0%\n"
+    run = log(text, {"columns": {"voltage": {"channel": "volts"}}}, ["f1"])
+    np.testing.assert_array_equal(run.channels["volts"], [1.757, 1.5, np.nan])
+    np.testing.assert_allclose(run.channels["f1"], [0.5, -0.25, 0.0])
+    stated = {"columns": {"voltage": {"channel": "volts", "unit": "mV"}}}
+    refused(log, text, "'voltage' state V, its mapping file mV", 'unit = "V"', mapping=stated)
+    mixed = {"columns": {"voltage": {"channel": "volts"}}}
+    refused(log, text.replace("1.5 V", "1.5 A"), "has the text '1.757V' in row 1", mapping=mixed)
+
+
+def test_texts_among_numbers_are_missing_where_the_mapping_says_so(log):
+    """A spreadsheet that takes decimals for dates: 1.45 becomes jan.45, 3.48 mar.48."""
+    text = "t,u,r\n0,0.1,0.2\n1,jan.45,0.3\n2,0.3,mar.48\n3,04.feb,0.1\n"
+    refused(log, text, "has the text 'jan.45' in row 2 (2 such rows)", 'not_numbers = "missing"')
+    run = log(text, {"not_numbers": "missing"})
+    np.testing.assert_array_equal(run.channels["u"], [0.1, np.nan, 0.3, np.nan])
+    assert "column 'u': 2 cells such as 'jan.45' are missing" in run.notes
+
+
+def test_fractions_of_a_second_without_their_zeros(log):
+    """Nanoseconds printed as they count, so that 93 ms come after 992 ms and before 102 ms."""
+    stamps = ["46.992337475", "47.93734532", "47.195102881", "47.295000000", "48.7000001"]
+    rows = "".join(f"2025/04/09 11:15:{s},{k}\n" for k, s in enumerate(stamps))
+    run = log("t,u\n" + rows, {"time": {"unit": "iso"}})
+    expected = np.array([46.992337475, 47.093734532, 47.195102881, 47.295, 48.007000001])
+    np.testing.assert_allclose(run.t, expected - expected[0], atol=1e-9)
+    assert any("2 times such as '2025/04/09 11:15:47.93734532' lack zeros" in n for n in run.notes)
+    sound = "t,u\n2025-04-09T11:15:46.5,1\n2025-04-09T11:15:46.55Z,2\n2025-04-09T11:15:46.6,3\n"
+    np.testing.assert_allclose(log(sound.replace("Z", ""), {"time": {"unit": "iso"}}).t, [0, 0.05, 0.1])
+
+
+def test_a_command_may_be_made_of_two_clocks(log):
+    """Revolutions and the angle of an azimuth thruster, each stamped by its own controller."""
+    t = np.arange(0.0, 30.0, 0.1)
+    rows = [(s, f"{np.sin(s):.6f},,") for s in t]
+    rows += [(s + 0.03, f",{10 + (s > 15):g},") for s in t]
+    rows += [(s + 0.06, f",,{0.5 if s > 20 else 0.0:g}") for s in t]
+    text = "t,u,rev,angle\n" + "".join(f"{s:.3f},{cells}\n" for s, cells in sorted(rows))
+    thrust = {"channels": {"f1": {"expression": "2*rev**2*cos(angle)", "unit": "N"}}}
+    run = log(text, thrust, ["f1"])
+    known = run.t > 1.0
+    expected = 2 * (10.0 + (run.t > 15.1)) ** 2 * np.where(run.t > 20.1, np.cos(0.5), 1.0)
+    off = np.abs(run.channels["f1"] - expected)[known] > 1e-6
+    assert off.sum() <= 4, "but for the rows in which one of them changes"
+    apart = {"channels": {"psi": {"expression": "rev*angle", "unit": "rad"}}}
+    refused(log, text, "channel 'psi', rev and angle, have no row in common", mapping=apart)
 
 
 def test_a_constant_channel_is_noted_and_refused_on_demand(log):

@@ -20,6 +20,7 @@ from undertow.identification.diagnosis.result import (
 )
 from undertow.identification.report.sentences import (
     CommandLine,
+    as_stated,
     changes,
     first_sentence,
     next_command,
@@ -95,6 +96,18 @@ def test_what_falls_and_what_rises_are_said_apart() -> None:
         "lowers the 5-s error from 69 to 50 % and raises the 20-s error from 58 to 84 %"
     )
     assert changes({"free run": 0.4}, {"free run": 0.2}) == "lowers the free-run error from 40 to 20 %"
+
+
+def test_what_the_file_itself_predicts_is_said_and_compared() -> None:
+    """A refit that is worse on validation data than the file makes whatever is added to it look good."""
+    after = Step(added=["tether"], error=2.0, ahead={"2.2 s": 0.485, "8.9 s": 0.482, "free run": 0.4})
+    file = Step(added=[], error=9.0, ahead={"2.2 s": 0.471, "8.9 s": 0.477, "free run": 0.6})
+    assert as_stated(file, after, "with it") == (
+        "As it is in the vehicle file, the model has a 2.2-s error of 47 % and an 8.9-s error of 48 %; with "
+        "it it predicts no better than that."
+    )
+    assert as_stated(REFITTED, BETTER, "with it").endswith("a 20-s error of 9.0 %.")
+    assert "diverges" in as_stated(Step(added=[], error=9.0), after, "with it")
 
 
 def test_the_position_is_said_where_it_gains_most() -> None:

@@ -105,7 +105,14 @@ def test_a_window_may_begin_and_end_where_parts_overlap(thousand: Path, row: int
 @pytest.mark.parametrize("policy", ["hold", "gap"])
 @pytest.mark.parametrize(
     ("channel", "first", "stop"),
-    [("tau_X", 452, 460), ("tau_X", 297, 303), ("tau_X", 90, 1400), ("u", 400, 1300), ("v", 3, 1500)],
+    [
+        ("tau_X", 452, 460),
+        ("tau_X", 297, 303),
+        ("tau_X", 90, 1400),
+        ("tau_X", 0, 5),
+        ("u", 400, 1300),
+        ("v", 3, 1500),
+    ],
 )
 def test_what_is_missing_for_long_is_missing_in_parts_too(
     tmp_path: Path, policy, channel: str, first: int, stop: int
@@ -136,7 +143,6 @@ def test_what_a_log_in_parts_lacks_is_reported_as_for_the_whole(tmp_path: Path) 
         ),
         (lacking, None, r"part from t = 120 to 179.8 s: command 'tau_X' is missing in 5 of 300 rows"),
         (frame.rename({"t": "seconds"}), None, "has no time column 't'"),
-        (lacking.slice(700), "hold", "none comes before t = 140 s to be held"),
     ):
         log = LongLog(written(table, tmp_path / "long.csv"), LogMapping(), ("tau_X",), missing_commands=fill)
         with pytest.raises(UndertowError, match=said):

@@ -99,6 +99,20 @@ def si_unit(unit: str) -> str:
     return f"{base:~C}".replace("**", "^") or "1"
 
 
+def same_unit(one: str, other: str) -> bool:
+    """Tell whether a number means the same in two units."""
+    return dimension(one) == dimension(other) and scale_offset(one, other) == (1.0, 0.0)
+
+
+def is_unit(text: str) -> bool:
+    """Tell whether a text is a unit that can be converted."""
+    try:
+        _unit(text)
+    except UndertowError:
+        return False
+    return True
+
+
 def base_exponents(unit: str) -> tuple[float, dict[str, int]]:
     """Scale to the SI base units, and their exponents: ``"kN/rad"`` gives 1000 and kg, m, s, rad."""
     units = registry()

@@ -396,22 +396,22 @@ def _tensor(inertia: Array, suffix: str, spec: HullSpec, source: str) -> Iterato
     for i in turning:
         value = float(inertia[i, i])
         sigma = _RULES.inertia * value
-        yield entry_line(f"I_{'xyz'[i]}{suffix}", value, "kg m^2", sigma=sigma, assumed=True, source=source)
+        yield entry_line(f"I_{'xyz'[i]}{suffix}", value, "kg m^2", sigma=sigma, source=source)
     for i, j in ((0, 1), (0, 2), (1, 2)):
         product = -float(inertia[i, j])
         if {i, j} <= set(turning) and abs(product) > _RULES.rounding * np.trace(inertia):
             sigma = _RULES.inertia * float(np.sqrt(inertia[i, i] * inertia[j, j]))
             name = f"I_{'xyz'[i]}{'xyz'[j]}{suffix}"
-            yield entry_line(name, product, "kg m^2", sigma=sigma, assumed=True, source=source)
+            yield entry_line(name, product, "kg m^2", sigma=sigma, source=source)
 
 
 def _water(mesh: Mesh, spec: HullSpec, volume: float) -> Iterator[str]:
     mass = spec.density * (mesh.volume - volume)
     source = "assumed: water fills what the hull encloses and does not displace, evenly"
-    yield entry_line("m_w", mass, "kg", sigma=_RULES.inertia * mass, assumed=True, source=source)
+    yield entry_line("m_w", mass, "kg", sigma=_RULES.inertia * mass, source=source)
     for axis, arm in zip("xyz", mesh.centroid, strict=True):
         if abs(arm) > _RULES.rounding * mesh.extents.max():
-            yield entry_line(f"m{axis}_w", mass * float(arm), "kg m", assumed=True, source=source)
+            yield entry_line(f"m{axis}_w", mass * float(arm), "kg m", source=source)
     centre = mesh.centroid
     about = mesh.inertia / mesh.volume + centre @ centre * np.eye(3) - np.outer(centre, centre)
     yield from _tensor(mass * about, "w", spec, source)
@@ -442,9 +442,7 @@ def _linear_drag(mesh: Mesh, drag: Drag, spec: HullSpec) -> Iterator[str]:
         unit = "m/s" if i < 3 else "rad/s"
         text = f"assumed: as much as the quadratic drag at {even:.2g} {unit}"
         name = f"{FORCE[i]}_{VELOCITY[i]}"
-        yield entry_line(
-            name, -value, _UNITS["d"][i > 2], sigma=value, estimate=True, assumed=True, source=text
-        )
+        yield entry_line(name, -value, _UNITS["d"][i > 2], sigma=value, estimate=True, source=text)
 
 
 def _quadratic_drag(drag: Drag, spec: HullSpec) -> Iterator[str]:
@@ -478,12 +476,15 @@ def entry_line(
     assumed: bool = False,
     source: str,
 ) -> str:
-    """One parameter of a table, as a line of the file; `backward`: its value backward, if another."""
+    """One parameter of a table, as a line of the file; `backward`: its value backward, if another.
+
+    A source that says "assumed" marks the value as assumed.
+    """
     # What is zero by symmetry, and known to be so, leaves nothing to be estimated.
     open_ = bool(value) or sigma > _RULES.rounding
     ways = {"value": value} if backward is None else {"forward": value, "backward": backward}
     fields = [f"{way} = {_quoted(f'{0.0 + number:.6g} {unit}')}" for way, number in ways.items()]
-    fields += ["assumed = true"] if assumed else []
+    fields += ["assumed = true"] if assumed or source.startswith("assumed:") else []
     fields += ["estimate = true"] if estimate and open_ else []
     fields += [f"sigma = {_quoted(f'{sigma:.3g} {unit}')}"] if sigma and open_ else []
     return f"{name} = {{ {', '.join([*fields, f'source = {_quoted(source)}'])} }}"

@@ -100,6 +100,27 @@ def test_of_two_odometries_the_one_that_reports_most_is_taken(tmp_path: Path) ->
     assert any("/slow" in note and "not used" in note for note in log.notes)
 
 
+@pytest.mark.parametrize(("topic", "position"), [("/ins/NED_pose", "NED"), ("/ins_pose", "ENU")])
+@pytest.mark.parametrize("suffix", ["bag", "mcap"])
+def test_a_pose_in_the_plane_is_read(tmp_path: Path, suffix: str, topic: str, position: str) -> None:
+    """As boats have it: x, y and an angle, without a header; its axes are those of the topic's name."""
+    north, east, heading = dive().pose[:, 0], dive().pose[:, 1], dive().pose[:, 5]
+    down = position == "NED"
+    x, y, angle = (north, east, heading) if down else (east, north, np.pi / 2 - heading)
+    with BagWriter(tmp_path / f"boat.{suffix}") as out:
+        for k, t in enumerate(dive().t):
+            pose = dict(zip(("x", "y", "theta"), map(float, (x[k], y[k], angle[k])), strict=True))
+            out.write(topic, float(t), out.message("geometry_msgs/msg/Pose2D", **pose))
+            out.write("/thrusters/input", float(t), out.commands(dive().thrust[k]))
+    run = read_log(out.path)
+    assert run.mapping is not None
+    assert run.mapping.frames.position == position
+    np.testing.assert_allclose(run.channels["x"], north, atol=1e-9)
+    np.testing.assert_allclose(run.channels["y"], east, atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * run.channels["psi"]), np.exp(1j * heading), atol=1e-9)
+    assert any("names no frame" in note for note in run.reader_notes) is not down
+
+
 _DVL = """
 uint8 DVL_MODE_BOTTOM=1
 uint8 DVL_MODE_WATER=2

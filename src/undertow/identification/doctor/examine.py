@@ -40,7 +40,7 @@ from .mistakes import (
 )
 from .sampling import DROP, excitation, excitation_findings, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
-from .signs import by_signs, lost_signs
+from .signs import by_signs, lost_signs, suspected
 
 
 def _explanation(
@@ -74,6 +74,7 @@ def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str
 _MOST_MISTAKES = 3
 # In one motion alone, or for all of them alike, this does the same as a unit.
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
+_MODEL = "a term that the model lacks, or a controller that answers the motion"
 _CURRENT = "a current that the vehicle file lacks (ocean_current), which explains as much"
 
 
@@ -284,7 +285,12 @@ class _Examiner:
         if found is not None and at.explained_by(found.mistake):
             return found
         signs = by_signs(self.vehicle, self.runs, found, lambda: wirings(*known))
-        return signs if found is not None or signs is None or at.no_worse(signs.mistake) else None
+        if found is not None or (signs is not None and at.no_worse(signs.mistake)):
+            return signs
+        doubt = suspected(self.vehicle, self.runs, lambda: wirings(*known))
+        if doubt is not None:
+            self._doubt(doubt, [*(m.clause for m in doubt.rivals), _MODEL])
+        return None
 
     def _look_at_numbers(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""

@@ -186,13 +186,20 @@ class Signs:
         weighed = [(m, self.without(m.undo)) for m in known]
         return _remaining(weighed, [w for _, w in weighed])
 
-    def _better(self, other: Weight) -> bool:
+    def suspected(self, known: Sequence[Mistake]) -> list[Mistake]:
+        """The mistakes without which no run contradicts its reading, where the logs are short of certain."""
+        weighed = [(m, self.without(m.undo)) for m in known]
+        whole = [w for _, w in weighed if w.total <= SETTINGS.shows**2 and self._better(w, SETTINGS.shows)]
+        return _remaining(weighed, whole)
+
+    def _better(self, other: Weight, sure: float | None = None) -> bool:
         """Whether logs contradict another reading less, certainly and in nearly all runs that tell."""
         gained = self.given.contradiction - other.contradiction
         clear = np.abs(gained) > SETTINGS.shows**2
         agree = np.sum(gained[clear] > 0) >= SETTINGS.agreeing * np.sum(clear)
         more = other.explained > self.given.explained
-        return bool(agree and more and gained.sum() > SETTINGS.sure**2 * other.spread)
+        enough = gained.sum() > (sure or SETTINGS.sure) ** 2 * other.spread
+        return bool(np.any(clear) and agree and more and enough)
 
     def text(self) -> tuple[str, dict[str, float]]:
         """The gains that are negative, in words and in numbers."""
@@ -229,7 +236,8 @@ def _remaining(weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight]
 def _mean(value: Array, error: Array) -> tuple[float, float]:
     """Mean over runs that differ by more than their errors, and its error."""
     variance = np.maximum(error, 1e-12) ** 2
-    weight = 1.0 / (variance + heterogeneity(value, variance)[1] ** 2)
+    between = heterogeneity(value, variance)[1] if len(value) > 1 else 0.0
+    weight = 1.0 / (variance + between**2)
     return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
 
 
@@ -264,6 +272,21 @@ def by_signs(
     if found is not None and (not evidence or [m.clause for m in possible] == [found.mistake.clause]):
         return replace(found, mistake=possible[0], rivals=possible[1:], text=clauses + _reason(found))
     return Explanation(possible[0], f"{clauses}: {why}", evidence, possible[1:])
+
+
+def suspected(
+    vehicle: Vehicle, runs: Sequence[Run], known: Callable[[], list[Mistake]]
+) -> Explanation | None:
+    """What the signs of all commands say of a wiring that is not certain enough to be undone."""
+    try:
+        signs = Signs(vehicle, runs)
+    except UndertowError:
+        return None
+    possible = signs.suspected(known()) if signs.given.total > SETTINGS.shows**2 else []
+    why, evidence = signs.text()
+    if not possible or not evidence:
+        return None
+    return Explanation(possible[0], f"{possible[0].clause}: {why}", evidence, possible[1:])
 
 
 def _reason(found: Explanation) -> str:

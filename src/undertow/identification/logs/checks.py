@@ -133,7 +133,10 @@ def fill_commands(
         return data, ""
     spell = f"t = {t[missing[0]]:g} to {t[missing[-1]]:g} s"
     text = f"command {name!r} is missing in {len(missing)} of {len(t)} rows ({spell})"
-    remedy = 'set missing_commands = "hold" or "gap" in the mapping file, or a time window without them'
+    remedy = (
+        'set missing_commands = "hold" or "gap" in the mapping file, or take a part of the log without them '
+        "(--from, --to)"
+    )
     if policy == "refuse":
         raise UndertowError(f"{where}: {text}: {remedy}")
     if policy == "gap":
@@ -142,7 +145,7 @@ def fill_commands(
     last = np.maximum.accumulate(np.where(np.isnan(data), -1, np.arange(len(data))))
     if last[0] < 0:
         raise UndertowError(
-            f"{where}: {text}, and none comes before t = {t[0]:g} s to be held: start the window later"
+            f"{where}: {text}, and none comes before t = {t[0]:g} s to be held: begin later (--from)"
         )
     return data[last], f"{text}; the last value was held"
 

@@ -35,13 +35,16 @@ from .guess_names import (
     WANTED,
     Name,
     is_clock,
+    is_force,
+    known_unit,
     latitude_and_longitude,
     part_of_quaternion,
+    with_axes,
 )
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping
 from .run import FORCES, UNITS
-from .table import file_bytes, is_dates, numbers, read_table
+from .table import file_bytes, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
@@ -95,10 +98,13 @@ def guess_table(
     reading = reading or LogMapping()
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
     time = _time(table, data, f"log {path}")
-    t = data.get(time.column, np.zeros(0)) * _seconds(str(time.entry["unit"]))
-    names = [Name.of(c) for c in data if c != time.column and not part_of_quaternion(c, data)]
+    t = _times(table, data, time, f"log {path}")
+    names = with_axes(
+        [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
+    )
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
-    motion = _best(names, only)
+    dead = {n.column for n in names if n.motion(only) in _MOVED and _is_dead(data[n.column])}
+    motion = _best([n for n in names if n.column not in dead], only)
     heading = _heading(motion, data, t)
     units = vehicle.input_units if vehicle else {}
     driving = _commands([n for n in names if n not in motion.values()], vehicle)
@@ -117,26 +123,35 @@ def guess_table(
     axes = axes_of(known | attitude, t, along_earth=along_earth)
     read += _attitude(turned) + _place(globe, place)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
-    read += [_command(command, name, data[name.column], units) for command, name in driving.items()]
+    axes_of_commands = _axes(vehicle) if vehicle else {}
+    read += [
+        _command(command, name, data[name.column], units, axes_of_commands)
+        for command, name in driving.items()
+    ]
     used = {time.column, *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
-    commands = vehicle.command_names if vehicle else ()
-    lacking = [c for c in commands if c not in {g.channel for g in read}]
-    wrench = [n.column for n in names if n.force and n.column not in used]
-    questions = [_LACKING.format(c) for c in lacking]
-    questions += [_WRENCH.format(", ".join(wrench))] if lacking and wrench else []
-    questions += [
-        _FLAG.format(f) for f, column in flags.items() if f not in used and len(np.unique(column)) > 1
-    ]
+    lost = {c: texts for c in data if c in used and (texts := texts_in(table, c, reading))}
+    questions = _questions(vehicle, read, [n for n in names if n.column not in used])
+    questions += [_FLAG.format(f) for f, c in flags.items() if f not in used and len(np.unique(c)) > 1]
+    questions += [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in lost.items()]
     return GuessedMapping(
         path.name,
         time,
         tuple(read),
         axes,
-        _ignored(table.columns, used, data, only, {*motion} - {g.channel for g in read}),
-        reading.delimiter,
+        _ignored(table.columns, used, names, dead, only, {*motion} - {g.channel for g in read}),
+        reading.model_copy(update={"not_numbers": "missing"}) if lost else reading,
         tuple(questions),
     )
+
+
+def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Name]) -> list[str]:
+    """What to ask of commands without a column, and of forces among the columns that are `left`."""
+    commands = vehicle.command_names if vehicle else ()
+    lacking = [c for c in commands if c not in {g.channel for g in read}]
+    wrench = [n.column for n in left if n.force]
+    asked = [_LACKING.format(c) for c in lacking]
+    return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
 _LACKING = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
@@ -145,6 +160,7 @@ _WRENCH = (
     "in the vehicle file; where a controller asked for it, a thruster with a wrench for each, whose gain can "
     "then be doubted"
 )
+_TEXTS = "'{}' has cells that are no numbers, such as '{}' ({} of them): are they rightly taken as missing?"
 _FLAG = (
     "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
     'fresh = "{0}"'
@@ -200,12 +216,36 @@ def _table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
 
 
 def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
+    """The numbers of a column; None where it is one of dates, or has more texts than numbers."""
     if is_dates(table, name):
         return None
     try:
-        return numbers(table, name, reading, "log")
+        values = numbers(table, name, reading.model_copy(update={"not_numbers": "missing"}), "log")
     except UndertowError:
         return None
+    return values if len(texts_in(table, name, reading)) <= np.count_nonzero(np.isfinite(values)) else None
+
+
+def _name(table: pl.DataFrame, column: str, reading: LogMapping) -> Name:
+    """The name of a column, with the unit that its cells state if it states none itself."""
+    name = Name.of(column)
+    return name if name.unit else replace(name, unit=known_unit(unit_of_cells(table, column, reading)))
+
+
+# Of attitude and depth a vehicle may keep one value; another motion that stays was not measured.
+_MOVED = ("x", "y", *VELOCITY)
+
+
+def _is_dead(values: Array) -> bool:
+    there = values[np.isfinite(values)]
+    return len(values) > 1 and (len(there) == 0 or float(np.ptp(there)) == 0.0)
+
+
+def _times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
+    """Times of the rows, s."""
+    if time.column not in data:
+        return seconds(table, time.column, where)[0]
+    return data[time.column] * _seconds(str(time.entry["unit"]))
 
 
 def _seconds(unit: str) -> float:
@@ -213,34 +253,57 @@ def _seconds(unit: str) -> float:
 
 
 def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
-    # Rows without a time are the last ones of a log that was cut off.
-    clocks = {n: column[np.isfinite(column)] for n, column in data.items()}
-    late = {n: 1.0 - float(np.mean(in_order(c))) for n, c in clocks.items() if len(c) > 1}
-    rising = [n for n, share in late.items() if share == 0.0]
-    rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
-    named = [n for n in table.columns if is_clock(n) and (n in rising or n not in data)]
-    found = next(iter([*named, *rising]), None)
-    if found is None:
-        raise UndertowError(f"{where}: {_no_time(data)}: its columns are {', '.join(table.columns)}")
-    if found not in data:
-        return Guess(found, {"column": found, "unit": "iso"})
-    sampled = _sampled(data, found)
-    stated, step = Name.of(found).unit, float(np.median(np.diff(data[found][sampled])))
-    unit = stated if stated in ("s", "ms", "us", "ns") else _unit_of_time(data[found], step)
-    rate = 1.0 / (step * _seconds(unit))
+    found = _clock(table, data, where)
+    dated = found not in data
+    times = seconds(table, found, where)[0] if dated else data[found]
+    sampled = _sampled(data, found, len(times))
+    stated, step = Name.of(found).unit, float(np.median(np.diff(times[sampled])))
+    known = stated if stated in ("s", "ms", "us", "ns") else _unit_of_time(times, step)
+    unit = "iso" if dated else known
+    rate = 1.0 / max(step * _seconds(unit), 1e-12)
     one = "row" if np.all(sampled) else "sample"
     said = (
         ""
-        if stated
+        if stated or dated
         else f"{step:.4g} from {one} to {one}: that is {rate:.3g} {one}s a second if it is in {unit}; is it?"
     )
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
     if rate > SETTINGS.fast and np.all(sampled):
         asked.append(f"{rate:.3g} rows a second: every = {round(rate / SETTINGS.enough)} would do at first")
-    if late[found]:
+    late = _late(times)
+    if late:
         entry["disorder"] = "drop"
-        asked.append(f"{late[found]:.2%} of the rows are no later than one before: leave them out?")
+        asked.append(f"{late:.2%} of the rows are no later than one before: leave them out?")
     return Guess(found, entry, " ".join(asked))
+
+
+def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
+    """The column that counts the time: one of that name that rises or has dates, else one that rises."""
+    late = {n: _late(column) for n, column in data.items()}
+    rising = [n for n, share in late.items() if share == 0.0]
+    rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
+    texts = [n for n in table.columns if is_clock(n) and n not in data]
+    dated = [n for n in texts if not _no_dates(table, n, where)]
+    named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
+    found = next(iter([*named, *rising]), None)
+    if found is None:
+        reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
+        raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
+    return found
+
+
+def _late(times: Array) -> float:
+    """Share of the times that are no later than one before; rows without one end a log that was cut off."""
+    there = times[np.isfinite(times)]
+    return 1.0 - float(np.mean(in_order(there))) if len(there) > 1 else 1.0
+
+
+def _no_dates(table: pl.DataFrame, name: str, where: str) -> str:
+    """Why a column of texts has no dates; empty where it has."""
+    try:
+        return "" if np.isfinite(seconds(table, name, where)[0]).any() else f"{where}: {name!r} is empty"
+    except UndertowError as error:
+        return str(error)
 
 
 def _no_time(data: Mapping[str, Array]) -> str:
@@ -260,10 +323,10 @@ def _no_time(data: Mapping[str, Array]) -> str:
     )
 
 
-def _sampled(data: Mapping[str, Array], time: str) -> Flags:
+def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
     """Rows of the column with most samples: in a table of several clocks none has one in every row."""
-    rows = [np.isfinite(column) for name, column in data.items() if name != time]
-    most = max(rows, key=np.count_nonzero, default=np.ones(len(data[time]), dtype=bool))
+    there = [np.isfinite(column) for name, column in data.items() if name != time]
+    most = max(there, key=np.count_nonzero, default=np.ones(rows, dtype=bool))
     return most if np.count_nonzero(most) > 1 else np.ones_like(most)
 
 
@@ -293,15 +356,24 @@ def _commands(names: Sequence[Name], vehicle: Vehicle | None) -> dict[str, Name]
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
         return {n.force or n.column: n for n in driving}
     found: dict[str, Name] = {}
+    axes = _axes(vehicle)
     for command, unit in vehicle.input_units.items():
         known = [n for n in names if n not in found.values() and command not in MOTION_UNITS]
-        fitting = Name.senses if command in vehicle.inputs else Name.fits
-        fits = sorted((*fitting(name, command, unit), k) for k, name in enumerate(known))
+        fits = sorted(
+            (*(n.senses(command, unit) if command in vehicle.inputs else n.fits(command, unit, axes)), k)
+            for k, n in enumerate(known)
+        )
         if fits and fits[0][0] < NO_FIT:
             found[command] = known[fits[0][2]]
     if found.keys().isdisjoint(vehicle.actuator_names):
         found |= _in_order(names, vehicle.actuator_names)
     return found
+
+
+def _axes(vehicle: Vehicle) -> dict[str, str]:
+    """The force or moment that is all of what a command gives, of commands that are called one."""
+    alone = {t.name: np.flatnonzero(t.wrench) for t in vehicle.thrusters if is_force(t.name)}
+    return {f: f for f in FORCES} | {n: FORCES[at[0]] for n, at in alone.items() if len(at) == 1}
 
 
 def _in_order(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]:
@@ -422,15 +494,17 @@ def _factor(guess: Guess) -> float:
     return scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
 
 
-def _command(command: str, name: Name, values: Array, units: Mapping[str, str]) -> Guess:
+def _command(
+    command: str, name: Name, values: Array, units: Mapping[str, str], axes: Mapping[str, str]
+) -> Guess:
     """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared.
 
-    `units`: those of the commands and inputs of the vehicle, by name; none without a vehicle.
+    `units`, `axes`: those of the commands and inputs of the vehicle, by name; none without a vehicle.
     """
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
-    doubt, asked = "", f"is it command '{command}'? " if name.drives(command) >= 2.0 else ""
+    doubt, asked = "", f"is it command '{command}'? " if name.drives(command, axes) >= 2.0 else ""
     low, high = SETTINGS.pulse
     pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off
     if command in FORCES:
@@ -445,6 +519,8 @@ def _command(command: str, name: Name, values: Array, units: Mapping[str, str]) 
         doubt = "" if stated else f"from {least:.3g} to {most:.3g}: is it in {unit}?"
     elif unit == "N" == name.counts and not name.unit:
         entry["unit"], doubt = "N", "no unit in the name: is it in N?"
+    elif name.force and name.force == axes.get(command) and not name.unit:
+        doubt = f"no unit in the name: is it in {UNITS[name.force]}?"
     elif name.unit in ("N", "deg", "rad", "V"):
         entry["unit"] = name.unit
     elif name.counts == "rev/s":
@@ -471,21 +547,31 @@ def _quantities() -> dict[str, str]:
 
 
 def _ignored(
-    columns: Sequence[str], used: set[str], data: Mapping[str, Array], only: int | None, foreign: set[str]
+    columns: Sequence[str],
+    used: set[str],
+    names: Sequence[Name],
+    dead: set[str],
+    only: int | None,
+    foreign: set[str],
 ) -> dict[str, tuple[str, ...]]:
     """Columns that are left out, by the reason; `foreign`: channels that the vehicle does not have."""
     found: dict[str, list[str]] = {}
+    by_column = {name.column: name for name in names}
     for column in columns:
         if column in used:
             continue
-        name = Name.of(column)
-        if column not in data:
+        name = by_column.get(column, Name.of(column))
+        if column not in by_column and not part_of_quaternion(column, columns):
             reason = "not numbers"
+        elif column in dead:
+            reason = "never changes: measured by nothing, or held"
         elif set(name.words) & WANTED:
             reason = "wanted of the vehicle, or about something else"
         elif name.motion(only) in foreign:
             reason = "a motion that the vehicle does not have"
-        elif name.motion(only):
+        elif name.force:
+            reason = "a force on the vehicle, which its thrusters make"
+        elif name.motion(only) or column in latitude_and_longitude(columns):
             reason = "another column looks more like the measurement"
         else:
             reason = "? meaning unknown"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterable
-from dataclasses import dataclass
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from undertow.model.symbols import POSE, VELOCITY
@@ -46,8 +46,9 @@ _MOVES = {
     "vm": 1,  # v_m of the MMG model: sway velocity at midship
 }  # fmt: skip
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
-_OF_SPEED = {"vel", "velo", "velocity", "speed", "linear", "twist"}
-_OF_RATE = {"rate", "dot", "gyro", "angular", "omega", "angvel"}
+_OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "linear", "twist"}
+_OF_RATE = {"rate", "rates", "dot", "gyro", "angular", "omega", "angvel", "rotational"}
+_OF_VECTOR = {*_OF_TURN, *_OF_SPEED, *_OF_RATE, "position", "pos"}
 # Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
 WANTED = {
     "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err",
@@ -63,7 +64,19 @@ _DRIVES = {
     "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
     "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
-_ABOUT_ELSE = {"wind"}  # what moves is not the vehicle
+# What moves is not the vehicle, or what is measured is no motion.
+_ABOUT_ELSE = {
+    "wind",
+    "vibration",
+    "vib",
+    "mag",
+    "magnetic",
+    "magnetometer",
+    "camera",
+    "gimbal",
+    "joy",
+    "joystick",
+}
 _MOMENT = {"torque", "moment"}
 _WHOLE_FORCE = {"force", "wrench", *_MOMENT}
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -92,7 +105,7 @@ _COUNTS = {
     "N": "N", "rev/s": "rev/s", "rpm": "rev/s", "rad/s": "rev/s", "rad": "rad", "deg": "rad",
     "pwm": "command", "%": "command", "us": "command",
 }  # fmt: skip
-_COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "angle": "rad", "throttle": "command"}
+_COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "n": "rev/s", "angle": "rad", "throttle": "command"}
 _BY_UNIT, NO_FIT = 2.9, 9.0
 _GLOBE = ({"lat", "latitude"}, {"lon", "lng", "long", "longitude"})
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
@@ -115,8 +128,7 @@ class Name:
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+", spaced) if w]
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
         if bracket is not None:
-            unit = bracket[1].strip().lower().replace("_", " ")
-            return cls(column, tuple(words), _UNITS.get(unit, ""))
+            return cls(column, tuple(words), known_unit(bracket[1]))
         for length in (2, 1):
             unit = _UNITS.get(" ".join(words[-length:]), "")
             speed = unit == "N" and {"v", *_OF_SPEED} & {*words}  # to the north: none is counted in newtons
@@ -200,10 +212,10 @@ class Name:
         """What the column of a command counts: "N", "rev/s", "rad", "command" (shares, pulses) or ""."""
         return _COUNTS.get(self.unit) or next((_COUNTED[w] for w in self.unnumbered if w in _COUNTED), "")
 
-    def fits(self, command: str, unit: str) -> tuple[float, int]:
+    def fits(self, command: str, unit: str, axes: Mapping[str, str]) -> tuple[float, int]:
         """How badly a column fits a command of a vehicle: its name, and what it counts; the least wins."""
         wanted = _COUNTS.get(unit, unit)
-        name = self.drives(command)
+        name = self.drives(command, axes)
         if name == NO_FIT and wanted == "rev/s" and _COUNTS.get(self.unit) == wanted:
             name = _BY_UNIT
         return name, 0 if self.counts == wanted else 2 if self.counts else 1
@@ -223,22 +235,28 @@ class Name:
     def force(self) -> str:
         """The force or moment on the whole vehicle, tau_X ... tau_N, that the name means; "" for none."""
         words = set(self.words)
+        exact = next((f for f in FORCES if f.lower() == self.column.lower()), "")
+        if exact:
+            return exact
         if words & _WHOLE_FORCE and not words & _ABOUT_ELSE:
             axis = next((_AXES[w] for w in self.words if w in _AXES), None)
             kind = 3 if words & _MOMENT else 0
             return "" if axis is None else FORCES[kind + axis]
         return ""
 
-    def drives(self, command: str) -> float:
-        """How badly a column fits a command: 0 the same name, 1 the same words, more for others."""
+    def drives(self, command: str, axes: Mapping[str, str]) -> float:
+        """How badly a column fits a command: 0 the same name, 1 the same words, more for others.
+
+        `axes`: the force or moment that is all of what a command gives, by the command.
+        """
         wanted = [w for w in re.split(r"[^a-z0-9]+", command.lower()) if w]
         also = [other for word in wanted for other in _ALSO.get(word, ())]
         if self.column.lower() == command.lower():
             return 0.0
         if set(wanted) <= set(self.words):
             return 1.0
-        if command in FORCES and self.force:
-            return 2.0 if self.force == command else NO_FIT
+        if self.force and command in axes:
+            return 2.0 if self.force == axes[command] else NO_FIT
         known = [k for k, other in enumerate(also) if other in self.words]
         if known:
             return 2.0 + 0.1 * known[0]
@@ -248,14 +266,35 @@ class Name:
     @property
     def is_command(self) -> bool:
         """Whether it looks like what drives a vehicle."""
-        numbered = any(re.fullmatch(r"[uftm]\d+|tau[xyzkmn]", word) for word in self.words)
-        drives = bool({*self.unnumbered} & _DRIVES or numbered) or self.unit == "pwm"
+        numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
+        single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
+        drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
         return drives and "limit" not in self.words
 
     @property
     def unnumbered(self) -> list[str]:
         """The words without numbers at their ends, of columns that differ in these."""
         return [re.sub(r"\d+$", "", word) for word in self.words]
+
+
+def known_unit(text: str) -> str:
+    """The unit that a text in a name or in the cells of a column stands for; "" for none."""
+    return _UNITS.get(text.strip().lower().replace("_", " "), "")
+
+
+def with_axes(names: Sequence[Name]) -> list[Name]:
+    """The names, with x, y, z for the numbers of three of a place, a turn or a speed that differ in these."""
+    rows: dict[tuple[str, ...], dict[int, Name]] = {}
+    for name in names:
+        if name.words and re.fullmatch(r"\d", name.words[-1]) and _OF_VECTOR & {*name.words}:
+            rows.setdefault(name.words[:-1], {})[int(name.words[-1])] = name
+    axes = {
+        row[number]: replace(row[number], words=(*words, axis))
+        for words, row in rows.items()
+        if sorted(row) in ([0, 1, 2], [1, 2, 3])
+        for number, axis in zip(sorted(row), "xyz", strict=True)
+    }
+    return [axes.get(name, name) for name in names]
 
 
 def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
@@ -266,9 +305,15 @@ def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def part_of_quaternion(column: str, columns: Container[str]) -> bool:
-    """Whether an angle by its name has a fourth beside it that is called w."""
-    fourth = {"x": "w", "y": "w", "z": "w", "X": "W", "Y": "W", "Z": "W"}.get(column[-1:], "")
-    return bool(fourth) and column[:-1] + fourth in columns and Name.of(column).motion() in POSE[3:]
+    """Whether a column is one of four that differ in w, x, y, z alone and are an attitude by their names."""
+    letters = next((four for four in ("wxyz", "WXYZ") if column[-1:] and column[-1] in four), "")
+    four = [column[:-1] + letter for letter in letters]
+    return bool(four) and all(c in columns for c in four) and Name.of(four[1]).motion() in POSE[3:]
+
+
+def is_force(name: str) -> bool:
+    """Whether a name means a force or a moment on the whole vehicle."""
+    return bool({*Name.of(name).words} & {*_WHOLE_FORCE, "tau"})
 
 
 def is_clock(name: str) -> bool:

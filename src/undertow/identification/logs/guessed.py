@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from .guess_frames import Axes
-from .mapping import SCHEMA
+from .mapping import SCHEMA, LogMapping
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class GuessedMapping:
     time: column, unit, and what was seen of the rate.
     questions: what nobody but those who made the log can say.
     ignored: columns that are left out, by the reason.
+    reading: how the text of the table is written.
     """
 
     log: str
@@ -51,7 +52,7 @@ class GuessedMapping:
     columns: tuple[Guess, ...]
     axes: Axes
     ignored: Mapping[str, tuple[str, ...]]
-    delimiter: str = ","
+    reading: LogMapping = field(default_factory=LogMapping)
     questions: tuple[str, ...] = field(default=())
 
     @property
@@ -67,7 +68,12 @@ class GuessedMapping:
         """The mapping file."""
         head = [f"# Guessed from {self.log}: every line with '# ?' asks something that the log does not say."]
         head += [f"schema = {_toml(SCHEMA)}"]
-        head += [f"delimiter = {_toml(self.delimiter)}"] if self.delimiter != "," else []
+        plain = LogMapping()
+        head += [
+            f"{key} = {_toml(getattr(self.reading, key))}"
+            for key in ("delimiter", "not_numbers")
+            if getattr(self.reading, key) != getattr(plain, key)
+        ]
         head += ["ignore = [", *(line for part in self._ignored() for line in part), "]"]
         time = [f"{key} = {_toml(value)}" for key, value in self.time.entry.items()]
         asked = [f"# ? {self.time.doubt}"] if self.time.doubt else []

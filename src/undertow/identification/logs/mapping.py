@@ -161,6 +161,8 @@ class LogMapping(_Strict):
     comment: str | None = Field(default=None, min_length=1, max_length=5)
     # Texts and numbers that stand for a missing sample, besides empty cells and NaN.
     missing: tuple[float | str, ...] = ()
+    # What to do with cells that are no numbers; the unit of a column's cells ("1.76V") is no reason.
+    not_numbers: Literal["refuse", "missing"] = "refuse"
     ignore: tuple[str, ...] = ()  # columns to leave out without a note
     missing_commands: CommandPolicy = "refuse"  # what to do where a command has no sample
     # Motions that a rig (towing carriage, planar motion mechanism) holds at rest, or moves as their columns

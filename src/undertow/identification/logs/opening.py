@@ -8,16 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 import polars as pl
 
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, listed, nearest
 from undertow.files import together, write_whole
+from undertow.model.units import scale_offset, si_unit
+from undertow.typing import Array
 
 from .formats.fieldlog import FieldLog, Window
 from .formats.registry import open_field_log, readable
-from .mapping import Column, Held, LogMapping, mapping_text, turned_name
-from .run import Run
-from .table import WHOLE, LogLimits, NotTextError, file_bytes, file_hash, read_table
+from .mapping import Channel, Column, Held, LogMapping, mapping_text, turned_name
+from .run import UNITS, Run
+from .series import SETTINGS, held_together, shared_rows
+from .table import WHOLE, LogLimits, NotTextError, file_bytes, file_hash, numbers, read_table
 
 FieldLogs = dict[Path, FieldLog]
 """Vehicles' own logs that were opened already, by path: opening one twice takes twice as long."""
@@ -175,3 +179,31 @@ def _stated(run: Run) -> LogMapping | None:
     columns = {name: Column(channel=name, noise=sigma, optional=True) for name, sigma in noise.items()}
     held = cast("Held", run.held)
     return LogMapping(columns=columns, disturbance=given.disturbance, held=held)
+
+
+def computed(
+    table: pl.DataFrame,
+    name: str,
+    channel: Channel,
+    mapping: LogMapping,
+    where: str,
+    commands: Sequence[str],
+) -> Array:
+    """Values of a channel that is a formula in columns; commands of two clocks are held until they change."""
+    formula = channel.formula
+    cells = {n: numbers(table, n, mapping, where) for n in formula.columns}
+    shared = shared_rows(cells)
+    if name in commands and shared < SETTINGS.apart:
+        cells = held_together(cells)
+    elif not shared:
+        raise UndertowError(
+            f"{where}: the columns of channel {name!r}, {listed([*cells])}, have no row in common: write "
+            "them into the rows of one of them"
+        )
+    values = formula.of(cells)
+    scale, offset = 1.0, 0.0
+    if channel.unit is not None:
+        wanted = UNITS.get(name) or si_unit(channel.unit)
+        scale, offset = scale_offset(channel.unit, wanted, of=f"{where}: unit of channel {name!r}")
+    shape = np.full(table.height, 1.0)  # a formula without columns is the same in every row
+    return scale * values * shape + offset

@@ -24,9 +24,12 @@ from undertow.identification.logs.table import (
     LogLimits,
     Origin,
     elapsed,
+    in_unit_of_cells,
     is_dates,
+    lacking_zeros,
     numbers,
     seconds,
+    taken_as_missing,
 )
 from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue, logged_quantities
@@ -37,9 +40,10 @@ from undertow.typing import Array, Flags, Progress
 
 from . import checks
 from .formats.fieldlog import Window
-from .mapping import Channel, Column, CommandPolicy, Held, LogMapping, mapping_beside, seconds_of
+from .mapping import Column, CommandPolicy, Held, LogMapping, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,
+    computed,
     dropping_disorder,
     field_log,
     must_have,
@@ -49,7 +53,13 @@ from .opening import (
 )
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
-from .series import OneClock, Series, are_several, on_one_clock, with_report_noise
+from .series import (
+    OneClock,
+    Series,
+    are_several,
+    on_one_clock,
+    with_report_noise,
+)
 
 Commands = dict[str, float]
 
@@ -257,6 +267,8 @@ def run_of_table(
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     policy = missing_commands or mapping.missing_commands
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
+    sources = {n: in_unit_of_cells(table, n, c, mapping, where) for n, c in sources.items()}
+    lost = taken_as_missing(table, sources, mapping)
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
     table, t, notes = _time(table, mapping, where, origin)
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
@@ -264,7 +276,7 @@ def run_of_table(
         read = {
             c.channel: _values(table, name, c, mapping, where, begins=begins) for name, c in sources.items()
         }
-        read |= {name: _computed(table, name, c, mapping, where) for name, c in mapping.channels.items()}
+        read |= {n: computed(table, n, c, mapping, where, commands) for n, c in mapping.channels.items()}
         own = _on_rows(t, read, sources, mapping, where, before or {})
         channels = _turned(own.channels, mapping, where)
     run = Run(
@@ -274,7 +286,10 @@ def run_of_table(
         reported=_reported(own.reported, mapping),
         wrapped=swap_attitude(own.wrapped) if _attitude(mapping) == "ENU" else own.wrapped,
         source=str(path),
-        notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
+        notes=(
+            *(*notes, *lost, *_conversions(sources, mapping, where)),
+            *_unused(table.columns, sources, mapping),
+        ),
         sigma=_stated_noise(sources, mapping, where),
         mapping=mapping,
         dropped=rows - table.height,
@@ -283,7 +298,7 @@ def run_of_table(
     run = _unwrapped(run, _said_to_jump(sources, mapping))
     run = with_report_noise(run, slow, part=before is not None)
     run = replace(run, held=_held(run, mapping.held))
-    if own.several:
+    if own.several or policy == "hold":
         run = _where_commanded(run, [*commands, *FORCES], policy, before)
     return _checked(run, [*commands, *FORCES], policy, where, before)
 
@@ -327,6 +342,7 @@ def _time(
     if spec.unit == "iso" or is_dates(table, spec.column):
         t, first, _ = seconds(table, spec.column, where, origin)
         notes += [f"time counts from {first}"] if first else []
+        notes += lacking_zeros(table, spec.column)
     else:
         scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
         since, start = elapsed(table, mapping, scale, where, origin)
@@ -412,18 +428,6 @@ def _where_commanded(run: Run, names: Iterable[str], policy: str, before: Comman
     lost = begin - float(run.t[0]), float(run.t[-1]) - end
     note = f"{lost[0]:.3g} s at the beginning and {lost[1]:.3g} s at the end without a command left out"
     return run.slice(begin, end).with_notes(*([note] if any(lost) else []))
-
-
-def _computed(table: pl.DataFrame, name: str, channel: Channel, mapping: LogMapping, where: str) -> Array:
-    """Values of a channel that is a formula in columns."""
-    formula = channel.formula
-    values = formula.of({n: numbers(table, n, mapping, where) for n in formula.columns})
-    scale, offset = 1.0, 0.0
-    if channel.unit is not None:
-        wanted = UNITS.get(name) or si_unit(channel.unit)
-        scale, offset = scale_offset(channel.unit, wanted, of=f"{where}: unit of channel {name!r}")
-    shape = np.full(table.height, 1.0)  # a formula without columns is the same in every row
-    return scale * values * shape + offset
 
 
 def _to_si(name: str, column: Column, where: str) -> tuple[float, float]:

@@ -29,6 +29,9 @@ class SeriesSettings:
     moved: float = 0.3
     # Share of the clock's step that stamps of one time may differ by: they were rounded.
     together: float = 1e-3
+    # Share of the reports of the rarest column of a formula that may lack another one beside them: one clock
+    # loses fewer, and reports of two clocks meet by chance in fewer.
+    apart: float = 0.5
     order: int = 3  # a difference of this order leaves little of a smooth motion
     places: int = 100_000  # reports at which it is taken: they know the noise to half a per cent
     gaussian_mad: float = 1.4826  # standard deviation over median magnitude, of a Gaussian
@@ -246,3 +249,21 @@ def with_reports(run: Run, values: Mapping[str, Array]) -> Run:
             channels[name] = np.where(there, data, between(run.t, run.t[there], data[there]))
             reported[name] = there
     return replace(run, channels=channels, reported=reported)
+
+
+def shared_rows(columns: Mapping[str, Array]) -> float:
+    """Share of the reports of the rarest column that the others have in the same row; 1 without reports."""
+    there = [np.isfinite(column) for column in columns.values()]
+    fewest = min(map(np.count_nonzero, there), default=0)
+    return float(np.count_nonzero(np.all(there, axis=0)) / fewest) if fewest else 1.0
+
+
+def held_together(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Columns that are held until their next report, in the rows where one of them reports."""
+    reports = np.any([np.isfinite(column) for column in columns.values()], axis=0)
+    return {name: np.where(reports, _last_known(column), np.nan) for name, column in columns.items()}
+
+
+def _last_known(column: Array) -> Array:
+    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), -1))
+    return np.where(last >= 0, column[last], np.nan)

@@ -6,6 +6,7 @@ import csv
 import gzip
 import hashlib
 import io
+import re
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -20,9 +21,10 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import sha256_of
+from undertow.model.units import is_unit, same_unit
 
 from .helper import Helper
-from .mapping import LogMapping
+from .mapping import Column, LogMapping
 
 # Of one column after the other nothing is kept but a number; columns of lists are never read.
 _DECODE = """
@@ -94,6 +96,8 @@ _SMALLER = (
     "take a part of it with --from and --to, thin it out with `every` in a mapping file, or leave out columns"
 )
 _ALWAYS_MISSING = ("", "NaN", "nan", "NAN", "NA", "N/A", "null", "None")
+_WITH_UNIT = r"^([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z%°µ][A-Za-z0-9%°µ/^*]*)$"
+_FRACTION = r"^(.*:\d\d\.)(\d+)(\D.*|)$"
 _LEAST_GZIP = 18
 _GZIP, _PARQUET = b"\x1f\x8b", b"PAR1"
 # Polars would unpack some of these without being asked, and as a whole.
@@ -329,7 +333,7 @@ def _refuse_doubled(columns: Iterable[str], where: str) -> None:
 def numbers(table: pl.DataFrame, name: str, mapping: LogMapping, where: str) -> NDArray[np.float64]:
     """Return one column as numbers, NaN where a cell is missing."""
     column = _plain(table[name])
-    cells = _text_to_number(column, mapping.decimal, where) if column.dtype == pl.String else column
+    cells = _text_to_number(column, mapping, where) if column.dtype == pl.String else column
     if not (cells.dtype.is_numeric() or cells.dtype in (pl.Boolean, pl.Null)):
         raise UndertowError(
             f"{where}: column {name!r} holds {cells.dtype}, not numbers: convert or ignore it"
@@ -340,21 +344,82 @@ def numbers(table: pl.DataFrame, name: str, mapping: LogMapping, where: str) -> 
     return values
 
 
-def _text_to_number(column: pl.Series, decimal: str, where: str) -> pl.Series:
-    cells = column.str.replace(",", ".", literal=True) if decimal == "," else column
-    cast = cells.cast(pl.Float64, strict=False)
-    if (cast.is_null() & column.is_not_null()).any():  # the slow way only where it is needed
-        cells = cells.str.strip_chars()
-        cells = cells.set(cells.is_in(_ALWAYS_MISSING), None)
-        cast = cells.cast(pl.Float64, strict=False)
-        odd = (cast.is_null() & cells.is_not_null()).arg_true()
-        if len(odd):
-            raise UndertowError(
-                f"{where}: column {column.name!r} has the text {cells[odd[0]][:40]!r} in row {odd[0] + 1} "
-                f"({len(odd)} such "
-                "rows): name it under `missing` in a mapping file, or leave the column out"
-            )
+def _text_to_number(column: pl.Series, mapping: LogMapping, where: str) -> pl.Series:
+    cast, odd = _cast(column, mapping)
+    if len(odd) and mapping.not_numbers == "refuse":
+        raise UndertowError(
+            f"{where}: column {column.name!r} has the text {str(column[odd[0]]).strip()[:40]!r} in row "
+            f"{odd[0] + 1} ({len(odd)} such rows): name it under `missing` in a mapping file, take all such "
+            'cells as missing there by not_numbers = "missing", or leave the column out'
+        )
     return cast
+
+
+def _cast(column: pl.Series, mapping: LogMapping) -> tuple[pl.Series, pl.Series]:
+    """A column of texts as numbers, and the rows whose cells are none."""
+    cells = _pointed(column, mapping)
+    cast = cells.cast(pl.Float64, strict=False)
+    if not (cast.is_null() & column.is_not_null()).any():
+        return cast, pl.Series(dtype=pl.UInt32)
+    cells = _there(cells)  # the slow way only where it is needed
+    bare = cells.str.extract(_WITH_UNIT, 1) if _unit_of(cells) else cells
+    cast = bare.cast(pl.Float64, strict=False)
+    return cast, (cast.is_null() & cells.is_not_null()).arg_true()
+
+
+def texts_in(table: pl.DataFrame, name: str, mapping: LogMapping) -> list[str]:
+    """The cells of a column that are no numbers, and not known to be missing."""
+    column = _plain(table[name])
+    if column.dtype != pl.String:
+        return []
+    return [str(cell).strip() for cell in column.gather(_cast(column, mapping)[1])]
+
+
+def _pointed(column: pl.Series, mapping: LogMapping) -> pl.Series:
+    return column.str.replace(",", ".", literal=True) if mapping.decimal == "," else column
+
+
+def _there(cells: pl.Series) -> pl.Series:
+    cells = cells.str.strip_chars()
+    return cells.set(cells.is_in(_ALWAYS_MISSING), None)
+
+
+def unit_of_cells(table: pl.DataFrame, name: str, mapping: LogMapping) -> str:
+    """The unit that every cell of a column states behind its number ("1.76V"); "" where none does."""
+    column = _plain(table[name])
+    return _unit_of(_there(_pointed(column, mapping))) if column.dtype == pl.String else ""
+
+
+def in_unit_of_cells(
+    table: pl.DataFrame, name: str, column: Column, mapping: LogMapping, where: str
+) -> Column:
+    """The column in the unit that its cells state; another one in the mapping file is refused."""
+    unit = unit_of_cells(table, name, mapping)
+    if not unit or column.unit is None:
+        return column.model_copy(update={"unit": unit}) if unit else column
+    if not same_unit(unit, column.unit):
+        raise UndertowError(
+            f"{where}: the cells of column {name!r} state {unit}, its mapping file {column.unit}: write unit "
+            f'= "{unit}" there'
+        )
+    return column
+
+
+def taken_as_missing(table: pl.DataFrame, names: Iterable[str], mapping: LogMapping) -> list[str]:
+    """One note for each column with cells that are no numbers, where these are taken as missing."""
+    if mapping.not_numbers == "refuse":
+        return []
+    texts = {name: texts_in(table, name, mapping) for name in names}
+    return [f"column {n!r}: {len(t)} cells such as {t[0][:40]!r} are missing" for n, t in texts.items() if t]
+
+
+def _unit_of(cells: pl.Series) -> str:
+    first = next((cell for cell in cells if cell is not None), "")
+    found = re.fullmatch(_WITH_UNIT, first)
+    if found is None or not is_unit(found[2]):
+        return ""
+    same = (cells.str.extract(_WITH_UNIT, 2) == found[2]).fill_null(cells.is_null())
+    return found[2] if same.all() else ""
 
 
 def _is_number(value: float | str) -> bool:
@@ -416,7 +481,7 @@ def seconds(
     """
     stamps = _plain(table[name])
     if stamps.dtype == pl.String:
-        stamps = _parsed(stamps, where)
+        stamps = _parsed(padded(stamps), where)
     if not stamps.dtype.is_temporal():
         raise UndertowError(
             f"{where}: time column {name!r} holds {stamps.dtype}, no ISO 8601 time stamps: give its unit in "
@@ -430,6 +495,35 @@ def seconds(
         return tick * _from(ticks, Decimal(0)), "", Decimal(0)
     zero = Decimal(origin) if origin is not None else ticks.drop_nulls().item(0)
     return tick * _from(ticks, zero), str(first), zero
+
+
+def padded(stamps: pl.Series) -> pl.Series:
+    """Texts of dates with zeros before the fraction of a second, where its digits only rise that way.
+
+    Some loggers write 93 ms and 992 ms as ".93" and ".992".
+    """
+    stamps = stamps.str.strip_chars()
+    parts = stamps.str.extract_groups(_FRACTION).struct
+    digits = parts.field("2").str.len_chars()
+    if digits.null_count() or digits.min() == digits.max():
+        return stamps
+    texts = parts.field("1") + parts.field("2").str.zfill(int(str(digits.max()))) + parts.field("3")
+    as_written, whole = (s.str.to_datetime(time_unit="ns", strict=False) for s in (stamps, texts))
+    return texts if whole.is_sorted() and not as_written.is_sorted() else stamps
+
+
+def lacking_zeros(table: pl.DataFrame, name: str) -> list[str]:
+    """A note on fractions of a second that were read with zeros before them, none where there are none."""
+    stamps = _plain(table[name])
+    if stamps.dtype != pl.String:
+        return []
+    changed = (padded(stamps) != stamps.str.strip_chars()).arg_true()
+    if not len(changed):
+        return []
+    return [
+        f"{len(changed)} times such as {stamps[changed[0]]!r} lack zeros before the fraction of a second: "
+        f"read as {padded(stamps)[changed[0]]}"
+    ]
 
 
 def _tick(kind: pl.DataType) -> float:

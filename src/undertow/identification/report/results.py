@@ -19,7 +19,7 @@ from undertow.identification.long_logs.result import LongLogs, ResultTable
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
-from .sentences import changes, rises, shown, step_changes, useless
+from .sentences import as_stated, changes, rises, shown, step_changes, useless
 
 
 class FittedParameter(ResultTable):
@@ -144,8 +144,9 @@ def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) ->
 
 
 def addition_sentence(addition: Addition) -> str:
-    """What an effect does to the error, whether chance would do as much, and if the model is any good."""
-    return f"{_what_it_does(addition)} {useless(addition.after.channels)}".strip()
+    """What an effect does to the error, what the file's own values do, and if the model is any good."""
+    stated = as_stated(addition.given, addition.after, f"refitted with {addition.effect}")
+    return f"{_what_it_does(addition)} {stated} {useless(addition.after.channels)}".strip()
 
 
 def _what_it_does(addition: Addition) -> str:

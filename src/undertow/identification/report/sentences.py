@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -123,12 +124,29 @@ def useless(relative: Mapping[str, float | None]) -> str:
 
 def errors(ahead: Mapping[str, float]) -> str:
     """Errors by horizon: "a 5-s error of 1.6 % and a 20-s error of 3.3 %"."""
-    return listed([f"a {_error(h)} of {shown(ahead.get(h))} %" for h in _horizons([ahead])])
+    return listed([f"{_article(h)} {_error(h)} of {shown(ahead.get(h))} %" for h in _horizons([ahead])])
+
+
+def as_stated(given: Step, after: Step, changed: str) -> str:
+    """A sentence on the error with the values of the vehicle file, and whether a changed model has less.
+
+    A refit may be worse on validation data than the file, so that falling below the refit means little.
+    """
+    if not given.ahead:
+        return "As it is in the vehicle file, the model diverges."
+    better = any(rises(after.ahead.get(h), given.ahead[h]) for h in _horizons([given.ahead]))
+    than = "" if better else f"; {changed} it predicts no better than that"
+    return f"As it is in the vehicle file, the model has {errors(given.ahead)}{than}."
 
 
 def _horizons(found: Iterable[Mapping[str, float]]) -> list[str]:
     names = list(dict.fromkeys(h for ahead in found for h in ahead))
     return [h for h in names if h.endswith(" s")] or names
+
+
+def _article(horizon: str) -> str:
+    """ "an" before eight, eleven and eighteen."""
+    return "an" if re.match(r"8|1[18]\D", horizon) else "a"
 
 
 def _error(horizon: str) -> str:

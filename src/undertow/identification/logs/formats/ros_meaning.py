@@ -25,7 +25,7 @@ from .fieldlog import Series
 
 # Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
 _LEAST_PRESSURE = 50_000.0
-Kind = Literal["pose", "attitude", "twist", "rates", "velocity"]
+Kind = Literal["pose", "plane", "attitude", "twist", "rates", "velocity"]
 _AXES = ("x", "y", "z")
 _LINEAR, _RATES = dict(zip("uvw", _AXES, strict=True)), dict(zip("pqr", _AXES, strict=True))
 
@@ -36,6 +36,7 @@ _TYPES: dict[str, dict[Kind, str]] = {
     "geometry_msgs/msg/PoseStamped": {"pose": "pose"},
     "geometry_msgs/msg/TwistWithCovarianceStamped": {"twist": "twist.twist"},
     "geometry_msgs/msg/TwistStamped": {"twist": "twist"},
+    "geometry_msgs/msg/Pose2D": {"plane": ""},
     "sensor_msgs/msg/Imu": {"attitude": "orientation", "rates": "angular_velocity"},
 }
 _DVL = re.compile(r"/(dvl|dvldata)$", re.IGNORECASE)
@@ -173,7 +174,12 @@ def _said(name: str, *words: str) -> bool:
 
 def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Understood) -> Frames:
     """Axes of the topic that is believed most."""
-    down = _is_down(sources[0][0])
+    down, first = _is_down(sources[0][0]), sources[0][0]
+    if not (first.frame or first.child or _said(first.series.name, "ned", "enu")):
+        known.notes.append(
+            f"{first.series.name} ({first.type}) names no frame: taken for east-north-up, as REP 103 has it; "
+            'in a mapping file [frames] position = "NED", body = "FRD" says otherwise'
+        )
     pose = next((topic for topic, fields in sources if "pose" in fields), None)
     twist = next((topic for topic, fields in sources if "twist" in fields), None)
     axes = (twist.child or twist.frame) if twist else ""
@@ -188,7 +194,7 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
 
 def _is_down(topic: Topic) -> bool:
     """Whether the axes of a topic point down."""
-    frames = [topic.frame, topic.child]
+    frames = [topic.frame, topic.child] if topic.frame or topic.child else [topic.series.name]
     return any(_said(name, "ned", "frd") for name in frames) and not any(
         _said(n, "enu", "flu") for n in frames
     )
@@ -217,6 +223,8 @@ def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator
         if kind == "pose":
             yield from ((axis, f"{base}.position.{axis}") for axis in _AXES)
             yield from ((angle, f"{base}.orientation.{angle}") for angle in ANGLES)
+        elif kind == "plane":
+            yield from (("x", "x"), ("y", "y"), ("psi", "theta"))
         elif kind == "attitude" and _has_attitude(topic.first):
             yield from ((angle, f"{base}.{angle}") for angle in ANGLES)
         elif kind == "twist":
@@ -229,8 +237,9 @@ def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator
 
 def _filled(topic: Topic, name: str) -> bool:
     """Whether a column is of a vector that is not zero throughout; no sensor fills some of a message."""
-    vector, _, axis = name.rpartition(".")
-    return axis in ANGLES or any(np.any(topic.series.columns[f"{vector}.{a}"]) for a in _AXES)
+    vector, axis = name[:-1], name[-1:]
+    components = (topic.series.columns.get(f"{vector}{a}", 0.0) for a in _AXES)
+    return axis not in _AXES or any(map(np.any, components))
 
 
 def _has_attitude(imu: Any) -> bool:
