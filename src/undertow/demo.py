@@ -147,7 +147,7 @@ def _verdict(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
             yield "text", f"{p.effect}: {p.name} = {p.value:.4f}{error} {p.unit}"
     for warning in d.warnings:
         yield "text", f"Without it, the fit had bent the model: {warning}."
-    yield output.text("auv/diagnosis.json", d.model_dump_json(indent=1) + "\n", "the diagnosis, for programs")
+    yield output.text("auv/diagnosis.json", d.to_json(), "the diagnosis, for programs")
 
 
 def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
@@ -376,7 +376,7 @@ def _files(output: _Output, ways: Ways) -> Iterator[Piece]:
         yield output.text(
             f"{name}.html", text, f"full report: fitted to {way.profile}, judged on {way.other}"
         )
-        yield output.text(f"{name}.json", d.model_dump_json(indent=1) + "\n", "the same for programs")
+        yield output.text(f"{name}.json", d.to_json(), "the same for programs")
         if d.effects:
             yield output.vehicle(f"{name}.toml", way.outcome, _VEHICLE, "the vehicle file with")
 

@@ -478,7 +478,9 @@ def test_gains_judge_the_loop_behind_an_observer() -> None:
     loop = close_loop(vehicle, gains)
     filter = SettledObserver(design(_observer(0.02), vehicle), loop.trim)
     # The separation principle: poles of the law and of the filter.
-    slowest = max([*np.linalg.eigvals(loop.closed.A).real, *filter.rates.real])
+    slowest = max(
+        [*np.linalg.eigvals(loop.closed.A).real, *np.linalg.eigvals(filter.a - filter.gain @ filter.c).real]
+    )
     assert found is not None
     assert found.verdict == "stable"
     assert found.pole is not None

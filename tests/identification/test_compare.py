@@ -198,7 +198,7 @@ def test_without_samples_nothing_is_claimed() -> None:
 
 
 def test_the_result_survives_json(lacking: Comparison) -> None:
-    text = lacking.to_json()
+    text = lacking.result.to_json()
     assert ComparisonResult.model_validate_json(text) == lacking.result
     assert json.loads(text)["schema_id"] == "undertow/comparison/1"
 

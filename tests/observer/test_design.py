@@ -191,7 +191,9 @@ def test_poles_of_the_loop_are_those_of_the_law_and_of_the_filter() -> None:
     gains = load_gains("paper-pid", vehicle)
     alone = close_loop(vehicle, gains, trim)
     loop = close_loop(vehicle, gains, trim, observer=observer)
-    both = np.concatenate([np.linalg.eigvals(alone.closed.A), SettledObserver(observer, trim).rates])
+    filter = SettledObserver(observer, trim)
+    of_the_error = np.linalg.eigvals(filter.a - filter.gain @ filter.c)
+    both = np.concatenate([np.linalg.eigvals(alone.closed.A), of_the_error])
     found = np.linalg.eigvals(loop.closed.A)
     for pole in both:
         assert np.abs(found - pole).min() < 1e-6

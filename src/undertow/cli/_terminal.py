@@ -19,9 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, Timer
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
 _READABLE = "undertow.readable"
@@ -205,14 +208,23 @@ def say(line: str, style: str = "") -> None:
     console().print(text(line, style), soft_wrap=True)
 
 
-def write_files(*files: tuple[Path | None, Callable[[Path], object]]) -> None:
-    """Write files that are asked for (a path, and what writes it), all or none, and say where they are."""
-    from undertow.files import together
+def write_files(*files: tuple[Path | None, Callable[[Path], Any] | str | Figure]) -> None:
+    """Write files that are asked for, all or none, and say where they are.
 
-    wanted = [(path, write) for path, write in files if path is not None]
+    With each path stands its text or picture, what makes its text, bytes or picture, or what writes it.
+    """
+    from undertow.files import together, write_whole
+
+    wanted = [(path, make) for path, make in files if path is not None]
     with progress("writing", None), together():
-        for path, write in wanted:
-            write(path)
+        for path, make in wanted:
+            content = make(path) if callable(make) else make
+            if isinstance(content, str | bytes):
+                write_whole(path, content)
+            elif content is not None:
+                from undertow.figures import save_png
+
+                save_png(content, path)
     for path, _ in wanted:
         console().print(text(f"wrote {path}"))
 

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol, TypeVar
 
@@ -164,7 +163,6 @@ class Entries:
         # What is a vector is so already; others that the compiler makes up cost a twentieth.
         self._source, self._compiler = source, compiler.for_this_machine("-fno-tree-vectorize")
         self._known: dict[int, Callable[..., None]] = {}
-        self.libraries: dict[int, Path] = {}
         self._building = Lock()
 
     def __call__(self, lanes: int) -> Callable[..., None]:
@@ -172,8 +170,7 @@ class Entries:
         with self._building:
             if lanes not in self._known:
                 source, name = self._source(lanes)
-                self.libraries[lanes] = library_for(source, self._compiler)
-                entry: Any = getattr(loaded(self.libraries[lanes]), name)
+                entry: Any = getattr(loaded(library_for(source, self._compiler)), name)
                 entry.restype = None
                 self._known[lanes] = entry
         return self._known[lanes]
@@ -188,11 +185,6 @@ class CompiledRollout:
         self.lanes = compiler.lanes
         self._entries = Entries(lambda lanes: rollout_source(functions, lanes), compiler)
         self._entries(1)
-
-    @property
-    def library(self) -> Path:
-        """The library for one lane."""
-        return self._entries.libraries[1]
 
     def advance(self, problem: Problem, first: int, last: int) -> None:
         lanes, runs = lanes_for(len(problem.x), self.lanes), len(problem.x)

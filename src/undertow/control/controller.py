@@ -306,7 +306,7 @@ class Controller:
         """Desired less reported pose, angles within half a turn."""
         n = len(self._coordinates)
         named = zip(self._coordinates, ca.vertsplit(self._course.eta_d - self._y[:n]), strict=True)
-        return ca.vertcat(*[wrapped(e) if _is_angle(c) else e for c, e in named])
+        return ca.vertcat(*[wrapped(e) if POSE.index(c) >= 3 else e for c, e in named])
 
     def _gate(self) -> ca.SX:
         """The latch: once the heading has come within the gate, it stays open."""
@@ -389,10 +389,6 @@ def _only(force: ca.SX, rows: tuple[int, ...]) -> ca.SX:
     for i in rows:
         result[i] = force[i]
     return result
-
-
-def _is_angle(coordinate: str) -> bool:
-    return POSE.index(coordinate) >= 3
 
 
 # --- as a module of a C library ------------------------------------------------------------------------

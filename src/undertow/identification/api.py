@@ -321,43 +321,6 @@ def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
     return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
 
 
-@one_thread()
-def refit(
-    vehicle: Vehicle,
-    runs: Runs,
-    holdout: Runs,
-    estimator: Estimator,
-    horizon: float,
-    report: Progress = lambda done, words: None,
-    *,
-    trust_log: bool = False,
-) -> Refit:
-    """Fit what the vehicle marks as estimated; without validation logs, pieces of the logs serve for it."""
-    vehicle, runs, holdout = normalised(vehicle, runs, holdout)
-    if not free_parameters(vehicle):
-        raise UndertowError(
-            f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
-            "X_u = { value = ..., estimate = true }"
-        )
-    train, test = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
-    report(0.0, "fitting")
-    # Whole logs have been looked at: what is left of them without the validation data need not be.
-    fit = estimator.fit(
-        vehicle,
-        train,
-        progress=lambda done, words: report(0.8 * done, words),
-        validation=test,
-        trust_log=True,
-    )
-    report(0.8, "predicting validation data")
-    refitted, rest = in_runs(fit, test)
-    longest = max(longest_stretch(vehicle, run) for run in rest)
-    windows = cut(rest, vehicle, min(horizon, HORIZONS.longest * longest))
-    as_given = [adapted(vehicle, run)[0] for run in test]
-    before, after = (predict_each(each, windows) for each in (as_given, refitted))
-    return Refit(vehicle, fit, estimator, train, test, before, after)
-
-
 def read_log(
     path: str | Path,
     mapping: str | Path | LogMapping | None = None,
@@ -405,6 +368,7 @@ def read_log(
     return read(path, meaning, commands, window=window)
 
 
+@one_thread()
 def fit(
     vehicle: Vehicle,
     runs: Runs,
@@ -466,7 +430,29 @@ def fit(
     """
     constraints = Constraints(read_equalities(equal, vehicle), dissipative)
     estimator = Estimator(_method(method), horizon, constraints, loss)
-    return refit(vehicle, runs, validation, estimator, horizon, report, trust_log=trust_log)
+    vehicle, runs, validation = normalised(vehicle, runs, validation)
+    if not free_parameters(vehicle):
+        raise UndertowError(
+            f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
+            "X_u = { value = ..., estimate = true }"
+        )
+    train, test = training_and_validation(vehicle, runs, validation, trust_log=trust_log)
+    report(0.0, "fitting")
+    # Whole logs have been looked at: what is left of them without the validation data need not be.
+    found = estimator.fit(
+        vehicle,
+        train,
+        progress=lambda done, words: report(0.8 * done, words),
+        validation=test,
+        trust_log=True,
+    )
+    report(0.8, "predicting validation data")
+    refitted, rest = in_runs(found, test)
+    longest = max(longest_stretch(vehicle, run) for run in rest)
+    windows = cut(rest, vehicle, min(horizon, HORIZONS.longest * longest))
+    as_given = [adapted(vehicle, run)[0] for run in test]
+    before, after = (predict_each(each, windows) for each in (as_given, refitted))
+    return Refit(vehicle, found, estimator, train, test, before, after)
 
 
 def _method(name: str) -> Method:

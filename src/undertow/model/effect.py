@@ -12,8 +12,24 @@ from typing import ClassVar, Literal, Self
 import sympy as sm
 
 from .hardware import Law, Propeller, Surface
-from .parameter import Limits, Parameter, Taken, declared, logged
-from .symbols import Signals, column, spelled_out, symbol
+
+# An effect is declared with the names of this module alone.
+from .parameter import (  # noqa: F401
+    DIAGONAL,
+    OFF_DIAGONAL,
+    UPPER_TRIANGLE,
+    DerivativeMatrix,
+    Limits,
+    LoggedOnly,
+    Parameter,
+    PerSurface,
+    PerThruster,
+    Place,
+    Taken,
+    declared,
+    logged,
+)
+from .symbols import DOFS, FASTEST, FORCE, VELOCITY, Signals, column, spelled_out, symbol  # noqa: F401
 
 
 @lru_cache(maxsize=1024)

@@ -362,16 +362,6 @@ class Vehicle:
         """Residual at nu_dot = 0, so that M nu_dot = forcing."""
         return self.composition.forcing
 
-    @cached_property
-    def regressor(self) -> sm.Matrix:
-        """d(residual)/d(theta) for the parameters in `parameter_names`, shape (n, n_parameters)."""
-        return self.residual.jacobian([symbol(n) for n in self.parameter_names])
-
-    def jacobian(self, with_respect_to: Iterable[sm.Symbol]) -> sm.Matrix:
-        """Derivative of the forcing, for instance in `nu`; a sign function counts as constant."""
-        derivative = self.forcing.jacobian(list(with_respect_to))
-        return derivative.replace(sm.DiracDelta, lambda *_: sm.Integer(0))
-
     def power(self) -> dict[str, sm.Expr]:
         """Power nu' tau of every wrench at nu_dot = 0, W, by effect id."""
         nu = self.composition.nu

@@ -137,11 +137,8 @@ class Design:
         outputs = [ca.densify(o) for o in ca.cse(list(new))]
         return _function("predict", {"x": x, "P": P, "u": u, "p": p, "t": t, "dt": dt}, outputs, ["xn", "Pn"])
 
-    def update(self, sensor: int) -> ca.Function:
-        """`(x, P, nis) = update(x, P, u, t, y)` with a report; nis beyond the gate was rejected."""
-        return self._updating(sensor, self._numbers, ca.SX(0, 1))
-
     def _updating(self, sensor: int, numbers: Numbers, p: ca.SX) -> ca.Function:
+        """`(x, P, nis) = update(x, P, u, p, t, y)` with a report; nis beyond the gate was rejected."""
         x, P, u, t = self._symbols
         y = ca.SX.sym("y")
         got = self._updated(sensor, x, P, u, t, y, ca.SX(1), numbers)

@@ -347,7 +347,7 @@ class Observer:
             given = [u[rows].T, self.process.values, self.densities, reports.t[rows][None], steps[rows][None]]
             given += [y[rows].T, reports.variance, there[rows].T]
             found = [np.asarray(o) for o in _rolled(row, count)(x, P, *given)]
-            blocks.append([_by_row(o, count) for o in found])
+            blocks.append([o.reshape(len(o), count, -1).transpose(1, 0, 2) for o in found])
             x, P = blocks[-1][0][-1, :, 0], blocks[-1][1][-1]
             progress(rows.stop / total, "filtering")
         mean, after, x0, before, cross, done = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
@@ -393,11 +393,6 @@ def _row_of(process: Process, method: Method, compiled: bool) -> ca.Function:
 def _rolled(row: ca.Function, count: int) -> ca.Function:
     """The rows one after the other in one call; state and covariance are carried on."""
     return row.mapaccum(f"rows_{count}", count, 2)
-
-
-def _by_row(stacked: Array, count: int) -> Array:
-    """Matrices that stand side by side, shape (count, rows, columns)."""
-    return stacked.reshape(len(stacked), count, -1).transpose(1, 0, 2)
 
 
 # --- smoothing ------------------------------------------------------------------------------------

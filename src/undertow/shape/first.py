@@ -75,13 +75,12 @@ class Drag:
 def drag_of_hull(
     mesh: Mesh,
     density: float = 1000.0,
-    origin: Sequence[float] = (0.0, 0.0, 0.0),
     cd: Sequence[float] | None = None,
 ) -> Drag:
     """Drag by silhouettes in translation, and by the speeds of all strips of the surface in rotation.
 
-    `density`: of the water, kg/m^3; `origin` (3,): what rotation is about, m; `cd` (3,): drag coefficients on
-    the silhouettes seen along x, y and z; by the form of the hull if None.
+    `density`: of the water, kg/m^3; `cd` (3,): drag coefficients on the silhouettes seen along x, y and z; by
+    the form of the hull if None.
 
     Force: density/2 C_d times silhouette. Moment: every strip of surface gives half of that for its own
     normal velocity, so that a box gets what strip theory gives its sides, and a hull that turns about its
@@ -97,7 +96,7 @@ def drag_of_hull(
     chosen = [_coefficient(float(b), None if cd is None else float(cd[i])) for i, b in enumerate(blunt)]
     values, shares, sources = zip(*chosen, strict=True)
     forces = density / 2 * np.array(values) * areas
-    moments = density / 2 * _moments(mesh, np.asarray(origin, dtype=float), np.array(values) / blunt, facing)
+    moments = density / 2 * _moments(mesh, np.array(values) / blunt, facing)
     turning = float(np.hypot(0.5, max(shares)))
     text = [f"C_d {v:g} on {a:.4g} m^2: {s}" for v, a, s in zip(values, areas, sources, strict=True)]
     about = "strips of the surface with the drag coefficients of x, y and z, and friction"
@@ -119,14 +118,14 @@ def _coefficient(bluntness: float, stated: float | None) -> tuple[float, float, 
     return value, share, f"{form} this way (bluntness {bluntness:.2f}), {source}"
 
 
-def _moments(mesh: Mesh, origin: Array, weights: Array, facing: Array) -> Array:
+def _moments(mesh: Mesh, weights: Array, facing: Array) -> Array:
     """Integrals of the speeds cubed over the surface for a unit rate about x, y and z, m^5."""
     found = []
     places, areas = _points(mesh)
     normals = np.repeat(mesh.vector_areas / mesh.areas[:, None], 3, axis=0)
     pressure = np.repeat(facing**2 @ weights, 3)
     for axis in np.eye(3):
-        speed = np.cross(axis, places - origin)
+        speed = np.cross(axis, places)
         normal = np.sum(speed * normals, axis=1)
         along = np.linalg.norm(speed - normal[:, None] * normals, axis=1)
         found.append(areas @ (pressure * np.abs(normal) ** 3 / 2 + _RULES.friction * along**3))

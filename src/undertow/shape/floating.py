@@ -33,7 +33,6 @@ class FloatingRules:
     cells: float = 3.0  # panels along the shortest wave, at least
     headings: int = 9  # of a regular wave, from astern to ahead on one side
     theta: int = 181  # directions of the waves that go out, for the drift
-    mirrored: float = 1e-3  # share of the largest force by which port and starboard may differ
 
 
 FLOATING_RULES = FloatingRules()
@@ -206,11 +205,6 @@ class FloatingBody:
             together.imag,
             self._fine.nb_faces,
         )
-
-    @property
-    def panels(self) -> int:
-        """Panels under water."""
-        return int(self._fine.nb_faces)
 
     def at(self, omega: float) -> Complex:
         """Added mass + i radiation damping at a frequency, rad/s, about the origin, body axes, (6, 6)."""

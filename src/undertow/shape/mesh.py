@@ -143,10 +143,6 @@ class Mesh:
         """The same hull elsewhere."""
         return Mesh(self.vertices + np.asarray(by, dtype=float), self.faces)
 
-    def turned(self, rotation: Array) -> Mesh:
-        """The same hull in other axes; `rotation` takes components along the old into those along the new."""
-        return Mesh(self.vertices @ rotation.T, self.faces)
-
 
 def _covered(begins: Array, ends: Array) -> float:
     """Length of the union of intervals."""

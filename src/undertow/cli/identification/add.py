@@ -85,7 +85,7 @@ def add(
             _draw(addition, picture)
         if json is not None:
             result = result_of(setup, addition).model_copy(update={"long_logs": long})
-            write_whole(json, result.model_dump_json(indent=1) + "\n")
+            write_whole(json, result.to_json())
         if taken is not None:
             save_addition(setup, addition, vehicle, taken)
             code = _code_of(files.place_of(taken), options, build) if codegen else None

@@ -53,7 +53,7 @@ def compare(
     drawn: list[Path] = []
     with progress("writing", None), together():
         if json is not None:
-            write_whole(json, comparison.to_json())
+            write_whole(json, comparison.result.to_json())
         if plots is not None:
             from undertow.figures import save_pictures
             from undertow.identification.report.tables import comparison_pictures

@@ -144,7 +144,7 @@ def _write(
     with progress("writing", None), together():
         for outcome, json, report in written:
             if json is not None:
-                write_whole(json, outcome.diagnosis.model_dump_json(indent=1) + "\n")
+                write_whole(json, outcome.diagnosis.to_json())
             if report is not None:
                 outcome.report(report)
         if apply is not None and rig:

@@ -39,6 +39,8 @@ from .._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgumen
 from .._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undertow.identification.doctor.examine import Examined
     from undertow.identification.doctor.findings import DofExcitation, Examination, Finding
     from undertow.identification.logs.mapping import LogMapping
@@ -59,7 +61,7 @@ def doctor(
     plot: Annotated[Path | None, _PLOT] = None,
     mend: Annotated[Path | None, _MEND] = None,
 ) -> int:
-    from undertow.files import check_writable, write_whole
+    from undertow.files import check_writable
     from undertow.identification.doctor.examine import examine
     from undertow.identification.long_logs.choosing import EXAMINE
 
@@ -73,16 +75,14 @@ def doctor(
     say_long(long)
     show(result, options.map)
 
-    def draw(path: Path) -> None:
-        from undertow.figures import save_png
+    def draw(_: Path) -> Figure:
         from undertow.identification.report.pictures import rates_picture
 
-        own = () if options.map else loaded.field_logs
-        save_png(rates_picture(examined, model, own), path)
+        return rates_picture(examined, model, () if options.map else loaded.field_logs)
 
     write_files(
-        (json, lambda path: write_whole(path, result.model_dump_json(indent=1) + "\n")),
-        (mend, lambda path: write_whole(path, mended_mapping(examined, options.map, runs[0].mapping))),
+        (json, result.to_json()),
+        (mend, lambda _: mended_mapping(examined, options.map, runs[0].mapping)),
         (plot, draw),
     )
     return 1 if result.mistakes else 0

@@ -37,7 +37,6 @@ validation data worse than the model as given; --force writes it all the same.
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -60,7 +59,6 @@ from .._terminal import console, progress, say, section, table, text, write_file
 if TYPE_CHECKING:
     from undertow.identification.api import Refit
     from undertow.identification.estimation.fitted import Fitted
-    from undertow.identification.report.results import FitResult
     from undertow.identification.report.sentences import CommandLine
 
 _METHOD = typer.Option(help="Weak form, or simulation without or with a disturbance.")
@@ -138,7 +136,7 @@ def fit(
     files = [of_experiment(json, part.name if len(parts) > 1 else "") for part in parts]
     save = partial(together.save, vehicle, command=fits[0].command) if rig else partial(fits[0].save, vehicle)
     write_files(
-        *((path, partial(_write_json, r)) for path, r in zip(files, results, strict=True)),
+        *((path, r.to_json()) for path, r in zip(files, results, strict=True)),
         (None if refused else target, save),
     )
     if refused:
@@ -147,12 +145,6 @@ def fit(
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
     return 0
-
-
-def _write_json(result: FitResult, path: Path) -> None:
-    from undertow.files import write_whole
-
-    write_whole(path, result.model_dump_json(indent=1) + "\n")
 
 
 def show(done: Refit, given: CommandLine) -> None:

@@ -122,7 +122,6 @@ def _without_motion(log: FieldLog, meaning: LogMapping, path: Path, out: Path) -
 
 def _write(log: FieldLog, meaning: LogMapping, out: Path, beside: Path) -> None:
     """Write the columns that a mapping reads as a table, and the mapping beside it."""
-    from undertow.files import write_whole
     from undertow.identification.logs.mapping import mapping_text
     from undertow.identification.logs.opening import columns_read
 
@@ -131,7 +130,4 @@ def _write(log: FieldLog, meaning: LogMapping, out: Path, beside: Path) -> None:
         rows.write_csv(cells)
     else:
         rows.write_parquet(cells)
-    write_files(
-        (out, lambda path: write_whole(path, cells.getvalue())),
-        (beside, lambda path: write_whole(path, mapping_text(meaning))),
-    )
+    write_files((out, lambda _: cells.getvalue()), (beside, mapping_text(meaning)))

@@ -42,6 +42,8 @@ from .._options import JsonOption, LogsArgument, ReadOptions, VehicleArgument, b
 from .._terminal import print_json, progress, say, section, table, write_files
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undertow.identification.logs.run import Run
     from undertow.identification.observe import Observed, ObservedLogs
     from undertow.model.vehicle import Vehicle
@@ -75,7 +77,7 @@ def observe(
     plot: Annotated[Path | None, _PLOT] = None,
     json: JsonOption = False,
 ) -> None:
-    from undertow.files import check_writable, write_whole
+    from undertow.files import check_writable
     from undertow.identification.observe import observe_logs, observer_file
 
     check_writable(out, save, plot, inputs=[vehicle, *logs, *options.files])
@@ -95,7 +97,7 @@ def observe(
     check_writable(*(path for pair in names for path in pair), inputs=[*logs, *options.files])
     write_files(
         *(pair for n, one, run in zip(names, found.each, runs, strict=True) for pair in _files(n, one, run)),
-        (save, lambda path: write_whole(path, observer_file(found, runs, path.stem, filter or "ekf"))),
+        (save, lambda path: observer_file(found, runs, path.stem, filter or "ekf")),
     )
     if json:
         print_json(found.content())
@@ -104,21 +106,15 @@ def observe(
 
 
 def _files(names: _Pair, one: Observed, run: Run) -> list[tuple[Path | None, Callable[[Path], object]]]:
-    """The table and the picture of a log, with what writes them."""
+    """The table and the picture of a log, with what makes them."""
+    from undertow.identification.observe import csv
 
-    def table_of(path: Path) -> None:
-        from undertow.files import write_whole
-        from undertow.identification.observe import csv
-
-        write_whole(path, csv(one))
-
-    def draw(path: Path) -> None:
-        from undertow.figures import save_png
+    def draw(_: Path) -> Figure:
         from undertow.identification.report.pictures import observed_picture
 
-        save_png(observed_picture(one, run), path)
+        return observed_picture(one, run)
 
-    return [(names[0], table_of), (names[1], draw)]
+    return [(names[0], lambda _: csv(one)), (names[1], draw)]
 
 
 def _of_each(out: Path | None, plot: Path | None, runs: Sequence[Run]) -> list[_Pair]:

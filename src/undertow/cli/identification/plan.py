@@ -39,6 +39,8 @@ from .._options import JsonFileOption, LogOptions, VehicleArgument, bundled, say
 from .._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undertow.identification.planning.parameters import Planned
     from undertow.identification.planning.result import Plan, PlannedParameter
 
@@ -119,7 +121,7 @@ def plan(
     ] = None,
     json: JsonFileOption = None,
 ) -> None:
-    from undertow.files import check_writable, write_whole
+    from undertow.files import check_writable
     from undertow.identification.api import plan as planned_for
     from undertow.identification.long_logs.choosing import LOOK
     from undertow.identification.planning.manoeuvres import MotionLimits
@@ -159,22 +161,17 @@ def plan(
     say_long(long)
     plan = done.plan.model_copy(update={"long_logs": long})
 
-    def draw(path: Path) -> None:
-        from undertow.figures import save_png
+    def draw(_: Path) -> Figure:
         from undertow.identification.planning.picture import plan_picture
 
-        save_png(plan_picture(done), path)
+        return plan_picture(done)
 
-    def write_commands(path: Path) -> None:
+    def commands(_: Path) -> str:
         from undertow.identification.planning.picture import command_csv
 
-        write_whole(path, command_csv(done))
+        return command_csv(done)
 
-    write_files(
-        (out, write_commands),
-        (picture, draw),
-        (json, lambda path: write_whole(path, plan.model_dump_json(indent=1) + "\n")),
-    )
+    write_files((out, commands), (picture, draw), (json, plan.to_json()))
     if out is None:
         console().print(text("the commands were not written: --out OUT.csv does it"))
 

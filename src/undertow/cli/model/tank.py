@@ -206,10 +206,8 @@ def look(
 ) -> None:
     """Draw grid, flow speed and force histories, one picture for each case."""
     from contextlib import suppress
-    from functools import partial
 
     from undertow.errors import nearest
-    from undertow.figures import save_png
     from undertow.files import check_folder, make_folder
     from undertow.tank.coefficients import coefficients
     from undertow.tank.pictures import picture
@@ -241,4 +239,4 @@ def look(
     for c, grid in wanted:
         path = folder / f"{c.name}-grid{grid}.png"
         drawn = picture(root, made, c, grid, found)
-        write_files((path, partial(save_png, drawn)))
+        write_files((path, drawn))

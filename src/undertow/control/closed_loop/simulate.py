@@ -102,48 +102,6 @@ class Runs:
         return np.isnan(self.states[:, -1]).any(axis=1)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # runs that diverge are NaN
-def run_many(
-    loop: ClosedLoop, scenario: Scenario, by: Differences, threads: int | None, progress: Progress | None
-) -> Runs:
-    """What `ClosedLoop.run_many` does."""
-    parts = loop.parts
-    start, to = loop.desired(scenario)
-    named = (*loop.vehicle.pose_names, *loop.vehicle.velocity_names)
-    problem = loop.problem(
-        scenario,
-        start,
-        to,
-        by.put_into("start of", by.starts, named, loop.first(scenario, start)),
-        by.put_into("parameter", by.parameters, parts.functions.parameter_names, parts.parameters),
-        by.put_into("gain", by.gains, parts.controller.gain_names, parts.gains),
-    )
-    t = np.arange(0, scenario.samples, scenario.stride) * scenario.dt
-    runs = Runs(
-        t,
-        np.full((by.runs, len(t), problem.x.shape[1]), np.nan),
-        np.full((by.runs, len(t), len(parts.commanded)), np.nan),
-        parts.functions.state_names,
-        parts.controller.command_names,
-    )
-
-    def simulate(share: slice) -> None:
-        _simulate(loop, scenario, problem.part(share), share, runs)
-
-    done = 0
-
-    def report(share: slice) -> None:
-        nonlocal done
-        done += share.stop - share.start
-        if progress is not None:
-            progress(done, loop.gains.name)
-
-    steps = scenario.samples * problem.substeps
-    threads = threads if loop.stepper.parallel else 1
-    in_threads(simulate, shares(by.runs, steps, threads, loop.stepper.lanes), threads, report)
-    return runs
-
-
 def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share: slice, runs: Runs) -> None:
     """Fill in the rows of some of the runs."""
     row, numbers = 0, range(share.start, share.stop)
@@ -317,6 +275,7 @@ class ClosedLoop:
                 break
         return recorder.record(start, to, measures)
 
+    @np.errstate(over="ignore", invalid="ignore")  # runs that diverge are NaN
     def run_many(
         self,
         scenario: Scenario,
@@ -337,7 +296,42 @@ class ClosedLoop:
             masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
             loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses}).state("z")[:, -1].std()
         """
-        return run_many(self, scenario, Differences(parameters, gains, starts), threads, progress)
+        by = Differences(parameters, gains, starts)
+        parts = self.parts
+        start, to = self.desired(scenario)
+        named = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
+        problem = self.problem(
+            scenario,
+            start,
+            to,
+            by.put_into("start of", by.starts, named, self.first(scenario, start)),
+            by.put_into("parameter", by.parameters, parts.functions.parameter_names, parts.parameters),
+            by.put_into("gain", by.gains, parts.controller.gain_names, parts.gains),
+        )
+        t = np.arange(0, scenario.samples, scenario.stride) * scenario.dt
+        runs = Runs(
+            t,
+            np.full((by.runs, len(t), problem.x.shape[1]), np.nan),
+            np.full((by.runs, len(t), len(parts.commanded)), np.nan),
+            parts.functions.state_names,
+            parts.controller.command_names,
+        )
+
+        def simulate(share: slice) -> None:
+            _simulate(self, scenario, problem.part(share), share, runs)
+
+        done = 0
+
+        def report(share: slice) -> None:
+            nonlocal done
+            done += share.stop - share.start
+            if progress is not None:
+                progress(done, self.gains.name)
+
+        steps = scenario.samples * problem.substeps
+        threads = threads if self.stepper.parallel else 1
+        in_threads(simulate, shares(by.runs, steps, threads, self.stepper.lanes), threads, report)
+        return runs
 
     # --- preparing ------------------------------------------------------------------------------
     def first(self, scenario: Scenario, start: Mapping[str, float]) -> np.ndarray:

@@ -561,11 +561,6 @@ class SettledObserver:
             ) from error
         return np.asarray(covariance @ self.c.T @ np.linalg.inv(r))
 
-    @property
-    def rates(self) -> Array:
-        """Eigenvalues of the error of the estimate, 1/s."""
-        return np.asarray(np.linalg.eigvals(self.a - self.gain @ self.c))
-
 
 def _sampled(law: ct.StateSpace, dt: float) -> ct.StateSpace:
     """A law as its C code runs it: an integral advances by dt times its rate (Euler)."""

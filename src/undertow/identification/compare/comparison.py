@@ -333,10 +333,6 @@ class Comparison:
     profiles: list[Profile]  # The same against every variable
     regimes: list[Regime]  # The parts of the logs that the error map tells apart
 
-    def to_json(self) -> str:
-        """The result as JSON."""
-        return self.result.model_dump_json(indent=1) + "\n"
-
     def stretches(self, degree_of_freedom: str, regime: str) -> list[tuple[int, float, float]]:
         """When a field of the error map applies: number of the run, begin and end in s of each stretch."""
         place = self.result.degrees_of_freedom.index(degree_of_freedom)

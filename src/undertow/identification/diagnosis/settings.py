@@ -194,9 +194,6 @@ class Settings:
     )
 
     # --- validation by simulation -------------------------------------------------------------
-    horizons: tuple[float, ...] = _number(
-        (1.0, 5.0, 20.0), "horizons of the prediction table", "shown only", unit="s"
-    )
     short_windows: float = _number(
         5.0, "windows in which models are compared", "headings of a true model diverge in long ones", unit="s"
     )

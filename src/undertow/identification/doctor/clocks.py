@@ -178,11 +178,8 @@ class Shift:
 
     names: tuple[str, ...]
     poses: tuple[str, ...]  # against whose rates
-    # delay, delay_error: in the middle of the runs, s.
-    delay: float
-    delay_error: float
-    # drift, drift_error: from the first to the last sample of a run, s.
-    drift: float
+    delay: float  # in the middle of the runs, s
+    drift: float  # from the first to the last sample of a run, s
     drift_error: float
 
 
@@ -206,8 +203,7 @@ def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...], pose
         found = found + change
         if np.all(np.abs(change) < SETTINGS.converged * step):
             break
-    (delay, drift), (spread, spread_of_drift) = found.tolist(), fit.error.tolist()
-    return Shift(names, poses, delay, spread, drift, spread_of_drift)
+    return Shift(names, poses, float(found[0]), float(found[1]), float(fit.error[1]))
 
 
 def _along(t: Array) -> Array:

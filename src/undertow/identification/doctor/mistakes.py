@@ -287,7 +287,7 @@ def _present(groups: Sequence[tuple[str, ...]], moving: set[str]) -> Iterator[tu
 def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str, speed: str) -> Mistake:
     """Some channels in a unit of length, or of speed, that the mapping does not say."""
     units = {n: length if n in POSITIONS else speed for n in names}
-    read_as = {n: _read_as(mapping, n) for n in names}
+    read_as = {n: column_of(mapping, n)[1].unit or ("m" if n in POSITIONS else "m/s") for n in names}
     factors = {n: scale_offset(units[n], read_as[n])[0] for n in names}
 
     def edits(m: LogMapping) -> Edits:
@@ -297,10 +297,6 @@ def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str
     was = " and ".join(dict.fromkeys(read_as.values()))
     verb = "is" if len(names) == 1 else "are"
     return Mistake(kind, f"{', '.join(names)} {verb} in {clause}, read as {was}", scaling(factors), edits)
-
-
-def _read_as(mapping: LogMapping, name: str) -> str:
-    return column_of(mapping, name)[1].unit or ("m" if name in POSITIONS else "m/s")
 
 
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")

@@ -56,7 +56,7 @@ def shifted_mean(t: Array, held: Array, delay: float) -> Array:
     """Mean over each interval of a held signal that arrives `delay` seconds late; before the log, its first
     value.
     """
-    total = _integral(t, held)
+    total = np.vstack([np.zeros_like(held[:1]), np.cumsum(held[:-1] * np.diff(t)[:, None], axis=0)])
     late = _at(t, total, held, t - delay)
     step = np.diff(t)[:, None]
     return np.vstack([np.diff(late, axis=0) / step, held[-1:]])
@@ -67,10 +67,6 @@ def shift_rate(t: Array, held: Array, delay: float) -> Array:
     start = held[_at_work(t, delay)]
     step = np.diff(t)[:, None]
     return np.vstack([np.diff(start, axis=0) / step, np.zeros_like(held[:1])])
-
-
-def _integral(t: Array, held: Array) -> Array:
-    return np.vstack([np.zeros_like(held[:1]), np.cumsum(held[:-1] * np.diff(t)[:, None], axis=0)])
 
 
 def _at(t: Array, total: Array, held: Array, when: Array) -> Array:

@@ -111,11 +111,6 @@ class OutputErrorFit(Fitted):
         groups = len(self.at.scores)
         return clustered(self.information, self.at.scores * np.sqrt(groups / max(groups - 1, 1)))
 
-    @property
-    def cost(self) -> float:
-        """Weighted sum of squares of the simulation error."""
-        return self.at.cost
-
     def mean_square(self) -> Array:
         """Mean square of the simulation error over the noise, by channel; NaN where one is not used."""
         return _mean_square(self.at, self.starts, self.dispersion)

@@ -363,11 +363,6 @@ class PredictionErrorFit(Fitted):
         size = len(self.windows.names) // 2
         return dict(zip(self.windows.names[size:], self.noise.intensity[2 * size :].tolist(), strict=True))
 
-    @property
-    def cost(self) -> float:
-        """Sum of squares of the whitened innovations."""
-        return float(np.sum(self.passed.table[:, 0] ** 2))
-
     def mean_square(self) -> Array:
         """Mean square of the whitened innovations by channel; NaN where one is not used."""
         return mean_square_by(self.passed.channel, self.passed.table[:, 0], len(self.windows.names))

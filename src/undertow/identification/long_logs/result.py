@@ -15,6 +15,10 @@ class ResultTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
+    def to_json(self) -> str:
+        """Text of a file with the result."""
+        return self.model_dump_json(indent=1) + "\n"
+
 
 class WholeLog(ResultTable):
     """A log as it was read, in parts."""

@@ -219,11 +219,7 @@ def _fits(before: Comparison, after: Comparison | None) -> Listing:
     for channel in before.result.channels:
         shown = [channel, *([later[channel.channel]] if channel.channel in later else [])]
         ahead = " → ".join(quantity(c.ahead_rms, channel.unit, 3) for c in shown)
-        free = " → ".join(percent(_share(c.free_run_fit)) for c in shown)
+        free = " → ".join(percent(None if c.free_run_fit is None else c.free_run_fit / 100.0) for c in shown)
         rows.append((channel.channel, quantity(channel.noise, channel.unit, 2), ahead, free))
     ahead = f"error {before.result.horizon:g} s ahead, rms"
     return Listing(("channel", "noise", ahead, "free-run fit (100 % is perfect)"), tuple(rows))
-
-
-def _share(per_cent: float | None) -> float | None:
-    return None if per_cent is None else per_cent / 100.0

@@ -2,9 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import Actuation
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
+from undertow.model.effect import Actuation, Parameter, Signals
 
 
 class ActuationDelay(Actuation):

@@ -2,10 +2,9 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Signals, Wrench
 from undertow.model.effects.added_mass import AddedMass
 from undertow.model.kinematics import coriolis
-from undertow.model.symbols import Signals
 
 
 class AddedMassCoriolis(Wrench):

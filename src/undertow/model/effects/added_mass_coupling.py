@@ -2,10 +2,8 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import UPPER_TRIANGLE, DerivativeMatrix, Signals, Wrench
 from undertow.model.kinematics import coriolis
-from undertow.model.parameter import UPPER_TRIANGLE, DerivativeMatrix
-from undertow.model.symbols import Signals
 
 
 class AddedMassCoupling(Wrench):

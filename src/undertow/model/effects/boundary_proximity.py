@@ -5,12 +5,10 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import LoggedOnly, Parameter, Signals, Wrench, symbol
 from undertow.model.effects.cubic_damping import CubicDamping
 from undertow.model.effects.linear_damping import LinearDamping
 from undertow.model.effects.quadratic_damping import QuadraticDamping
-from undertow.model.parameter import LoggedOnly, Parameter
-from undertow.model.symbols import Signals, symbol
 
 _AHEAD, _GAP = symbol("ahead"), symbol("gap")
 # Where a search begins: decay lengths in the range of the vehicle, and how far inside that the boundary is.

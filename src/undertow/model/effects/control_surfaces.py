@@ -4,11 +4,9 @@ from math import inf, pi
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Parameter, PerSurface, Signals, Wrench, column, symbol
 from undertow.model.effects.propellers import thrust_of
 from undertow.model.hardware import Surface
-from undertow.model.parameter import Parameter, PerSurface
-from undertow.model.symbols import Signals, column, symbol
 
 _HALF = sm.Rational(1, 2)
 _AHEAD = sm.Matrix([1, 0, 0])

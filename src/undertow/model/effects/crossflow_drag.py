@@ -4,9 +4,7 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals, column
+from undertow.model.effect import Parameter, Signals, Wrench, column
 
 # Simpson's rule over nine stations: unlike the closed form it does not divide by the yaw rate.
 _SIMPSON = sm.Matrix([1, 4, 2, 4, 2, 4, 2, 4, 1])

@@ -4,9 +4,7 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import DIAGONAL, DerivativeMatrix, Parameter
-from undertow.model.symbols import VELOCITY, Signals
+from undertow.model.effect import DIAGONAL, VELOCITY, DerivativeMatrix, Parameter, Signals, Wrench
 
 
 def _width(unit: str, description: str) -> Parameter:

@@ -4,10 +4,8 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Parameter, Signals, Wrench
 from undertow.model.kinematics import coriolis, inertia_matrix, inertia_tensor
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
 
 
 class EntrainedWater(Wrench):

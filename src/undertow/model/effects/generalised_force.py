@@ -2,8 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.symbols import Signals
+from undertow.model.effect import Signals, Wrench
 
 
 class GeneralisedForce(Wrench):

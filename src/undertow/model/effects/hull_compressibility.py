@@ -2,10 +2,8 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Parameter, Signals, Wrench
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
 
 
 class HullCompressibility(Wrench):

@@ -2,9 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import OFF_DIAGONAL, DerivativeMatrix
-from undertow.model.symbols import Signals
+from undertow.model.effect import OFF_DIAGONAL, DerivativeMatrix, Signals, Wrench
 
 
 class LinearDampingCoupling(Wrench):

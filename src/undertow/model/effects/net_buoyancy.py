@@ -4,10 +4,8 @@ from collections.abc import Iterator, Mapping, Set
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Limits, Parameter, Signals, Wrench
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Limits, Parameter
-from undertow.model.symbols import Signals
 
 
 class NetBuoyancy(Wrench):

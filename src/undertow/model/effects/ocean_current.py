@@ -3,9 +3,7 @@
 import sympy as sm
 
 from undertow.errors import UndertowError
-from undertow.model.effect import Flow
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import FASTEST, Signals
+from undertow.model.effect import FASTEST, Flow, Parameter, Signals
 
 
 class OceanCurrent(Flow):

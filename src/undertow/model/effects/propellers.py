@@ -5,11 +5,9 @@ from typing import Self
 
 import sympy as sm
 
-from undertow.model.effect import Effect, Wrench
+from undertow.model.effect import Effect, PerThruster, Signals, Wrench, column
 from undertow.model.effects.thrusters import at_rest
 from undertow.model.hardware import Propeller
-from undertow.model.parameter import PerThruster
-from undertow.model.symbols import Signals, column
 
 
 class Propellers(Wrench):

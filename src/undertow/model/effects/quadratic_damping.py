@@ -4,9 +4,7 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import DIAGONAL, DerivativeMatrix
-from undertow.model.symbols import Signals
+from undertow.model.effect import DIAGONAL, DerivativeMatrix, Signals, Wrench
 
 
 class QuadraticDamping(Wrench):

@@ -2,9 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import DerivativeMatrix, Parameter
-from undertow.model.symbols import Signals
+from undertow.model.effect import DerivativeMatrix, Parameter, Signals, Wrench
 
 _PAIRS = ((1, 5), (5, 1), (2, 4), (4, 2))
 

@@ -2,9 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import DIAGONAL, DerivativeMatrix, Parameter
-from undertow.model.symbols import VELOCITY, Signals
+from undertow.model.effect import DIAGONAL, VELOCITY, DerivativeMatrix, Parameter, Signals, Wrench
 
 
 class RadiationMemory(Wrench):

@@ -2,10 +2,8 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Parameter, PerThruster, Signals, Wrench
 from undertow.model.effects.propellers import thrust_of
-from undertow.model.parameter import Parameter, PerThruster
-from undertow.model.symbols import Signals
 
 
 class ReactionTorque(Wrench):

@@ -5,10 +5,8 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Limits, Parameter, Signals, Taken, Wrench, symbol
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Limits, Parameter, Taken
-from undertow.model.symbols import Signals, symbol
 
 _ARMS = {f"{axis}_{point}": "m" for axis in "xyz" for point in "gb"}
 

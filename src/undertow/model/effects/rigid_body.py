@@ -6,10 +6,8 @@ from math import sqrt
 import sympy as sm
 
 from undertow.errors import UndertowError
-from undertow.model.effect import VehicleSize, Wrench
+from undertow.model.effect import Limits, Parameter, Signals, Taken, VehicleSize, Wrench, symbol
 from undertow.model.kinematics import failing_pivot, inertia_matrix, inertia_tensor
-from undertow.model.parameter import Limits, Parameter, Taken
-from undertow.model.symbols import Signals, symbol
 
 
 class RigidBody(Wrench):

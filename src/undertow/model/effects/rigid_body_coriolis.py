@@ -2,10 +2,9 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Signals, Wrench
 from undertow.model.effects.rigid_body import RigidBody
 from undertow.model.kinematics import coriolis
-from undertow.model.symbols import Signals
 
 
 class RigidBodyCoriolis(Wrench):

@@ -5,9 +5,7 @@ from collections.abc import Mapping
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import LoggedOnly, Parameter, Place
-from undertow.model.symbols import Signals, column, symbol
+from undertow.model.effect import LoggedOnly, Parameter, Place, Signals, Wrench, column, symbol
 
 _DRAG, _SPEED = column(["drag_x", "drag_y", "drag_z"]), column(["tail_u", "tail_v", "tail_w"])
 _LENGTH, _COEFFICIENT = symbol("length"), symbol("tether_coefficient")

@@ -4,10 +4,8 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Parameter, Signals, Wrench, column
 from undertow.model.effects.thrusters import at_rest
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals, column
 
 
 class ThrustLoss(Wrench):

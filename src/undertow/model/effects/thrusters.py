@@ -2,10 +2,8 @@
 
 import sympy as sm
 
-from undertow.model.effect import Effect, Wrench
+from undertow.model.effect import Effect, PerThruster, Signals, Wrench, column
 from undertow.model.hardware import Curve, Propeller
-from undertow.model.parameter import PerThruster
-from undertow.model.symbols import Signals, column
 
 
 class Thrusters(Wrench):

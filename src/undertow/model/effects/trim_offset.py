@@ -2,11 +2,9 @@
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
+from undertow.model.effect import Parameter, Signals, Wrench
 from undertow.model.effects.restoring import Restoring
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
 
 
 class TrimOffset(Wrench):

@@ -2,10 +2,8 @@
 
 import sympy as sm
 
-from undertow.model.effect import Measurement
+from undertow.model.effect import Measurement, Parameter, Signals
 from undertow.model.kinematics import rotation, skew
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
 
 
 class VelocityMisalignment(Measurement):

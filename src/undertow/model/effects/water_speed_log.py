@@ -2,10 +2,8 @@
 
 import sympy as sm
 
-from undertow.model.effect import Flow, Measurement
+from undertow.model.effect import Flow, Measurement, Parameter, Signals
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals
 
 
 class WaterSpeedLog(Flow, Measurement):

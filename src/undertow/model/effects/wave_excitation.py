@@ -6,9 +6,7 @@ from typing import Any
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import DOFS, FORCE, Signals, column, symbol
+from undertow.model.effect import DOFS, FORCE, Parameter, Signals, Wrench, column, symbol
 
 HARMONICS = 6  # of the heading, from 0 on: waves as long as half the hull need no more
 # Motions of which a wave from starboard is the mirror image of that from port.

@@ -4,9 +4,7 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Wrench
-from undertow.model.parameter import DIAGONAL, DerivativeMatrix, Parameter
-from undertow.model.symbols import VELOCITY, Signals, column
+from undertow.model.effect import DIAGONAL, VELOCITY, DerivativeMatrix, Parameter, Signals, Wrench, column
 
 _FREQUENCIES = column([f"omega_rad_{v}" for v in VELOCITY])
 _TIMES = column([f"T_rad_{v}" for v in VELOCITY])

@@ -4,11 +4,9 @@ from collections.abc import Mapping
 
 import sympy as sm
 
-from undertow.model.effect import Flow, Wrench
+from undertow.model.effect import Flow, Parameter, Signals, Wrench, column
 from undertow.model.effects.rigid_body import RigidBody
 from undertow.model.kinematics import rotation
-from undertow.model.parameter import Parameter
-from undertow.model.symbols import Signals, column
 
 _NUMBER, _AHEAD, _UP = column(["wave_number", "swing_ahead", "swing_up"])
 _GROUND, _WATER = (column([f"{what}_{way}" for way in "NED"]) for what in ("ground", "water"))
