@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.attacks import Attack, Target
+from benchmarks.attacks import Attack, Target, target_of
 from undertow.control.allocation import allocation_of
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
@@ -402,12 +402,11 @@ def _boxed(gains: GainSet, share: float, rng: np.random.Generator, stable: bool)
     report = certify(gains, forms=["derived"], start=box)
     seconds = time.process_time() - begun
     reached, drifted = 0.0, 0.0
-    if report.ok and report.region.quadratic is not None:
+    if report.ok and report.region.found:
         lasts = max(-12 / max(r.real for r in roots_of(gains)), 60.0)
         span = min(lasts, ATTACKED), lasts <= ATTACKED
-        reached, drifted = (
-            Target(gains, report, *span, how).worst(rng) for how in (Attack(), Attack(drift=DRIFT))
-        )
+        targets = (target_of(gains, report, *span, how) for how in (Attack(), Attack(drift=DRIFT)))
+        reached, drifted = (target.worst(rng) if target else 0.0 for target in targets)
     return Outcome(len(box), called, _said(report), reached, drifted, seconds)
 
 
