@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .attitude import Interval, enclose
 from .definite import SETTINGS as PROOFS
@@ -29,7 +29,7 @@ SETTINGS = KernelSettings()
 
 
 class Modes(NamedTuple):
-    """z = T x with x_dot = Lambda x, Lambda in blocks [[-s, w], [-w, -s]] or -s; `off` is |A - T Lambda T^-1|."""
+    """z = T x with x_dot = L x, L in blocks [[-s, w], [-w, -s]] or -s; `off` is |A - T L T^-1|."""
 
     T: Interval
     inverse: Interval
@@ -80,10 +80,10 @@ def _inverse(T: Interval) -> Interval:
 
 
 class Kernels(NamedTuple):
-    """Integrals over time of bounds on |responses| of signals to states, by pair; bounds are constant by piece."""
+    """Integrals over time of bounds, constant by piece, on |responses| of signals to states, by pair."""
 
-    signals: Array
-    states: Array
+    signals: Index
+    states: Index
     times: Array
     integral: Array  # up to each time, (pairs, times)
     weighted: Array  # over all time with a slow growth beside the response
@@ -125,7 +125,7 @@ class Responses:
         """Bound on each response at any time, times the decay of the slowest mode, (signals, states)."""
         return np.asarray(self.size.sum(axis=0))
 
-    def kernels(self, signals: Array, states: Array) -> Kernels:
+    def kernels(self, signals: Index, states: Index) -> Kernels:
         """The integrals over time of some |responses|."""
         within, widths = self.pieces(signals, states), np.diff(self.times)
         slowest = self.found.rates.real.min()
@@ -135,14 +135,14 @@ class Responses:
         weighted = (within[:, :-1] * widths) @ growth[1:] + rest[:, 0] * growth[-1]
         return Kernels(signals, states, self.times, integral, weighted * (1 + PROOFS.level))
 
-    def pieces(self, signals: Array, states: Array) -> Array:
-        """Bounds on some responses within each piece of time, the last of which has no end, (pairs, pieces)."""
-        own = (m[:, signals, states].T for m in (self.amplitude, self.size, self.radius))
-        return bounds_within(*own, self._exponents, self.times)
+    def pieces(self, signals: Index, states: Index) -> Array:
+        """Bounds on some responses in each piece of time, the last of which has no end, (pairs, pieces)."""
+        amplitude, size, radius = (m[:, signals, states].T for m in (self.amplitude, self.size, self.radius))
+        return bounds_within(amplitude, size, radius, self._exponents, self.times)
 
 
 def bounds_within(amplitude: Array, size: Array, radius: Array, exponents: Array, times: Array) -> Array:
-    """Bounds on |Re sum of a e^(exponent t)| in each piece of time, the last of which has no end, (rows, pieces).
+    """Bounds on |Re sum of a e^(exponent t)| in each piece of time, the last without end, (rows, pieces).
 
     `radius` is how much each amplitude may be off, `size` a bound on it.
     """

@@ -63,8 +63,9 @@ class Leftover(NamedTuple):
 class Motion:
     """The loop of one vehicle about set-points of any heading, z = (integral, error, -error rate).
 
-    Coordinates are those of the set-point: north is where it heads. There pose rates follow the error exactly, and
-    the frame's turning is in them, so that Coriolis forces are left only where inertia differs by axis.
+    Coordinates are those of the set-point: north is where it heads. There pose rates follow the error
+    exactly, and the frame's turning is in them, so that Coriolis forces are left only where inertia differs
+    by axis.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -146,10 +147,10 @@ class Motion:
             turn[np.ix_(self.plane, self.plane)] = [[c, -s], [s, c]]
             quarter[np.ix_(self.plane, self.plane)] = [[0.0, -1.0], [1.0, 0.0]]
         own = [turn.T @ K @ turn for K in self.gains]
-        slope = [K @ quarter - quarter @ K for K in own]
-        turning = [K + quarter @ K @ quarter for K in own]  # less its mean over the plane, twice
-        force, slope, turning = (np.hstack([*m[:-1], -m[-1]]) for m in (own, slope, turning))
-        return force, slope[self.plane], 0.5 * turning[self.plane]
+        turned = [K @ quarter - quarter @ K for K in own]
+        apart = [0.5 * (K + quarter @ K @ quarter) for K in own]  # less its mean over the plane
+        force, slope, turning = (np.hstack([*m[:-1], -m[-1]]) for m in (own, turned, apart))
+        return force, slope[self.plane], turning[self.plane]
 
     def linear(self, force: Array) -> Array:
         """z_dot = A z without what is left over."""

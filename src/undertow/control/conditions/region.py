@@ -224,7 +224,7 @@ def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
 
 
 def _searched(problem: Problem, box: Mapping[str, float]) -> Region | None:
-    """The level set of a quadratic V; with many axes bounds in time, where there is none or attitudes are in it."""
+    """The level set of a quadratic V, or with many axes bounds in time where there is none."""
     if len(problem.coordinates) <= PROGRAM.most_full:
         found = search(problem, box)
         return None if found is None else _of_quadratic(problem, found)
@@ -240,9 +240,10 @@ def _searched(problem: Problem, box: Mapping[str, float]) -> Region | None:
 def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) -> Region:
     settled = float(found.times[np.argmax((found.errors <= 0.5 * found.errors[0]).all(axis=1))])
     text = (
-        "motions that begin at rest in the start box stay within these errors and speeds and come to rest; bounded in "
-        f"time by variation of constants, all errors within half of their first bounds after {settled:.3g} s; proved "
-        f"in interval arithmetic at every attitude and every motion in them, {_PARAMETERS}"
+        "motions that begin at rest in the start box stay within these errors and speeds and come to rest; "
+        f"bounded in time by variation of constants, all errors within half of their first bounds after "
+        f"{settled:.3g} s; proved in interval arithmetic at every attitude and every motion in them, "
+        f"{_PARAMETERS}"
     )
     return Region(
         "box",

@@ -164,8 +164,8 @@ class Transient:
         """The largest of the bounds between two times, as one piece."""
         low = int(np.searchsorted(self.times, begin, "right")) - 1
         own = slice(low, max(int(np.searchsorted(self.times, end, "left")), low + 1))
-        most = (m[own].max(axis=0) for m in (self.errors, self.speeds, self.commands))
-        return Transient(np.array(begin), *most, rate=self.rate)
+        errors, speeds, commands = (m[own].max(axis=0) for m in (self.errors, self.speeds, self.commands))
+        return Transient(np.array(begin), errors, speeds, commands, self.rate)
 
 
 _CLAIMS = ("errors", "speeds", "starts", "commands")
@@ -215,7 +215,7 @@ class Region:
 
     @property
     def found(self) -> bool:
-        """Whether it was searched for and proved, so that conditions derived from the model are not needed."""
+        """Whether it was searched for and proved: conditions derived from the model are not needed then."""
         return self.quadratic is not None or self.transient is not None
 
 
@@ -309,10 +309,10 @@ class Report:
     def ok(self) -> bool:
         """Whether the loop is certified.
 
-        Conditions hold, or a quadratic V or bounds in time were found and proved, which those derived from the model need not be
-        asked for then; motions from a region come to rest within the limits of the thrusters or, where axes
-        are left alone, those come to rest; and the loop with all effects is stable where there are others,
-        as is the one with an observer, if one was asked for.
+        Conditions hold, or a quadratic V or bounds in time were found and proved, and those derived from the
+        model need not be asked for then; motions from a region come to rest within the limits of the
+        thrusters or, where axes are left alone, those come to rest; and the loop with all effects is stable
+        where there are others, as is the one with an observer, if one was asked for.
         """
         certified = self.alone.stable if self.alone else self.region.kind != "none"
         held = self.conditions_hold or (self.region.found and self._others_hold)

@@ -1,4 +1,4 @@
-"""Motion of second order in the start: the part of a transient in which products of a linear loop's signals drive it.
+"""Motion of second order in the start: what products of the linear loop's signals drive.
 
 With z_1 = sum of V_j e^{l_j t} (C_j s) for a start s, z_2' = A z_2 + q(z_1, z_1) has the solution
 
@@ -9,7 +9,7 @@ of which nothing has to be exact: what it misses of the equation is bounded and 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,9 +81,8 @@ def second_order(
     system = both[:, None, None] * np.eye(size) - A
     Z = np.linalg.solve(system, q[..., None])[..., 0]
     coefficient = 0.5 * (C[j][:, :, None] * C[k][:, None, :] + C[k][:, :, None] * C[j][:, None, :])
-    Y = (
-        -V * np.einsum("ms,ls,lpq->pqm", np.linalg.inv(V), Z, coefficient)[:, :, None, :]
-    )  # (p, q, states, modes)
+    own_modes = np.einsum("ms,ls,lpq->pqm", np.linalg.inv(V), Z, coefficient)
+    Y = -V * own_modes[:, :, None, :]  # (p, q, states, modes), of vectors that are modes exactly
     # What is missed: of the equation by rounding and by the modes, of the start, and of the rows C.
     absolute, reach = _absolute(form, V), _reach(start, plane)
     size_Z, own = np.abs(Z), np.abs(C) @ reach
@@ -91,14 +90,12 @@ def second_order(
     wrong += PROOFS.rounding * (size_Z @ np.abs(A).T + np.abs(both)[:, None] * size_Z + np.abs(q))
     missed = (wrong * (own[j] * own[k])[:, None]).sum(axis=0)
     loose = around @ reach + PROOFS.rounding * own
-    missed[-n:] += np.einsum("ijk,j,k->i", absolute, own + loose, own + loose) - np.einsum(
-        "ijk,j,k->i", absolute, own, own
-    )
+    missed[-n:] += (absolute @ (own + loose)) @ (own + loose) - (absolute @ own) @ own
     begun = np.abs(np.einsum("ls,lpq->pqs", Z, coefficient) + Y.sum(axis=-1))
     slack = PROOFS.rounding * (np.einsum("ls,lpq->pqs", size_Z, np.abs(coefficient)) + np.abs(Y).sum(axis=-1))
     begun = np.einsum("pqs,p,q->s", begun + slack, reach, reach)
-    # Y is made of vectors that are modes exactly.
-    signals = _signals(rows, Z, coefficient, Y, np.concatenate([both, exponents]), times, start, plane)
+    every: Any = np.concatenate([both, exponents])
+    signals = _signals(rows, Z, coefficient, Y, every, times, start, plane)
     return Second(signals, missed, begun)
 
 

@@ -1,21 +1,23 @@
 """Bounds in time: from a box of starts at rest, how far every motion can go and that it comes back.
 
-By variation of constants z(t) = e^{At} z(0) + integral of e^{A(t-s)} g(z(s)) ds. Bounds B on the signals of z
-bound g, and this integral; where what comes out is below B, no motion leaves B. Responses to g are bounded by decaying
-exponentials (`kernels`), so that the integral is the state of a few first-order lags, piece by piece of time.
+By variation of constants z(t) = e^{At} z(0) + integral of e^{A(t-s)} g(z(s)) ds. Bounds B on the signals of
+z bound g, and this integral; where what comes out is below B, no motion leaves B. What g comes to at second
+order in the start is worked out (`second`), and only what is beyond is bounded, by integrals of |responses|
+(`kernels`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.typing import Array, Flags
+from undertow.typing import Array
 
 from .attitude import Interval, enclose
 from .definite import SETTINGS as PROOFS
@@ -31,12 +33,15 @@ from .second import Form, Second, second_order
 class TransientSettings:
     """How bounds in time are searched for; none of these numbers decides what is proved."""
 
-    # Where gains tell north from east: how often the set-points' headings of half a turn are cut in two at first,
-    # and before they are given up.
+    # Where gains tell north from east: how often the set-points' headings of half a turn are cut in two at
+    # first, and before they are given up.
     coarse: int = 2
     cuts: int = 6
     # Angles up to which what is left over is bounded, times those of the start.
     caps: tuple[float, ...] = (0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
+    # What counts as the start of an angle at least, so that it may be moved: a part of the largest, and rad.
+    least_share: float = 0.1
+    least_angle: float = 0.02
     largest_heading: float = np.pi / 2  # error of the heading that is tried at most, rad
     rounds: int = 12  # in which a bound of one piece of time has to be found, and
     more: float = 1.05  # how much is added in each, relative
@@ -72,7 +77,7 @@ class Sector:
         rows = [np.eye(len(A)), force, A[-motion.n :], slope, turning, commands]
         self.rows = np.vstack(rows)
         n, ends = motion.n, np.cumsum([len(r) for r in rows])
-        spans = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        spans = [slice(a, b) for a, b in pairwise(ends)]
         size = len(A)
         self.signals = Signals(slice(0, size), slice(size - 2 * n, size - n), slice(size - n, size), *spans)
         # What the modes miss, and what rounding made of the rows.
@@ -291,8 +296,8 @@ class Tube:
     def _so_far(self, i: int) -> tuple[Array, Array, Array]:
         """What the pushes before piece i do in it by kernels, what more in it adds, and the last push.
 
-        The integral of |H(t - s)| times a push that is constant by piece is a sum over its steps at the beginnings
-        of pieces, times integrals of |H| since then.
+        The integral of |H(t - s)| times a push that is constant by piece is a sum over its steps at the
+        beginnings of pieces, times integrals of |H| since then.
         """
         times, kernels = self.sector.times, self.kernels
         steps = self.steps[:i, kernels.states].T
@@ -324,7 +329,7 @@ class Tube:
 
 
 def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | None:
-    """Bounds on every motion that begins at rest in a box of errors, for set-points of every heading; None if none.
+    """Bounds on every motion from rest in a box of errors, at any heading of the set-point; None if none.
 
     Raises
     ------
@@ -356,7 +361,7 @@ def _leftovers(motion: Motion, box: Array) -> tuple[Array, list[Leftover]]:
     """Caps on the angles from small to large, with what is left over up to each."""
     most = [SETTINGS.largest_heading if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles]
     own = box[motion.places]
-    own = np.maximum(own, 0.1 * own.max(initial=0.0))
+    own = np.maximum(own, max(SETTINGS.least_share * own.max(initial=0.0), SETTINGS.least_angle))
     caps = np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(len(SETTINGS.caps), -1)
     return caps, [motion.leftover(c) for c in caps]
 
@@ -381,7 +386,8 @@ def _stated(sector: Sector, bounds: Bounds, B: Array) -> Transient:
         if own.max() >= limit:
             word = "the start asks" if own[0] >= limit else "bounds in time let the law ask"
             raise UndertowError(
-                f"{word} {own.max():.4g} of {name}, whose limit is {limit:.4g}: state smaller errors or lower K_P"
+                f"{word} {own.max():.4g} of {name}, whose limit is {limit:.4g}: state smaller errors or "
+                "lower K_P"
             )
     rate = KERNELS.dies * sector.modes.rates.real.min()
     return Transient(sector.times, errors, bounds.speeds(B), largest, float(rate))
@@ -391,9 +397,10 @@ def _together(found: Sequence[Transient]) -> Transient:
     """One statement for the headings of several, on the pieces of time of the first."""
     first = found[0]
     ends = np.append(first.times[1:], np.inf)
-    names, rows = ("errors", "speeds", "commands"), []
-    for begin, end in zip(first.times, ends, strict=True):
-        parts = [f.between(begin, end) for f in found]
-        rows.append([np.max([getattr(p, name) for p in parts], axis=0) for name in names])
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
-    return Transient(first.times, *columns, rate=min(f.rate for f in found))
+    pieces = [[f.between(a, b) for f in found] for a, b in zip(first.times, ends, strict=True)]
+
+    def largest(name: str) -> Array:
+        return np.array([np.max([getattr(p, name) for p in parts], axis=0) for parts in pieces])
+
+    rate = min(f.rate for f in found)
+    return Transient(first.times, largest("errors"), largest("speeds"), largest("commands"), rate)
