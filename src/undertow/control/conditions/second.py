@@ -79,7 +79,7 @@ def second_order(
     q[:, -n:] = (products(form, V)[:, j, k] * twice).T
     both = exponents[j] + exponents[k]
     system = both[:, None, None] * np.eye(size) - A
-    Z = np.linalg.solve(system, q[..., None])[..., 0]
+    Z: Any = np.linalg.solve(system, q[..., None])[..., 0]
     coefficient = 0.5 * (C[j][:, :, None] * C[k][:, None, :] + C[k][:, :, None] * C[j][:, None, :])
     own_modes = np.einsum("ms,ls,lpq->pqm", np.linalg.inv(V), Z, coefficient)
     Y = -V * own_modes[:, :, None, :]  # (p, q, states, modes), of vectors that are modes exactly
