@@ -207,9 +207,6 @@ class BoundSettings:
     grid: int = 9  # points for each angle from which the least margin is searched for
     heading_cuts: int = 36  # boxes of a whole turn where a bound is not refined
     tilt_cuts: int = 8  # the same of roll and of pitch
-    enough: float = (
-        0.1  # part of the least margin found at a point that a bound has to come to: its sign is asked
-    )
 
 
 BOUNDS = BoundSettings()
@@ -338,9 +335,8 @@ def least(
 ) -> Certificate:
     """Bound a margin from below over all attitudes: by algebra, or by branch and bound on boxes of angles.
 
-    The bound is refined until it is above a part of the least value that is found at a point, which is all
-    that its sign needs; where that value is not positive, the point is a counterexample and no bound is
-    sought.
+    The bound is refined until it is above half of the least value that is found at a point, which is all that
+    its sign needs; where that value is not positive, the point is a counterexample and no bound is sought.
 
     `margin` leads from J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below
     it. `turned` says that it is the same at every heading, `depends` that it contains J at all.
@@ -384,9 +380,7 @@ def _bound(
     while len(boxes):
         seen += len(boxes)
         bounds = margin(_inverses(attitudes, angles, boxes))
-        enough = (
-            bounds >= BOUNDS.enough * best if seen < BOUNDS.most_boxes else np.ones(len(boxes), dtype=bool)
-        )
+        enough = bounds >= best / 2 if seen < BOUNDS.most_boxes else np.ones(len(boxes), dtype=bool)
         done = min(done, float(bounds[enough].min(initial=np.inf)))
         boxes = _halved(boxes[~enough])
     return min(done, best), seen

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +33,10 @@ _LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
 _FAILS = "the conditions derived from the model do not hold"
 _PARAMETERS = "with parameters as in the file, not over their intervals"
+_NOTHING_FOUND = (
+    "no quadratic V was found that falls and holds the start within all limits, nor bounds in time that the "
+    "couplings between the axes leave closed"
+)
 _NO_THRUST = "commands are not proved to stay within their limits for any error"
 
 
@@ -206,13 +209,11 @@ def _starts(problem: Problem, level: float) -> dict[str, float]:
 
 # --- a quadratic V ----------------------------------------------------------------------------------
 def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
-    """The level set of a quadratic V that holds the start, or the largest usual start that one holds."""
-    reason = "no quadratic V was found that falls and holds the start within all limits"
-    if len(problem.coordinates) > PROGRAM.most_full:
-        reason = "no bounds in time were found that the couplings between the axes leave closed"
+    """What is proved of the start, or of the largest usual start of which something is."""
+    reason = _NOTHING_FOUND
     for box in [start] if start else _usual(problem):
         try:
-            found = _searched(problem, box)
+            found = _searched(problem, box, start is not None)
         except UndertowError as error:
             if start:
                 raise
@@ -223,17 +224,27 @@ def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
     return _none(reason)
 
 
-def _searched(problem: Problem, box: Mapping[str, float]) -> Region | None:
-    """The level set of a quadratic V, or with many axes bounds in time where there is none."""
-    if len(problem.coordinates) <= PROGRAM.most_full:
-        found = search(problem, box)
-        return None if found is None else _of_quadratic(problem, found)
-    if problem.same(("x", "y", "z")):
-        with suppress(UndertowError):
+def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
+    """The level set of a quadratic V, or bounds in time where there is none.
+
+    With many axes and attitudes in the loop there hardly ever is one; with few, a smaller usual start may
+    have one, which says more than bounds in time.
+    """
+    many, refusal = len(problem.coordinates) > PROGRAM.most_full, None
+    if not many or problem.same(("x", "y", "z")):
+        try:
             found = search(problem, box)
-            if found is not None:
-                return _of_quadratic(problem, found)
-    bounds = bounds_in_time(problem, box)
+        except UndertowError as error:
+            found, refusal = None, error
+        if found is not None:
+            return _of_quadratic(problem, found)
+    bounds = None
+    try:
+        bounds = bounds_in_time(problem, box) if many or stated else None
+    except UndertowError as error:
+        refusal = refusal or error
+    if bounds is None and refusal is not None:
+        raise refusal
     return None if bounds is None else _of_transient(problem, box, bounds)
 
 

@@ -36,7 +36,8 @@ class TransientSettings:
     # Where gains tell north from east: how often the set-points' headings of half a turn are cut in two at
     # first, and before they are given up.
     coarse: int = 2
-    cuts: int = 6
+    cuts: int = 7
+    looks: int = 8  # single headings of half a turn that are looked at before any range of them
     # Angles up to which what is left over is bounded, times those of the start.
     caps: tuple[float, ...] = (0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
     # What counts as the start of an angle at least, so that it may be moved: a part of the largest, and rad.
@@ -337,11 +338,15 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
         If the model has no form that the method covers, or a thruster is not proved to suffice.
     """
     if problem.gains.schedule.order == "yaw-first":
-        raise UndertowError("bounds in time are for motions from rest, and a gate opens in motion")
+        return None  # its gate opens in motion, and bounds are for motions from rest
     motion = Motion(problem)
     box = np.array([start.get(c, 0.0) for c in problem.coordinates])
     caps, lefts = _leftovers(motion, box)
-    whole = (0.0, 0.5 * np.pi, 0) if problem.heading_counts else (0.0, 0.0, SETTINGS.cuts)
+    counts = problem.heading_counts
+    looked_at = (np.arange(SETTINGS.looks if counts else 0) + 0.5) * np.pi / SETTINGS.looks
+    if any(_in_sector(motion, box, float(h), 0.0, caps, lefts) is None for h in looked_at):
+        return None
+    whole = (0.0, 0.5 * np.pi, 0) if counts else (0.0, 0.0, SETTINGS.cuts)
     pending, found, fine = [whole], [], SETTINGS.coarse
     while pending:
         heading, half, cuts = pending.pop()
@@ -350,7 +355,7 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
             if one is not None:
                 found.append(one)
                 continue
-            if cuts == SETTINGS.cuts or _in_sector(motion, box, heading, 0.0, caps, lefts) is None:
+            if cuts == SETTINGS.cuts:
                 return None
             fine = cuts + 1
         pending += [(heading + side * half / 2, half / 2, cuts + 1) for side in (-1, 1)]
