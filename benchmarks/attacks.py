@@ -29,6 +29,7 @@ class Attack:
     level: float = 0.98  # of V at the start; the claim ends at one
     left: float = 0.05  # part of the largest certified error that may be left at the end
     alive: float = 1e-3  # part of its first value above which V has to fall
+    moved: float = 0.1  # part of its first value that a bound in time has to have moved by to count
     lag: float = 0.02  # part of the run after which V has to be lower
     step: float = 0.02  # s, of the simulations; what seems broken is attacked anew with a tenth of it
 
@@ -179,7 +180,10 @@ class BoxTarget(Target):
         piece = np.maximum(np.searchsorted(found.times, t, "right") - 1, 0)
         both = np.concatenate([found.errors, found.speeds], axis=1)
         most = np.maximum(both, self.how.alive * both.max(axis=0))[piece]
-        used = [np.abs(seen / most).max(axis=(1, 2))]
+        share = np.abs(seen / most)
+        # Errors begin at their bounds: within them they say nothing until these have moved.
+        still = np.abs(most - both[0]) < self.how.moved * both[0]
+        used = [np.where((share <= 1) & still, 0.0, share).max(axis=(1, 2))]
         largest = found.commands[piece].T[:, None]
         return [*used, *(c.max(axis=-1) for c in commands / largest)]
 

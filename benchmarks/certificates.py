@@ -431,13 +431,13 @@ axis is pushed. With its simulations a loop took {each:.1f} s of processor in th
 The stated start box is {share:g} of the vehicle's length in every translation and {share:g} rad in every
 angle, at rest. *Stable*: every pole at rest decays, and simulations from 16 corners of the box come back
 with no command at its limit. *Limited*: they come back, but a command meets its limit, which no
-certificate of this kind allows. *Too slow*: twelve slowest time constants are over {longest:g} s.
+certificate allows. *Too slow*: twelve slowest time constants are over {longest:g} s.
 
 Every certified loop is attacked by a differential evolution ({tries} simulations) of starts on the level set
-and {headings} headings of the set-point. The table has the largest share of a claim that it came to; above one
+(of a box with bounds in time: in the box, at rest) and {headings} headings of the set-point. The table has the largest share of a claim that it came to; above one
 the certificate is *broken*: an error, a speed or a command over what is certified for it, V after {lag:.0%} of the
 run over V before, or a run that does not come to rest. In a second attack every parameter of inertia and damping
-may be up to {drift:.0%} off, too: a quadratic V is proved for the parameters of the file alone, so that this is no
+may be up to {drift:.0%} off, too: certificates are for the parameters of the file alone, so that this is no
 breach, but says what room there is in practice.
 
 A start at which a command meets its limit is refused: no sector condition of the saturation is used.
