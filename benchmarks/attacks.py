@@ -11,7 +11,7 @@ from scipy.optimize import differential_evolution
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
 from undertow.control.conditions.attitude import Attitudes, Interval, enclose
-from undertow.control.conditions.result import Quadratic, Report
+from undertow.control.conditions.result import Quadratic, Report, Transient
 from undertow.control.gains import GainSet
 
 Array = np.ndarray
@@ -29,6 +29,7 @@ class Attack:
     level: float = 0.98  # of V at the start; the claim ends at one
     left: float = 0.05  # part of the largest certified error that may be left at the end
     alive: float = 1e-3  # part of its first value above which V has to fall
+    moved: float = 0.1  # part of its first value that a bound in time has to have moved by to count
     lag: float = 0.02  # part of the run after which V has to be lower
     step: float = 0.02  # s, of the simulations; what seems broken is attacked anew with a tenth of it
 
@@ -39,16 +40,21 @@ class Target:
     def __init__(self, gains: GainSet, report: Report, duration: float, settles: bool, how: Attack) -> None:
         self.gains, self.how, self.duration, self.settles = gains, how, duration, settles
         self.report = report
-        vehicle, plant, found = gains.plant.vehicle, gains.plant, report.region.quadratic
-        assert found is not None
-        self.quadratic: Quadratic = found
+        vehicle, plant = gains.plant.vehicle, gains.plant
         self.names, self.velocities = vehicle.pose_names, vehicle.velocity_names
-        self.span = np.concatenate([found.errors, found.speeds])
+        self.span = self._claimed()
         self.commands = {c.name: c.largest for c in report.region.commands}
         self.loop = ClosedLoop(gains)
         self.shifts = [i for i, d in enumerate(vehicle.dof_indices) if d < 3]
         own = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(plant.numbers)
         self.parameters = {str(s): float(plant.numbers[s]) for s in sorted(own, key=str)} if how.drift else {}
+
+    def _claimed(self) -> Array:
+        """The largest errors and speeds that are claimed."""
+        found = self.report.region.quadratic
+        assert found is not None
+        self.quadratic: Quadratic = found
+        return np.concatenate([found.errors, found.speeds])
 
     def worst(self, rng: np.random.Generator) -> float:
         """The largest share of a claim that an evolution reaches: above one it is broken."""
@@ -63,7 +69,7 @@ class Target:
             return worst
         # The law's integral, summed in steps, is off by up to half a step of the error: V has a floor then.
         finer = replace(self.how, step=Attack.step / 10)
-        return Target(self.gains, self.report, self.duration, self.settles, finer).worst(rng)
+        return type(self)(self.gains, self.report, self.duration, self.settles, finer).worst(rng)
 
     def shares(self, tries: Array) -> Array:
         """How far each try comes: its start's direction, heading and parameters are in (-1, 1)."""
@@ -77,7 +83,7 @@ class Target:
 
     def _at(self, heading: float, directions: Array, off: Array) -> Array:
         place = np.array([heading if c == "psi" else 0.0 for c in self.names])
-        states = self._on_level(place, directions * self.span)
+        states = self._begun(place, directions)
         n = len(self.names)
         first = np.concatenate([place - states[:, :n], states[:, n:]], axis=1)
         runs = self.loop.run_many(
@@ -89,22 +95,28 @@ class Target:
             },
         )
         seen = np.concatenate([place - runs.states[..., :n], runs.states[..., n : 2 * n]], axis=-1)
-        found = [np.abs(seen / self.span).max(axis=(1, 2))]
-        found += [np.abs(runs.command(c)).max(axis=-1) / most for c, most in self.commands.items()]
+        commands = [np.abs(runs.command(c)) for c in self.commands]
+        found = self._used(runs.t, seen, np.array(commands).reshape(-1, *seen.shape[:2]))
         if self.settles:
             found.append(np.abs(seen[:, -1, :n]).max(axis=1) / (self.how.left * self.span[:n].max()))
         if not self.how.drift:
-            found.append(self._slowest_fall(runs.t, seen, place))
+            found += self._slowest_fall(runs.t, seen, place)
         return np.nan_to_num(np.max(found, axis=0), nan=np.inf)
 
-    def _on_level(self, place: Array, states: Array) -> Array:
+    def _begun(self, place: Array, directions: Array) -> Array:
         """States scaled onto the level; the frame of V turns with the attitude, so that it takes turns."""
+        states = directions * self.span
         for _ in range(5):
             heights = self.value(states[:, None], 0 * states[:, None, : len(place)], place)[:, 0]
             states = states * np.sqrt(self.how.level / np.maximum(heights, 1e-12))[:, None]
         return states
 
-    def _slowest_fall(self, t: Array, seen: Array, place: Array) -> Array:
+    def _used(self, t: Array, seen: Array, commands: Array) -> list[Array]:
+        """By run, the largest share of what is claimed of states and of commands (commands, runs, rows)."""
+        pairs = zip(commands, self.commands.values(), strict=True)
+        return [np.abs(seen / self.span).max(axis=(1, 2)), *(c.max(axis=-1) / most for c, most in pairs)]
+
+    def _slowest_fall(self, t: Array, seen: Array, place: Array) -> list[Array]:
         """By run, the largest ratio of V a while later to V."""
         error = seen[..., : len(place)]
         steps = 0.5 * (error[:, 1:] + error[:, :-1]) * np.diff(t)[:, None]
@@ -113,7 +125,7 @@ class Target:
         later = max(1, round(self.how.lag * len(t)))
         before, after = heights[:, :-later], heights[:, later:]
         living = before > self.how.alive * heights[:, :1]
-        return np.asarray(np.where(living, after / np.maximum(before, 1e-300), 0.0).max(axis=1))
+        return [np.where(living, after / np.maximum(before, 1e-300), 0.0).max(axis=1)]
 
     @cached_property
     def _attitudes(self) -> Attitudes:
@@ -146,3 +158,42 @@ class Target:
         )
         found[own] = J[own]
         return found
+
+
+class BoxTarget(Target):
+    """A loop with bounds in time: starts at rest in a box, and every bound at the time that it is for."""
+
+    def _claimed(self) -> Array:
+        found = self.report.region.transient
+        assert found is not None
+        self.transient: Transient = found
+        return np.concatenate([found.errors.max(axis=0), found.speeds.max(axis=0)])
+
+    def _begun(self, place: Array, directions: Array) -> Array:
+        """Starts in the box, most of them near a corner of it."""
+        box = np.array([self.report.region.starts[c] for c in self.names])
+        errors = np.clip(2 * directions[:, : len(box)], -1, 1) * box
+        return np.concatenate([errors, 0 * errors], axis=1)
+
+    def _used(self, t: Array, seen: Array, commands: Array) -> list[Array]:
+        found = self.transient
+        piece = np.maximum(np.searchsorted(found.times, t, "right") - 1, 0)
+        both = np.concatenate([found.errors, found.speeds], axis=1)
+        most = np.maximum(both, self.how.alive * both.max(axis=0))[piece]
+        share = np.abs(seen / most)
+        # Errors begin at their bounds: within them they say nothing until these have moved.
+        still = np.abs(most - both[0]) < self.how.moved * both[0]
+        used = [np.where((share <= 1) & still, 0.0, share).max(axis=(1, 2))]
+        largest = found.commands[piece].T[:, None]
+        return [*used, *(c.max(axis=-1) for c in commands / largest)]
+
+    def _slowest_fall(self, t: Array, seen: Array, place: Array) -> list[Array]:
+        """Nothing has to fall."""
+        return []
+
+
+def target_of(gains: GainSet, report: Report, duration: float, settles: bool, how: Attack) -> Target | None:
+    """What there is to attack of a certified loop, or None."""
+    region = report.region
+    kind = Target if region.quadratic is not None else BoxTarget if region.transient is not None else None
+    return kind and kind(gains, report, duration, settles, how)

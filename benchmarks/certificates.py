@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.attacks import Attack, Target
+from benchmarks.attacks import Attack, Target, target_of
 from undertow.control.allocation import allocation_of
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
@@ -402,12 +402,11 @@ def _boxed(gains: GainSet, share: float, rng: np.random.Generator, stable: bool)
     report = certify(gains, forms=["derived"], start=box)
     seconds = time.process_time() - begun
     reached, drifted = 0.0, 0.0
-    if report.ok and report.region.quadratic is not None:
+    if report.ok and report.region.found:
         lasts = max(-12 / max(r.real for r in roots_of(gains)), 60.0)
         span = min(lasts, ATTACKED), lasts <= ATTACKED
-        reached, drifted = (
-            Target(gains, report, *span, how).worst(rng) for how in (Attack(), Attack(drift=DRIFT))
-        )
+        targets = (target_of(gains, report, *span, how) for how in (Attack(), Attack(drift=DRIFT)))
+        reached, drifted = (target.worst(rng) if target else 0.0 for target in targets)
     return Outcome(len(box), called, _said(report), reached, drifted, seconds)
 
 
@@ -432,13 +431,13 @@ axis is pushed. With its simulations a loop took {each:.1f} s of processor in th
 The stated start box is {share:g} of the vehicle's length in every translation and {share:g} rad in every
 angle, at rest. *Stable*: every pole at rest decays, and simulations from 16 corners of the box come back
 with no command at its limit. *Limited*: they come back, but a command meets its limit, which no
-certificate of this kind allows. *Too slow*: twelve slowest time constants are over {longest:g} s.
+certificate allows. *Too slow*: twelve slowest time constants are over {longest:g} s.
 
 Every certified loop is attacked by a differential evolution ({tries} simulations) of starts on the level set
-and {headings} headings of the set-point. The table has the largest share of a claim that it came to; above one
+(of a box with bounds in time: in the box, at rest) and {headings} headings of the set-point. The table has the largest share of a claim that it came to; above one
 the certificate is *broken*: an error, a speed or a command over what is certified for it, V after {lag:.0%} of the
 run over V before, or a run that does not come to rest. In a second attack every parameter of inertia and damping
-may be up to {drift:.0%} off, too: a quadratic V is proved for the parameters of the file alone, so that this is no
+may be up to {drift:.0%} off, too: certificates are for the parameters of the file alone, so that this is no
 breach, but says what room there is in practice.
 
 A start at which a command meets its limit is refused: no sector condition of the saturation is used.

@@ -18,6 +18,7 @@ prints everything for a program. --repair proposes the smallest change of the ga
 whose own conditions are not enough, a quadratic V is searched for by a semidefinite program (Clarabel,
 pip install 'undertow[certificates]') and proved by interval arithmetic, so that the solver need not be
 trusted; a V that is found stands for the conditions derived from the model, which are more than is needed.
+With six degrees of freedom bounds in time are searched for as well, on motions that begin in the box.
 
 Then comes what the answer depends on: the region from which every motion comes to rest with no command beyond
 the limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
@@ -217,7 +218,8 @@ def show(report: Report, singles: Sequence[SingleRepair] = (), repair: Repair | 
 
 def _headline(report: Report) -> str:
     if not report.conditions_hold and report.ok:
-        return "certified by a quadratic V; conditions that would be enough, but are not needed, fail"
+        by = "a quadratic V" if report.region.quadratic is not None else "bounds in time"
+        return f"certified by {by}; conditions that would be enough, but are not needed, fail"
     if not report.conditions_hold:
         unproved = any(r.verdict == "not proved" for r in report.rows)
         refuted = any(r.verdict in ("fails", "no iota") for r in report.rows) or not unproved
@@ -379,7 +381,8 @@ def _show_region(report: Report) -> None:
     if found.quadratic is not None:
         say(f"  V is at most {found.quadratic.start:.3g} on the box that it was searched for, the level is 1")
     if found.errors:
-        say(f"  starts at rest: {_with_units(found.starts)}, one error at a time")
+        together = "together" if found.transient is not None else "one error at a time"
+        say(f"  starts at rest: {_with_units(found.starts)}, {together}")
         say(f"  largest errors: {_with_units(found.errors)}")
         say(f"  largest speeds: {_with_units(found.speeds)}")
     for c in found.commands:

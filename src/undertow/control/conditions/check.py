@@ -285,8 +285,14 @@ class _Evaluation:
         return self.problem.margin(self.condition, one, iota, self.channel)
 
     def rank(self, one: SignSet) -> float:
-        """The margin at some attitudes: which of many sets is worst, before anything is proved."""
-        return self._margin(one, self._iota(one, self._span(one)))
+        """The margin at a few attitudes: which of many sets is worst, before anything is proved."""
+        known = self.given if self.together is None else inside(self.together)
+
+        def margins(iotas: Array) -> Array:
+            return self.problem.margins(self.condition, one, iotas, self.channel, few=True)
+
+        iota = 1.0 if not self.condition.uses_iota else peak_of(margins) if known is None else known
+        return float(margins(np.array([iota]))[0])
 
     def proved(self, sets: Sequence[SignSet]) -> bool:
         """Whether it holds in all of these sets, at every attitude, with the iota that serves all."""

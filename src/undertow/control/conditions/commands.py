@@ -50,8 +50,24 @@ class Commands:
         held = self._holding(*self.problem.attitudes.every_angle(boxes))
         return np.asarray(held.size[..., 0].max(axis=0))
 
+    def holding_slopes(self, boxes: dict[str, Interval]) -> Interval:
+        """How what compensates weight and buoyancy changes with roll and pitch, shape (boxes, m, 2)."""
+        found = [f(*self.problem.attitudes.every_angle(boxes)) for f in self._holding_slopes]
+        return Interval(
+            *(np.concatenate([getattr(f, side) for f in found], axis=-1) for side in ("lo", "hi"))
+        )
+
+    @cached_property
+    def _holding_slopes(self) -> list[Callable[..., Interval]]:
+        return [enclosing(_ANGLES, self._held.diff(a)) for a in _ANGLES[:2]]
+
     @cached_property
     def _holding(self) -> Callable[..., Interval]:
+        return enclosing(_ANGLES, self._held)
+
+    @cached_property
+    def _held(self) -> sm.Matrix:
+        """What compensates weight and buoyancy, by command with a limit."""
         plant = self.problem.plant
         force = plant.g.xreplace(plant.numbers)
         others = force.free_symbols - set(_ANGLES)
@@ -60,7 +76,7 @@ class Commands:
                 f"the force at rest depends on {', '.join(sorted(map(str, others)))}: whether the thrusters "
                 "can hold it everywhere is not certified"
             )
-        return enclosing(_ANGLES, sm.Matrix(self.share) * force)
+        return sm.Matrix(self.share) * force
 
     def result(self, largest: Array) -> tuple[Command, ...]:
         """The commands with a bound on each."""

@@ -93,7 +93,7 @@ def _jet(value: Any) -> Jet:
     return Jet(value, none, none)
 
 
-def _inverse(matrix: Interval) -> Interval:
+def inverse_of_inertia(matrix: Interval) -> Interval:
     """Inverses of matrices of nearly no width, enclosed by what is left of the identity."""
     near = np.linalg.inv(matrix.middle)
     n = near.shape[-1]
@@ -296,7 +296,7 @@ class Embedding:
         m, n = self._moving, self.n
         cases = np.ones((2 ** len(m.switching), n))
         cases[:, m.switching] = list(product((1.0, -1.0), repeat=len(m.switching)))
-        inverse = _inverse(m.inertia(*_columns(cases)))
+        inverse = inverse_of_inertia(m.inertia(*_columns(cases)))
         zero = np.zeros((len(cases), n))
         rest = Matrices(
             inverse, m.rest(*_columns(cases)), enclose(self._turning(zero)), enclose(zero[..., None])

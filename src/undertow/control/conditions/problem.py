@@ -281,7 +281,7 @@ class Problem:
         """Whether the loop at rest can differ between headings: gains tell north from east, and it turns."""
         return not self.turned and {"x", "y", "psi"} <= set(self.coordinates)
 
-    @property
+    @cached_property
     def headings(self) -> list[tuple[float, Array]]:
         """Headings to try, degrees, with J on an even keel; the loop at rest repeats after half a turn."""
         if not self.heading_counts:

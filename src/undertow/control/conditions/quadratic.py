@@ -89,7 +89,9 @@ def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
         If the solver is not installed, or the model has no form that the method covers.
     """
     kinds, n = [Kind(every_reading=False), Kind()], len(problem.coordinates)
-    if 1 < n <= SETTINGS.most_full:
+    if n > SETTINGS.most_full:
+        kinds = kinds[:1]
+    elif n > 1:
         kinds += [Kind(several=True, coupled=coupled) for coupled in (False, True)[: 1 + problem.decoupled]]
     *others, last = kinds
     for kind in others:

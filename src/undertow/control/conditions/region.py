@@ -23,14 +23,20 @@ from .commands import (
     pd_commands,
 )
 from .problem import Problem
+from .program import SETTINGS as PROGRAM
 from .quadratic import search
-from .result import SETTINGS, Quadratic, Region
+from .result import SETTINGS, Quadratic, Region, Transient
+from .transient import bounds_in_time
 
 # Levels of V, J, below and above which a region counts as none and as everything.
 _LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
 _FAILS = "the conditions derived from the model do not hold"
 _PARAMETERS = "with parameters as in the file, not over their intervals"
+_NOTHING_FOUND = (
+    "no quadratic V was found that falls and holds the start within all limits, nor bounds in time that the "
+    "couplings between the axes leave closed"
+)
 _NO_THRUST = "commands are not proved to stay within their limits for any error"
 
 
@@ -203,19 +209,63 @@ def _starts(problem: Problem, level: float) -> dict[str, float]:
 
 # --- a quadratic V ----------------------------------------------------------------------------------
 def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
-    """The level set of a quadratic V that holds the start, or the largest usual start that one holds."""
-    reason = "no quadratic V was found that falls and holds the start within all limits"
+    """What is proved of the start, or of the largest usual start of which something is."""
+    reason = _NOTHING_FOUND
     for box in [start] if start else _usual(problem):
         try:
-            found = search(problem, box)
+            found = _searched(problem, box, start is not None)
         except UndertowError as error:
             if start:
                 raise
             reason = str(error)
             continue
         if found is not None:
-            return _of_quadratic(problem, found)
+            return found
     return _none(reason)
+
+
+def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
+    """The level set of a quadratic V, or bounds in time where there is none.
+
+    With many axes and attitudes in the loop there hardly ever is one; with few, a smaller usual start may
+    have one, which says more than bounds in time.
+    """
+    many, refusal = len(problem.coordinates) > PROGRAM.most_full, None
+    if not many or problem.same(("x", "y", "z")):
+        try:
+            found = search(problem, box)
+        except UndertowError as error:
+            found, refusal = None, error
+        if found is not None:
+            return _of_quadratic(problem, found)
+    bounds = None
+    try:
+        bounds = bounds_in_time(problem, box) if many or stated else None
+    except UndertowError as error:
+        refusal = refusal or error
+    if bounds is None and refusal is not None:
+        raise refusal
+    return None if bounds is None else _of_transient(problem, box, bounds)
+
+
+def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) -> Region:
+    settled = float(found.times[np.argmax((found.errors <= 0.5 * found.errors[0]).all(axis=1))])
+    text = (
+        "motions that begin at rest in the start box stay within these errors and speeds and come to rest; "
+        f"bounded in time by variation of constants, all errors within half of their first bounds after "
+        f"{settled:.3g} s; proved in interval arithmetic at every attitude and every motion in them, "
+        f"{_PARAMETERS}"
+    )
+    return Region(
+        "box",
+        text,
+        None,
+        _by_coordinate(problem, found.errors.max(axis=0)),
+        _by_velocity(problem, found.speeds.max(axis=0)),
+        {c: float(box.get(c, 0.0)) for c in problem.coordinates},
+        Commands(problem).result(found.commands.max(axis=0)),
+        transient=found,
+    )
 
 
 def _usual(problem: Problem) -> list[dict[str, float]]:
@@ -268,7 +318,7 @@ def _holds(problem: Problem, found: Region, start: Mapping[str, float]) -> bool:
     """Whether a region holds every corner of a box of errors, at rest and with integrals at zero."""
     if found.kind == "none":
         return False
-    if found.quadratic is not None:
+    if found.found:
         return True  # it was searched for so
     angles = {c: np.pi for c in ANGLES if c == "psi"} | {c: problem.attitudes.tilt for c in ("phi", "theta")}
     if any(e >= angles.get(c, np.inf) for c, e in start.items()):

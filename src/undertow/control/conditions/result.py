@@ -147,6 +147,27 @@ class Quadratic:
         return np.asarray(self.P[min(int(share * len(self.P)), len(self.P) - 1)])
 
 
+@dataclass(frozen=True)
+class Transient:
+    """Proved bounds in time on every motion that begins at rest in a box of errors, by piece of time.
+
+    The last piece has no end: in it motions come to rest, at least like exp(-rate t).
+    """
+
+    times: Array  # at which each piece begins, s
+    errors: Array  # of each coordinate, m and rad, shape (pieces, n)
+    speeds: Array  # of each body velocity, shape (pieces, n)
+    commands: Array  # magnitude of each limited command, shape (pieces, m)
+    rate: float  # 1/s
+
+    def between(self, begin: float, end: float) -> Transient:
+        """The largest of the bounds between two times, as one piece."""
+        low = int(np.searchsorted(self.times, begin, "right")) - 1
+        own = slice(low, max(int(np.searchsorted(self.times, end, "left")), low + 1))
+        errors, speeds, commands = (m[own].max(axis=0) for m in (self.errors, self.speeds, self.commands))
+        return Transient(np.array(begin), errors, speeds, commands, self.rate)
+
+
 _CLAIMS = ("errors", "speeds", "starts", "commands")
 
 
@@ -178,7 +199,8 @@ def together(proofs: Sequence[Quadratic], half_turn: Array) -> Quadratic:
 class Region:
     """From where a loop is certified to come to its set-point."""
 
-    kind: str  # "everywhere"; "level", a bounded region that no motion leaves; or "none"
+    # "everywhere"; "level", a bounded region that no motion leaves; "box", starts at rest; or "none".
+    kind: str
     text: str
     level: float | None = None  # v is below it in the region, J; None for a box of errors and surfaces
     errors: dict[str, float] = field(default_factory=dict)  # largest of each coordinate, m and rad
@@ -189,6 +211,12 @@ class Region:
     start: dict[str, float] = field(default_factory=dict)  # box of errors that was asked for, m and rad
     start_held: bool | None = None  # whether the region holds it; None where none was asked for
     quadratic: Quadratic | None = None  # V, where it was found by a semidefinite program
+    transient: Transient | None = None  # bounds in time, where the region is a box of starts
+
+    @property
+    def found(self) -> bool:
+        """Whether it was searched for and proved: conditions derived from the model are not needed then."""
+        return self.quadratic is not None or self.transient is not None
 
 
 @dataclass(frozen=True)
@@ -281,13 +309,13 @@ class Report:
     def ok(self) -> bool:
         """Whether the loop is certified.
 
-        Conditions hold, or a quadratic V was found and proved, which those derived from the model need not be
-        asked for then; motions from a region come to rest within the limits of the thrusters or, where axes
-        are left alone, those come to rest; and the loop with all effects is stable where there are others,
-        as is the one with an observer, if one was asked for.
+        Conditions hold, or a quadratic V or bounds in time were found and proved, and those derived from the
+        model need not be asked for then; motions from a region come to rest within the limits of the
+        thrusters or, where axes are left alone, those come to rest; and the loop with all effects is stable
+        where there are others, as is the one with an observer, if one was asked for.
         """
         certified = self.alone.stable if self.alone else self.region.kind != "none"
-        held = self.conditions_hold or (self.region.quadratic is not None and self._others_hold)
+        held = self.conditions_hold or (self.region.found and self._others_hold)
         whole = all(one is None or one.stable for one in (self.whole, self.observed))
         return held and certified and whole and self.region.start_held is not False
 

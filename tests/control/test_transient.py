@@ -1,0 +1,256 @@
+"""Bounds in time hold against the model at every motion that they are for, and say no more than they know."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+import sympy as sm
+from scipy.integrate import quad, solve_ivp
+from scipy.linalg import expm
+
+from benchmarks.attacks import Attack, BoxTarget
+from tests.control.test_certificates import loaded
+from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.conditions.attitude import enclose
+from undertow.control.conditions.kernels import Responses, grid, modes
+from undertow.control.conditions.motion import Leftover, Motion
+from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.second import Form, second_order
+from undertow.control.conditions.transient import Bounds, Known, Sector, _leftovers, bounds_in_time
+from undertow.control.conditions.whole import certify
+from undertow.control.gains import GainSet, GainTable, gains_from_table
+from undertow.control.laws import LawSignals
+from undertow.errors import UndertowError
+
+NAMES = ("x", "y", "z", "phi", "theta", "psi")
+BODY = """
+schema = "undertow/vehicle/1"
+name = "six"
+degrees_of_freedom = ["surge", "sway", "heave", "roll", "pitch", "yaw"]
+signs = "sname"
+[effects.rigid_body]
+m = 20.0
+I_x = 0.5
+I_y = 0.9
+I_z = 0.8
+[effects.rigid_body_coriolis]
+[effects.added_mass]
+X_udot = { forward = -8.0, backward = -9.0 }
+Y_vdot = -14.0
+Z_wdot = -15.0
+K_pdot = -0.2
+M_qdot = -0.4
+N_rdot = -0.3
+[effects.added_mass_coriolis]
+[effects.linear_damping]
+X_u = { forward = -8.0, backward = -9.0 }
+Y_v = -12.0
+Z_w = -12.0
+K_p = -0.6
+M_q = -0.9
+N_r = -0.7
+[effects.quadratic_damping]
+X_uabsu = -10.0
+Y_vabsv = { forward = -20.0, backward = -15.0 }
+N_rabsr = -0.5
+[effects.restoring]
+W = 196.2
+B = 197.0
+z_b = -0.01
+"""
+START = {"x": 0.05, "y": 0.05, "z": 0.05, "phi": 0.06, "theta": 0.06, "psi": 0.06}
+
+
+def loop(limit: float = 40.0, **changed: dict[str, float]) -> GainSet:
+    """A loop whose gains tell x, y and z apart."""
+    thrusters = "".join(
+        f'[[thrusters]]\nname = "f{i}"\nwrench = {[float(i == k) for k in range(6)]}\nlimit = {limit}\n'
+        for i in range(6)
+    )
+    gains = {
+        "K_P": dict(zip(NAMES, (10.0, 14.0, 12.0, 1.0, 1.4, 1.2), strict=True)),
+        "K_V": dict(zip(NAMES, (20.0, 25.0, 22.0, 0.8, 1.2, 1.0), strict=True)),
+        "K_I": dict(zip(NAMES, (0.4, 0.6, 0.5, 0.05, 0.06, 0.05), strict=True)),
+    } | changed
+    table = {"schema": "undertow/gains/1", "name": "six-pid", "law": "pid", "gains": gains}
+    return gains_from_table(GainTable.model_validate(table), loaded(BODY + thrusters))
+
+
+# --- the linear loop --------------------------------------------------------------------------------
+def _stable(rng: np.random.Generator) -> np.ndarray:
+    """A loop with slow and fast, damped and undamped modes."""
+    block = np.zeros((5, 5))
+    block[:2, :2] = [[-0.1, 3.0], [-3.0, -0.1]]
+    block[2:, 2:] = np.diag([-0.02, -0.5, -4.0])
+    turn = rng.normal(size=(5, 5))
+    return turn @ block @ np.linalg.inv(turn)
+
+
+def test_responses_are_bounded_between_the_ends_of_pieces_and_after_the_last() -> None:
+    rng = np.random.default_rng(3)
+    A, rows = _stable(rng), rng.normal(size=(4, 5))
+    found = modes(enclose(A))
+    times = grid(found.rates)
+    bounds = Responses(found, rows, times).pieces(np.arange(4), np.full(4, 2))
+    assert found.off.max() < 1e-9
+    for t in rng.uniform(0, 1, 300) ** 4 * 1.2 * times[-1]:
+        piece = np.searchsorted(times, t, "right") - 1
+        assert (np.abs(rows @ expm(A * t)[:, 2]) <= bounds[:, piece]).all()
+    early = times[:40]
+    at = np.array([np.abs(rows @ expm(A * t)[:, 2]) for t in early])
+    assert at.max() > 0.95 * bounds[:, :39].max()  # and they are no looser than that
+
+
+def test_integrals_of_responses_are_no_less_than_quadrature_says() -> None:
+    rng = np.random.default_rng(4)
+    A, row = _stable(rng), rng.normal(size=5)
+    found = modes(enclose(A))
+    kernels = Responses(found, row[None], grid(found.rates, 8)).kernels(np.array([0]), np.array([1]))
+    for until in (0.3, 2.0, 30.0):
+        exact = quad(lambda t: abs(row @ expm(A * t)[:, 1]), 0, until, limit=400)[0]
+        (least,) = kernels.up_to(np.array([until]))[0]
+        assert exact <= least < 1.05 * exact
+    assert kernels.weighted[0] > kernels.integral[0, -1]
+
+
+def test_an_unstable_loop_has_no_modes_to_bound_by() -> None:
+    with pytest.raises(UndertowError, match="not stable"):
+        modes(enclose(np.diag([-1.0, 0.1])))
+
+
+def test_second_order_is_that_of_an_integration() -> None:
+    """z_2' = A z_2 + q(z_1, z_1) from z_2 = 0: below the bound at all times, and once close to it."""
+    rng = np.random.default_rng(5)
+    sector, left = _sector()
+    A, at = sector.motion.linear(sector.rows[sector.signals.force]), sector.signals
+    angles = -np.eye(len(A))[at.error][sector.motion.places]
+    form = Form(angles, sector.rows[at.force], left.W, left.P, left.Gamma)
+    plane, start = sector.motion.plane, sector.start
+    found = second_order(sector.modes, A, form, sector.rows, start, plane, sector.times)
+    assert found.missed.max() < 1e-6
+    assert found.begun.max() < 1e-10
+    times = sector.times[sector.times < 30]
+    closest = np.zeros(len(sector.rows))
+    for _ in range(6):
+        z = np.zeros(2 * len(A))
+        z[at.error] = rng.choice((-1.0, 1.0), 6) * start
+        run = solve_ivp(_driven, (0, times[-1]), z, t_eval=times, args=(A, form), rtol=1e-8, atol=1e-12)
+        seen = np.abs(sector.rows @ run.y[len(A) :])
+        bounds = found.signals[: len(times)].T
+        assert (seen <= bounds * (1 + 1e-6) + 1e-9).all()
+        closest = np.maximum(closest, (seen.max(axis=1) / np.maximum(bounds.max(axis=1), 1e-12)))
+    assert closest[at.rate].max() > 0.3
+
+
+def _driven(_: float, z: np.ndarray, A: np.ndarray, form: Form) -> np.ndarray:
+    one, two = np.split(z, 2)
+    v, angles = one[-6:], form.angles @ one
+    push = np.tensordot(angles, form.W, 1) @ (form.force @ one) - np.tensordot(angles, form.P, 1) @ v
+    return np.concatenate([A @ one, A @ two + np.append(np.zeros(12), push + form.Gamma @ v @ v)])
+
+
+# --- what is left over ------------------------------------------------------------------------------
+def _sector(heading: float = 0.7, half: float = 0.0) -> tuple[Sector, Leftover]:
+    motion = Motion(Problem(loop()))
+    start = np.array([START[c] for c in NAMES])
+    return Sector(motion, start, heading, half), motion.leftover(np.full(3, 0.2))
+
+
+@pytest.mark.parametrize(("heading", "half"), [(0.0, 0.0), (0.7, 0.1)])
+def test_what_the_linear_loop_leaves_out_is_below_its_bound(heading: float, half: float) -> None:
+    """The acceleration of the model itself at random states, in every direction of motion."""
+    rng = np.random.default_rng(6)
+    sector, _ = _sector(heading, half)
+    caps, lefts = _leftovers(sector.motion, sector.start)
+    bounds, at = Bounds(sector, caps, lefts), sector.signals
+    closest = 0.0
+    for k in range(60):
+        size = 10 ** rng.uniform(-2, 0)
+        error = rng.uniform(-1, 1, 6) * np.array([0.2, 0.2, 0.2, 0.2, 0.2, 0.2]) * size
+        z = np.concatenate([rng.uniform(-0.3, 0.3, 6) * size, error, rng.uniform(-0.3, 0.3, 6) * size])
+        place = heading + half * rng.choice((-1.0, 1.0))
+        signals = np.abs(sector.rows @ z)
+        push = bounds.push(Known(0 * signals, signals, np.zeros(18)))
+        off = np.abs(_acceleration(sector.motion.problem.gains, z, place) - sector.rows[at.acceleration] @ z)
+        assert (off <= push[at.rate] + 1e-12).all(), k
+        closest = max(closest, float((off / push[at.rate]).max()))
+    assert closest > 0.3
+
+
+def _acceleration(gains: GainSet, z: np.ndarray, heading: float) -> np.ndarray:
+    """Of the pose, from the law and the model, in the frame of a set-point of this heading."""
+    plant, s = gains.plant, LawSignals(gains.plant, gains.law)
+    turn = np.eye(6)
+    turn[:2, :2] = [[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]]
+    integral, error, rate = turn @ z[:6], turn @ z[6:12], turn @ z[12:]
+    pose = -error + np.array([0, 0, 0, 0, 0, heading])
+    eta = dict(zip(plant.eta, pose, strict=True))
+    J = np.array(plant.J.xreplace(eta).evalf().tolist(), dtype=float)
+    nu = np.linalg.solve(J, rate)
+    values = eta | dict(zip(plant.nu, nu, strict=True)) | dict(zip(s.error, error, strict=True))
+    values |= dict(zip(s.states, integral, strict=True)) | plant.numbers | gains.numbers
+    values = {k: sm.Float(float(v)) for k, v in values.items()}
+
+    def number(matrix: sm.Matrix) -> np.ndarray:
+        return np.array(matrix.xreplace(values).evalf().tolist(), dtype=float)
+
+    net = number(gains.law.force(s) - (plant.C + plant.D) * plant.nu - plant.g)
+    nu_dot = np.linalg.solve(number(plant.M), net)
+    return turn.T @ (J @ nu_dot + number(plant.J_dot) @ nu[:, None])[:, 0]
+
+
+# --- the whole --------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_motions_from_every_corner_stay_within_their_bounds_at_all_times() -> None:
+    gains = loop()
+    found = bounds_in_time(Problem(gains), START)
+    assert found is not None
+    assert found.errors[-1].max() < 1e-3
+    corners = np.array(list(product((-1.0, 1.0), repeat=6))) * list(START.values())
+    for heading in (0.0, 0.9, 2.5):
+        place = np.array([0, 0, 0, 0, 0, heading])
+        first = dict(zip(NAMES, (place - corners).T, strict=True))
+        runs = ClosedLoop(gains).run_many(Scenario(tuple(place), 30.0, 0.01), starts=first)
+        piece = np.searchsorted(found.times, runs.t, "right") - 1
+        seen = np.concatenate([np.abs(place - runs.states[..., :6]), np.abs(runs.states[..., 6:12])], axis=-1)
+        most = np.concatenate([found.errors, found.speeds], axis=1)[piece]
+        assert (seen <= most + 1e-3 * most.max(axis=0)).all()
+        for i in range(6):
+            asked = np.abs(runs.command(f"f{i}"))
+            assert (asked <= found.commands[piece, i] * (1 + 1e-6)).all()
+    assert found.errors.max(axis=0)[3:].max() < 2 * 0.06
+
+
+@pytest.mark.slow
+def test_a_loop_with_bounds_in_time_is_certified_and_false_bounds_are_broken() -> None:
+    gains = loop()
+    report = certify(gains, forms=["derived"], start=START)
+    region = report.region
+    assert report.ok
+    assert region.kind == "box"
+    assert region.start_held
+    assert region.starts == START
+    found = region.transient
+    assert found is not None
+
+    def worst(share: float) -> float:
+        less = replace(found, speeds=share * found.speeds)
+        wrong = replace(report, region=replace(region, transient=less))
+        how = Attack(generations=2, many=8)
+        return BoxTarget(gains, wrong, 30.0, False, how).worst(np.random.default_rng(5))
+
+    assert worst(1.0) < 1
+    assert worst(0.3) > 1
+
+
+def test_fast_couplings_and_thrusters_that_do_not_suffice_are_refused() -> None:
+    """A weak spring in roll beside moments of moving through the water; 0.6 N where the start asks 0.7 N."""
+    weak = dict(zip(NAMES, (10.0, 14.0, 12.0, 0.002, 1.4, 1.2), strict=True))
+    slow = dict(zip(NAMES, (0.4, 0.6, 0.5, 1e-6, 0.06, 0.05), strict=True))
+    far = dict.fromkeys(NAMES, 0.4)
+    assert bounds_in_time(Problem(loop(K_P=weak, K_I=slow)), far) is None
+    with pytest.raises(UndertowError, match=r"the start asks .* whose limit is 0\.6"):
+        bounds_in_time(Problem(loop(limit=0.6)), {"y": 0.05})
