@@ -486,7 +486,7 @@ def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
         examined = Examination(
             undertow="0.1.0", vehicle="v", runs=["a"], findings=list(found), excitation=[], seconds=1.0
         )
-        return _with_doctor(_diagnosis(), examined)
+        return _with_doctor(_diagnosis(), examined, explained=False)
 
     mistake = Found(id="reversed_thruster", severity="mistake", text="thruster 'f1' pushes backwards")
     late = Found(id="late_velocity", severity="warning", text="velocity 0.2 s late")

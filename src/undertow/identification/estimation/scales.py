@@ -38,7 +38,8 @@ def largest_values(functions: Functions, names: Sequence[str]) -> Array:
     and the time sqrt(length / g) that has the parameter's unit. The length is the edge of a cube of water as
     heavy as the vehicle or its radius of gyration, whichever is larger; for a coefficient of moments alone
     the square of the length is that of the radius of gyration about these axes. A stated value that is larger
-    counts as the size itself; one that a fit has found does not, lest every fit go ten times as far as the last.
+    counts as the size itself; one that a fit has found does not, lest every fit go ten times as far as the
+    last.
     """
     vehicle = functions.vehicle
     known = {n: v.value for n, v in vehicle.values.items()} | dict(vehicle.environment)
