@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from math import inf
 from typing import Any
@@ -24,6 +25,7 @@ from undertow.identification.report.sentences import (
     changes,
     first_sentence,
     next_command,
+    refit_is_worse,
     rises,
     shown,
     step_changes,
@@ -207,3 +209,12 @@ def test_a_model_worse_than_none_is_called_so() -> None:
         "commands and axes (undertow doctor)."
     )
     assert useless({"w": None}).startswith("Worse than no model at all in heave (diverging):")
+
+
+def test_a_refit_that_predicts_worse_than_the_file_is_said_to() -> None:
+    stated, refitted = {"5 s": 0.48, "20 s": 0.6}, {"5 s": 0.55, "20 s": 0.7}
+    words = refit_is_worse(stated, refitted, 1.025)
+    assert "a 5-s error of 48 % and a 20-s error of 60 % as stated" in words
+    assert "a 5-s error of 55 % and a 20-s error of 70 % refitted" in words
+    assert refit_is_worse(stated, refitted | {"20 s": 0.61}, 1.025) == ""
+    assert refit_is_worse({"5 s": math.inf}, refitted, 1.025) == ""

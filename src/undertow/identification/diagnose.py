@@ -83,7 +83,7 @@ from .diagnosis.verdict import (
 )
 from .diagnosis.worth import Worth, gained
 from .report.data import ReportData
-from .report.sentences import summarised
+from .report.sentences import refit_is_worse, summarised
 
 
 class ResultBuilder:
@@ -373,7 +373,10 @@ class ResultBuilder:
         if len(named) > 1:
             helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
         alike = {name: e.effects for e in equivalent for name in e.parameters}
+        stated, refitted = (self.validator.ahead(m)[0] for m in (self.vehicle, self.given))
+        worse = refit_is_worse(stated, refitted, self.settings.notably_worse)
         return [
+            *([worse] if worse else []),
             *absorbing(self.vehicle, self.base, helpers, alike, self.settings),
             *(f"{line[:1].upper()}{line[1:]}." for line in notes(self.after)),
         ]

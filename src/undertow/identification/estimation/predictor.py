@@ -234,9 +234,10 @@ def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
     """Step in units of the prior, shape (b, m); zero where a simulation diverged."""
     m = moved.shape[1]
     r = residual(moved[:, None] + np.vstack([np.zeros(m), SETTINGS.secant * np.eye(m)]))
-    slope = (r[:, :1] - r[:, 1:]) / SETTINGS.secant
-    gram = slope @ np.swapaxes(slope, 1, 2) + np.eye(m)
-    right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
+    with np.errstate(over="ignore", invalid="ignore"):
+        slope = (r[:, :1] - r[:, 1:]) / SETTINGS.secant
+        gram = slope @ np.swapaxes(slope, 1, 2) + np.eye(m)
+        right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
     good = np.isfinite(right).all(axis=1) & np.isfinite(gram).all(axis=(1, 2))
     step = np.zeros_like(moved)
     # Where reports depend on the start beyond all measure, the prior drowns in rounding: no step along that.

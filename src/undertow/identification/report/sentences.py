@@ -139,6 +139,18 @@ def as_stated(given: Step, after: Step, changed: str) -> str:
     return f"As it is in the vehicle file, the model has {errors(given.ahead)}{than}."
 
 
+def refit_is_worse(stated: Mapping[str, float], refitted: Mapping[str, float], times: float) -> str:
+    """That a refit predicts worse than the vehicle file over every horizon, by so many times; else empty."""
+    there = {h: e for h, e in stated.items() if isfinite(e)}
+    if not there or any(refitted[h] <= times * e for h, e in there.items()):
+        return ""
+    return (
+        "The refitted model predicts worse on validation data than the values of the vehicle file: "
+        f"{errors(there)} as stated, {errors(refitted)} refitted. The logs differ in more than the model "
+        "has: free fewer parameters, state how well they are known (sigma), or fit to more runs."
+    )
+
+
 def _horizons(found: Iterable[Mapping[str, float]]) -> list[str]:
     names = list(dict.fromkeys(h for ahead in found for h in ahead))
     return [h for h in names if h.endswith(" s")] or names
