@@ -123,8 +123,8 @@ def judge_selection(
 def _doubtful(finding: FoundEffect, graded: Graded) -> str:
     horizon = max(graded.worth.falls, key=lambda h: graded.worth.falls[h])
     return (
-        f"Adding {finding.id} lowers the error of predictions over {horizon:g} s by "
-        f"{graded.worth.falls[horizon]:.0%}, but it is not established as the cause: {graded.doubt}."
+        f"{finding.id} ({graded.worth.falls[horizon]:.0%} less error over {horizon:g} s) is not established: "
+        f"{graded.doubt}."
     )
 
 
