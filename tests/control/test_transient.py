@@ -254,3 +254,36 @@ def test_fast_couplings_and_thrusters_that_do_not_suffice_are_refused() -> None:
     assert bounds_in_time(Problem(loop(K_P=weak, K_I=slow)), far) is None
     with pytest.raises(UndertowError, match=r"the start asks .* whose limit is 0\.6"):
         bounds_in_time(Problem(loop(limit=0.6)), {"y": 0.05})
+
+
+PITCHING = """
+schema = "undertow/vehicle/1"
+name = "two"
+degrees_of_freedom = ["heave", "pitch"]
+signs = "sname"
+[effects.rigid_body]
+m = 20.0
+I_y = 0.9
+[effects.linear_damping]
+Z_w = -4.0
+M_q = -0.9
+[[thrusters]]
+name = "lift"
+wrench = [0, 0, 1, 0, 0, 0]
+[[thrusters]]
+name = "turn"
+wrench = [0, 0, 0, 0, 1, 0]
+"""
+
+
+def test_translations_that_do_not_turn_as_a_rotation_get_no_bounds() -> None:
+    """Without surge, pitch takes cos(theta)^2 off what heave gives: errors were 8 times their bounds."""
+    gains = {
+        "K_P": {"z": 20.0, "theta": 0.02},
+        "K_V": {"z": 10.0, "theta": 0.4},
+        "K_I": {"z": 1.0, "theta": 1e-4},
+    }
+    table = {"schema": "undertow/gains/1", "name": "two-pid", "law": "pid", "gains": gains}
+    two = gains_from_table(GainTable.model_validate(table), loaded(PITCHING))
+    with pytest.raises(UndertowError, match="do not turn as a rotation"):
+        bounds_in_time(Problem(two), {"z": 0.05, "theta": 0.6})
