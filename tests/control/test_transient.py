@@ -18,6 +18,7 @@ from undertow.control.conditions.attitude import enclose
 from undertow.control.conditions.kernels import Responses, grid, modes
 from undertow.control.conditions.motion import Leftover, Motion
 from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.result import Transient
 from undertow.control.conditions.second import Form, second_order
 from undertow.control.conditions.transient import Bounds, Known, Sector, _leftovers, bounds_in_time
 from undertow.control.conditions.whole import certify
@@ -254,6 +255,13 @@ def test_fast_couplings_and_thrusters_that_do_not_suffice_are_refused() -> None:
     assert bounds_in_time(Problem(loop(K_P=weak, K_I=slow)), far) is None
     with pytest.raises(UndertowError, match=r"the start asks .* whose limit is 0\.6"):
         bounds_in_time(Problem(loop(limit=0.6)), {"y": 0.05})
+
+
+def test_errors_are_halved_from_when_no_bound_rises_again() -> None:
+    errors = np.array([[1.0, 0.1], [0.4, 0.04], [0.6, 0.01], [0.3, 0.05], [0.2, 0.04]])
+    found = Transient(np.arange(5.0), errors, errors, errors, 0.1)
+    assert found.halved == 3.0
+    assert replace(found, errors=errors[:3], times=found.times[:3]).halved == np.inf
 
 
 PITCHING = """
