@@ -18,6 +18,7 @@ from undertow.control.conditions.attitude import enclose
 from undertow.control.conditions.kernels import Responses, grid, modes
 from undertow.control.conditions.motion import Leftover, Motion
 from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.result import Transient
 from undertow.control.conditions.second import Form, second_order
 from undertow.control.conditions.transient import Bounds, Known, Sector, _leftovers, bounds_in_time
 from undertow.control.conditions.whole import certify
@@ -254,3 +255,43 @@ def test_fast_couplings_and_thrusters_that_do_not_suffice_are_refused() -> None:
     assert bounds_in_time(Problem(loop(K_P=weak, K_I=slow)), far) is None
     with pytest.raises(UndertowError, match=r"the start asks .* whose limit is 0\.6"):
         bounds_in_time(Problem(loop(limit=0.6)), {"y": 0.05})
+
+
+def test_errors_are_halved_from_when_no_bound_rises_again() -> None:
+    errors = np.array([[1.0, 0.1], [0.4, 0.04], [0.6, 0.01], [0.3, 0.05], [0.2, 0.04]])
+    found = Transient(np.arange(5.0), errors, errors, errors, 0.1)
+    assert found.halved == 3.0
+    assert replace(found, errors=errors[:3], times=found.times[:3]).halved == np.inf
+
+
+PITCHING = """
+schema = "undertow/vehicle/1"
+name = "two"
+degrees_of_freedom = ["heave", "pitch"]
+signs = "sname"
+[effects.rigid_body]
+m = 20.0
+I_y = 0.9
+[effects.linear_damping]
+Z_w = -4.0
+M_q = -0.9
+[[thrusters]]
+name = "lift"
+wrench = [0, 0, 1, 0, 0, 0]
+[[thrusters]]
+name = "turn"
+wrench = [0, 0, 0, 0, 1, 0]
+"""
+
+
+def test_translations_that_do_not_turn_as_a_rotation_get_no_bounds() -> None:
+    """Without surge, pitch takes cos(theta)^2 off what heave gives: errors were 8 times their bounds."""
+    gains = {
+        "K_P": {"z": 20.0, "theta": 0.02},
+        "K_V": {"z": 10.0, "theta": 0.4},
+        "K_I": {"z": 1.0, "theta": 1e-4},
+    }
+    table = {"schema": "undertow/gains/1", "name": "two-pid", "law": "pid", "gains": gains}
+    two = gains_from_table(GainTable.model_validate(table), loaded(PITCHING))
+    with pytest.raises(UndertowError, match="do not turn as a rotation"):
+        bounds_in_time(Problem(two), {"z": 0.05, "theta": 0.6})

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import sympy as sm
 
+from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
@@ -104,6 +105,23 @@ def inverse_of_inertia(matrix: Interval) -> Interval:
     return Interval(near, near) + Interval(-radius, radius)
 
 
+def rotation_of(plant: Plant) -> sm.Matrix:
+    """How the translations turn from body to earth: a rotation, which with some axes left out they need not.
+
+    Raises
+    ------
+    UndertowError
+        If it is none: then the frame of an error counts, and inertia that is the same in all axes turns, too.
+    """
+    own = [i for i, d in enumerate(plant.vehicle.dof_indices) if d < 3]
+    rotation = plant.J.extract(own, own)
+    if plant.J_inverse.extract(own, own) != rotation.T:
+        raise UndertowError(
+            "its translations do not turn as a rotation: no quadratic V nor bounds in time are searched for"
+        )
+    return rotation
+
+
 Boxes = dict[str, Interval]
 """Boxes of angles by name, each an interval of shape (boxes,); empty where nothing depends on angles."""
 
@@ -186,7 +204,7 @@ class Embedding:
         self._gains = [np.diag(problem.values[g]) for g in ("K_P", "K_V", "K_I") if g in problem.values]
         self.integral = "K_I" in problem.values
         self.size = (3 if self.integral else 2) * self.n
-        rotation = plant.J.extract(self.shifts, self.shifts)
+        rotation = rotation_of(plant)
         self.frame = self._frame(rotation)
         left = self._left_of_turn(rotation)
         whole = sm.eye(self.n)
@@ -207,8 +225,6 @@ class Embedding:
     def _frame(self, rotation: sm.Matrix) -> sm.Matrix:
         """G, the largest turn that every gain commutes with."""
         unit = sm.eye(len(self.shifts))
-        if self.plant.J_inverse.extract(self.shifts, self.shifts) != rotation.T:
-            raise UndertowError("its translations do not turn as a rotation: no quadratic V is searched for")
         level = rotation.xreplace({symbol("phi"): sm.Integer(0), symbol("theta"): sm.Integer(0)})
         return next(turn for turn in (rotation, level, unit) if self._commutes(turn))
 

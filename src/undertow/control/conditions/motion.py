@@ -17,7 +17,7 @@ from undertow.typing import Array
 from .attitude import ANGLES, Interval, enclose, enclosing
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
-from .embedding import inverse_of_inertia
+from .embedding import inverse_of_inertia, rotation_of
 from .problem import Problem
 
 
@@ -78,6 +78,7 @@ class Motion:
         self.places = [self.names.index(a) for a in self.angles]
         self.plane = [self.names.index(c) for c in ("x", "y")] if {"x", "y", "psi"} <= set(self.names) else []
         self.forces = self._forces()
+        rotation_of(self.plant)  # inertia that is the same for all translations is not turned (`_even`)
         if self.plant.J.xreplace(dict.fromkeys(map(symbol, ANGLES), sm.Integer(0))) != sm.eye(self.n):
             raise UndertowError(
                 "pose rates are not velocities on an even keel: no bounds in time are searched for"

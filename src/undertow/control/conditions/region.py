@@ -249,11 +249,10 @@ def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Regio
 
 
 def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) -> Region:
-    settled = float(found.times[np.argmax((found.errors <= 0.5 * found.errors[0]).all(axis=1))])
     text = (
         "motions that begin at rest in the start box stay within these errors and speeds and come to rest; "
-        f"bounded in time by variation of constants, all errors within half of their first bounds after "
-        f"{settled:.3g} s; proved in interval arithmetic at every attitude and every motion in them, "
+        "bounded in time by variation of constants, all errors within half of these from "
+        f"{found.halved:.4g} s on; proved in interval arithmetic at every attitude and every motion in them, "
         f"{_PARAMETERS}"
     )
     return Region(

@@ -160,6 +160,12 @@ class Transient:
     commands: Array  # magnitude of each limited command, shape (pieces, m)
     rate: float  # 1/s
 
+    @property
+    def halved(self) -> float:
+        """From when on all errors stay within half of their largest bounds, s; bounds may rise in between."""
+        beyond = np.flatnonzero((self.errors > 0.5 * self.errors.max(axis=0)).any(axis=1))
+        return float(np.append(self.times, np.inf)[beyond[-1] + 1])
+
     def between(self, begin: float, end: float) -> Transient:
         """The largest of the bounds between two times, as one piece."""
         low = int(np.searchsorted(self.times, begin, "right")) - 1
