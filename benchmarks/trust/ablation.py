@@ -36,8 +36,9 @@ stands under "chosen by" alone. A number with * was added for a single case of a
 HOW = """
     python -m benchmarks.trust ablate --source ablation.jsonl --out docs/ablation.md
     python -m benchmarks.trust ablate --source ablation.jsonl --number named_share --cases 5
-    python -m benchmarks.real ablate --source ablation-real.jsonl
-    python -m benchmarks.trust ablate --source ablation.jsonl --cases 0 --beside ablation-real.jsonl
+    python -m benchmarks.real ablate --source benchmarks/results/ablation-real.jsonl
+    python -m benchmarks.trust ablate --source ablation.jsonl --cases 0 \\
+        --beside benchmarks/results/ablation-real.jsonl --out docs/ablation.md
 """
 
 

@@ -305,7 +305,8 @@ class Tube:
         later, sooner = (kernels.up_to(times[i + k] - times[: i + k]) for k in (1, 0))
         own = np.einsum("pi,pi->p", later[:, :i], np.maximum(steps, 0.0))
         own -= np.einsum("pi,pi->p", sooner, np.maximum(-steps, 0.0))
-        own += PROOFS.rounding * kernels.integral[:, -1] * np.abs(steps).sum(axis=1)
+        rounding = len(kernels.times) * np.finfo(float).eps  # of integrals, which are sums over the pieces
+        own += rounding * kernels.integral[:, -1] * np.abs(steps).sum(axis=1)
         rest = self.sector.crude @ self.lag
         np.add.at(rest, kernels.signals, np.maximum(own, 0.0))
         gain = np.zeros_like(self.sector.crude)
