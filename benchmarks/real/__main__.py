@@ -18,7 +18,7 @@ from benchmarks.results.text import errors
 from benchmarks.trust.ablation import Data, ablations, answering
 from benchmarks.trust.cases import part
 from benchmarks.trust.measure import Record
-from benchmarks.trust.run import Work, add_run_options, records, run
+from benchmarks.trust.run import Work, add_run_options, records, run, run_limits
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
@@ -130,18 +130,16 @@ def _planned(options: argparse.Namespace) -> list[Case]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
     if options.keep is not None:
         options.keep.mkdir(parents=True, exist_ok=True)
     work = worker(_sets(options), options.data, options.keep)
-    return int(run(_planned(options), options.out, work, report=_report, **limits) > 0)
+    return int(run(_planned(options), options.out, work, report=_report, **run_limits(options)) > 0)
 
 
 def _ablate(options: argparse.Namespace) -> int:
     sets = _sets(options)
-    doing = ablations(ablated(sets), options.number)
-    limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
-    return int(run(doing, options.source, _answered(sets, options.data), report=_report, **limits) > 0)
+    doing, work = ablations(ablated(sets), options.number), _answered(sets, options.data)
+    return int(run(doing, options.source, work, report=_report, **run_limits(options)) > 0)
 
 
 def _answered(sets: Mapping[str, LogSet], data: Path) -> Work:

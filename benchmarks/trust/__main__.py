@@ -23,7 +23,7 @@ from .ablation import ablation_page, ablations, answering, of_simulation, sample
 from .cases import BASE_SEED, ROUNDS, Planned, part, plan
 from .measure import Record, measured
 from .report import goal_table, page
-from .run import add_run_options, records, run, worker
+from .run import add_run_options, records, run, run_limits, worker
 
 PROGRAM = "python -m benchmarks.trust"
 EXAMPLES = """\
@@ -167,9 +167,8 @@ def _list(options: argparse.Namespace) -> int:
 def _ablate(options: argparse.Namespace) -> int:
     cases = [c for c in sample() if not options.vehicle or c.vehicle in options.vehicle]
     doing = ablations(cases[: options.cases], options.number)
-    limits = {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
     work = answering(of_simulation)
-    failed = run(doing, options.source, work, report=_report_record, **limits)
+    failed = run(doing, options.source, work, report=_report_record, **run_limits(options))
     text = ablation_page(r for path in (options.source, *options.beside) for r in records(path))
     if options.out is None:
         print(text)

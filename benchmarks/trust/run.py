@@ -90,6 +90,11 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     add("--limit", type=float, default=LIMIT, metavar="S", help="s per case (%(default)g)")
 
 
+def run_limits(options: argparse.Namespace) -> dict[str, Any]:
+    """Those options, as `run` takes them."""
+    return {"jobs": options.jobs, "minutes": options.minutes, "limit": options.limit}
+
+
 def records(path: Path) -> list[Record]:
     """The records of a file, of each case the last; a line cut off by a crash is passed over."""
     if not path.exists():

@@ -64,7 +64,7 @@ def test_wrong_damping_and_added_mass_reverse_no_command(name: str, factor: floa
     for parts in (DAMPING, ADDED_MASS):
         vehicle = _wrong_by_two(case, factor, parts)
         assert Signs(vehicle, runs_of(case)).given.total < SETTINGS.sure**2
-        assert by_signs(vehicle, runs_of(case), None, lambda v=vehicle: _known(v)) is None  # type: ignore[misc]
+        assert by_signs(Signs(vehicle, runs_of(case)), None, lambda v=vehicle: _known(v)) is None  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_wrong_damping_and_added_mass_reverse_no_command(name: str, factor: floa
 def test_a_wrong_sign_shows_in_all_runs_although_the_model_is_wrong(wrong: Break, clause: str) -> None:
     case = _case("usv")
     vehicle = _wrong_by_two(case, 2.0, DAMPING)
-    found = by_signs(vehicle, _broken(case, wrong), None, lambda: _known(vehicle))
+    found = by_signs(Signs(vehicle, _broken(case, wrong)), None, lambda: _known(vehicle))
     assert found is not None
     assert found.mistake.clause == clause
     assert not found.rivals
@@ -108,7 +108,7 @@ def test_two_propellers_that_only_turn_the_vehicle_leave_open_which_mistake_it_i
             given[channel] = speed + 1e-3 * np.random.default_rng(3).normal(size=len(t))
         return Run("turns", t, given | {port: forces[starboard], starboard: forces[port]})
 
-    found = by_signs(vehicle, [run(0.0)], None, lambda: _known(vehicle))
+    found = by_signs(Signs(vehicle, [run(0.0)]), None, lambda: _known(vehicle))
     assert found is not None
     clauses = [m.clause for m in (found.mistake, *found.rivals)]
     assert f"commands {port} and {starboard} are in each other's place" in clauses
@@ -117,7 +117,7 @@ def test_two_propellers_that_only_turn_the_vehicle_leave_open_which_mistake_it_i
     wrong = next(m for m in _known(vehicle) if m.count == 2)
     named = Explanation(wrong, f"{wrong.clause}: undone, much is left", {})
     for given in (None, named):  # whatever a fit found, surge excludes that both are reversed
-        sure = by_signs(vehicle, [run(0.0), run(1.0)], given, lambda: _known(vehicle))
+        sure = by_signs(Signs(vehicle, [run(0.0), run(1.0)]), given, lambda: _known(vehicle))
         assert sure is not None
         assert sure.mistake.clause == f"commands {port} and {starboard} are in each other's place"
         assert not sure.rivals
@@ -205,9 +205,9 @@ def test_a_wiring_that_signs_contradict_short_of_certain_is_doubted(seed: int) -
     known = _known(vehicle)
     wrong, right = (run_of("half", c) for c in (broken.swapped("f2", "f3")(columns), columns))
     wrong, right = (run.slice(run.t[0] + 20, run.t[0] + 55) for run in (wrong, right))
-    assert by_signs(vehicle, [wrong], None, lambda: known) is None
-    doubt = suspected(vehicle, [wrong], lambda: known)
+    assert by_signs(Signs(vehicle, [wrong]), None, lambda: known) is None
+    doubt = suspected(Signs(vehicle, [wrong]), lambda: known)
     assert doubt is not None
     assert doubt.mistake.clause == "commands f2 and f3 are in each other's place"
     assert all(abs(error) < 1.0 for name, error in doubt.evidence.items() if name.endswith("_error"))
-    assert suspected(vehicle, [right], lambda: known) is None
+    assert suspected(Signs(vehicle, [right]), lambda: known) is None

@@ -17,7 +17,7 @@ from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, l
 from undertow.typing import Array, Flags, Index, Progress
 
 from .logs.run import Run
-from .logs.series import report_noise
+from .logs.series import last_known, report_noise
 
 
 @dataclass(frozen=True)
@@ -313,9 +313,7 @@ def _commands(run: Run, process: Process, t: Array) -> Array:
 
 def _held(data: Array) -> Array:
     """A column without gaps: the last value is held, zero before the first."""
-    there = np.isfinite(data)
-    last = np.maximum.accumulate(np.where(there, np.arange(len(data)), -1))
-    return np.where(last >= 0, np.nan_to_num(data)[np.maximum(last, 0)], 0.0)
+    return np.nan_to_num(last_known(data))
 
 
 # --- first guesses --------------------------------------------------------------------------------

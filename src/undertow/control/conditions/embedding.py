@@ -122,6 +122,27 @@ def rotation_of(plant: Plant) -> sm.Matrix:
     return rotation
 
 
+def sizes_and_signs(plant: Plant) -> tuple[list[sm.Symbol], list[sm.Symbol]]:
+    """Symbols for the magnitudes and the signs of the velocities."""
+    sizes, signs = ([sm.Symbol(f"{kind}_{v}") for v in plant.nu] for kind in ("size", "sign"))
+    return sizes, signs
+
+
+def plain(plant: Plant, matrix: sm.Matrix) -> sm.Matrix:
+    """Numbers for parameters, symbols for magnitudes and signs of velocities."""
+    found: dict[sm.Expr, sm.Symbol] = {}
+    for v, size, sign in zip(plant.nu, *sizes_and_signs(plant), strict=True):
+        found |= {sm.Abs(v): size, sm.sign(v): sign}
+    return matrix.xreplace(found).xreplace(plant.numbers)
+
+
+def sign_cases(switching: Sequence[int], n: int) -> Array:
+    """All cases of the signs of some of n velocities, shape (cases, n); one for the others."""
+    cases = np.ones((2 ** len(switching), n))
+    cases[:, switching] = list(product((1.0, -1.0), repeat=len(switching)))
+    return cases
+
+
 Boxes = dict[str, Interval]
 """Boxes of angles by name, each an interval of shape (boxes,); empty where nothing depends on angles."""
 
@@ -285,12 +306,9 @@ class Embedding:
     def _moving(self) -> _Moving:
         """C + D and M as functions of velocities, their magnitudes and signs."""
         plant, nu = self.plant, list(self.plant.nu)
-        sizes = [sm.Symbol(f"size_{v}") for v in nu]
-        signs = [sm.Symbol(f"sign_{v}") for v in nu]
-        plain = {sm.Abs(v): a for v, a in zip(nu, sizes, strict=True)}
-        plain |= {sm.sign(v): s for v, s in zip(nu, signs, strict=True)}
-        moving = (plant.C + plant.D).xreplace(plain).xreplace(plant.numbers).applyfunc(sm.expand)
-        inertia = plant.M.xreplace(plain).xreplace(plant.numbers)
+        sizes, signs = sizes_and_signs(plant)
+        moving = plain(plant, plant.C + plant.D).applyfunc(sm.expand)
+        inertia = plain(plant, plant.M)
         switching = _switching(moving, inertia, nu, sizes, signs)
         first = [sm.Symbol(f"first_{v}") for v in nu]
         rest = moving.xreplace(dict.fromkeys([*nu, *sizes], sm.Integer(0)))
@@ -310,8 +328,7 @@ class Embedding:
     def corners(self, speeds: Array) -> Corners:
         """The corners of |nu_i| <= speeds_i."""
         m, n = self._moving, self.n
-        cases = np.ones((2 ** len(m.switching), n))
-        cases[:, m.switching] = list(product((1.0, -1.0), repeat=len(m.switching)))
+        cases = sign_cases(m.switching, n)
         inverse = inverse_of_inertia(m.inertia(*_columns(cases)))
         zero = np.zeros((len(cases), n))
         rest = Matrices(

@@ -17,7 +17,7 @@ from undertow.typing import Array
 from .attitude import ANGLES, Interval, enclose, enclosing
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
-from .embedding import inverse_of_inertia, rotation_of
+from .embedding import inverse_of_inertia, plain, rotation_of, sign_cases, sizes_and_signs
 from .problem import Problem
 
 
@@ -85,22 +85,11 @@ class Motion:
             )
 
     # --- what the loop is made of -----------------------------------------------------------------
-    @cached_property
-    def _signs(self) -> tuple[list[sm.Symbol], list[sm.Symbol]]:
-        nu = self.plant.nu
-        return [sm.Symbol(f"sign_{v}") for v in nu], [sm.Symbol(f"size_{v}") for v in nu]
-
-    def _plain(self, matrix: sm.Matrix) -> sm.Matrix:
-        """Numbers for parameters, symbols for signs and magnitudes of velocities."""
-        nu, (signs, sizes) = self.plant.nu, self._signs
-        plain = {sm.Abs(v): a for v, a in zip(nu, sizes, strict=True)}
-        plain |= {sm.sign(v): s for v, s in zip(nu, signs, strict=True)}
-        return matrix.xreplace(plain).xreplace(self.plant.numbers)
-
     def _forces(self) -> Forces:
-        n, nu, (signs, sizes) = self.n, list(self.plant.nu), self._signs
+        n, plant = self.n, self.plant
+        nu, (sizes, signs) = list(plant.nu), sizes_and_signs(plant)
         found = Forces(*(np.zeros((n,) * k) for k in (2, 2, 3, 3)))
-        moving = (self._plain(self.plant.C + self.plant.D) * self.plant.nu).applyfunc(sm.expand)
+        moving = (plain(plant, plant.C + plant.D) * plant.nu).applyfunc(sm.expand)
         for i, entry in enumerate(moving):
             if not entry.is_polynomial(*nu, *sizes, *signs):
                 raise UndertowError("damping is no polynomial in velocities and their magnitudes")
@@ -123,10 +112,9 @@ class Motion:
     @cached_property
     def _inertias(self) -> Interval:
         """M^-1 in every case of the signs, shape (cases, n, n)."""
-        signs, M = self._signs[0], self._plain(self.plant.M)
+        signs, M = sizes_and_signs(self.plant)[1], plain(self.plant, self.plant.M)
         switching = [i for i, s in enumerate(signs) if s in M.free_symbols]
-        cases = np.ones((2 ** len(switching), self.n))
-        cases[:, switching] = list(product_of((1.0, -1.0), repeat=len(switching)))
+        cases = sign_cases(switching, self.n)
         return inverse_of_inertia(enclosing(signs, M)(*map(enclose, cases.T)))
 
     @cached_property

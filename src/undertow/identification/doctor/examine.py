@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from .mistakes import (
 )
 from .sampling import DROP, excitation, excitation_findings, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
-from .signs import by_signs, lost_signs, suspected
+from .signs import WIRING, by_signs, lost_signs, signs_of, suspected
 
 
 def _explanation(
@@ -282,12 +283,16 @@ class _Examiner:
         """What the fit of the model shows, and, where that leaves much, what the signs of commands do."""
         known = (self.vehicle, at, self.kinematics, self.runs, self.mapping)
         found = dynamic_mistakes(*known)
-        if found is not None and at.explained_by(found.mistake):
+        if found is not None and (found.mistake.id not in WIRING or at.explained_by(found.mistake)):
             return found
-        signs = by_signs(self.vehicle, self.runs, found, lambda: wirings(*known))
-        if found is not None or (signs is not None and at.no_worse(signs.mistake)):
-            return signs
-        doubt = suspected(self.vehicle, self.runs, lambda: wirings(*known))
+        signs = signs_of(self.vehicle, self.runs)
+        if signs is None:
+            return found
+        possible = cache(lambda: wirings(*known))
+        wrong = by_signs(signs, found, possible)
+        if found is not None or (wrong is not None and at.no_worse(wrong.mistake)):
+            return wrong
+        doubt = suspected(signs, possible)
         if doubt is not None:
             self._doubt(doubt, [*(m.clause for m in doubt.rivals), _MODEL])
         return None

@@ -241,24 +241,26 @@ def _mean(value: Array, error: Array) -> tuple[float, float]:
     return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
 
 
-_WIRING = ("reversed_thruster", "swapped_thrusters", "frame", "flipped_axis")
+WIRING = ("reversed_thruster", "swapped_thrusters", "frame", "flipped_axis")
 """Ids of mistakes that change the sign by which motions answer commands."""
 
 
+def signs_of(vehicle: Vehicle, runs: Sequence[Run]) -> Signs | None:
+    """The signs of all commands; None where actuation that depends on the motion hides them."""
+    try:
+        return Signs(vehicle, runs)
+    except UndertowError:
+        return None
+
+
 def by_signs(
-    vehicle: Vehicle, runs: Sequence[Run], found: Explanation | None, known: Callable[[], list[Mistake]]
+    signs: Signs, found: Explanation | None, known: Callable[[], list[Mistake]]
 ) -> Explanation | None:
-    """What the signs of all commands in all runs say of the mistake found by the fit of the model, if any.
+    """What the signs of all commands in all runs say of the wiring that a fit found wrong, if any.
 
     `known` gives the mistakes that may be named. Those that do as well as the one found are named with it;
     what does worse gives way to them.
     """
-    if found is not None and found.mistake.id not in _WIRING:
-        return found
-    try:
-        signs = Signs(vehicle, runs)
-    except UndertowError:  # actuation that depends on the motion does not follow from the log alone
-        return found
     if found is None:
         possible = signs.possible(known()) if signs.given.total > SETTINGS.sure**2 else []
     else:
@@ -274,14 +276,8 @@ def by_signs(
     return Explanation(possible[0], f"{clauses}: {why}", evidence, possible[1:])
 
 
-def suspected(
-    vehicle: Vehicle, runs: Sequence[Run], known: Callable[[], list[Mistake]]
-) -> Explanation | None:
+def suspected(signs: Signs, known: Callable[[], list[Mistake]]) -> Explanation | None:
     """What the signs of all commands say of a wiring that is not certain enough to be undone."""
-    try:
-        signs = Signs(vehicle, runs)
-    except UndertowError:
-        return None
     possible = signs.suspected(known()) if signs.given.total > SETTINGS.shows**2 else []
     why, evidence = signs.text()
     if not possible or not evidence:

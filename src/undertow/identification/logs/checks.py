@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.series import last_known
 from undertow.model.actuators import TURNS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -142,12 +143,12 @@ def fill_commands(
     if policy == "gap":
         return data, f"{text}; left missing"
     data = np.concatenate([[before if np.isnan(data[0]) else data[0]], data[1:]])
-    last = np.maximum.accumulate(np.where(np.isnan(data), -1, np.arange(len(data))))
-    if last[0] < 0:
+    held = last_known(data)
+    if np.isnan(held[0]):
         raise UndertowError(
             f"{where}: {text}, and none comes before t = {t[0]:g} s to be held: begin later (--from)"
         )
-    return data[last], f"{text}; the last value was held"
+    return held, f"{text}; the last value was held"
 
 
 def constant_channels(run: Run, names: Iterable[str] | None = None) -> dict[str, float]:

@@ -53,13 +53,7 @@ from .opening import (
 )
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
-from .series import (
-    OneClock,
-    Series,
-    are_several,
-    on_one_clock,
-    with_report_noise,
-)
+from .series import OneClock, Series, are_several, on_one_clock, with_report_noise
 
 Commands = dict[str, float]
 
@@ -268,9 +262,10 @@ def run_of_table(
     policy = missing_commands or mapping.missing_commands
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
     sources = {n: in_unit_of_cells(table, n, c, mapping, where) for n, c in sources.items()}
-    lost = taken_as_missing(table, sources, mapping)
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
+    lost = taken_as_missing(table, sources, mapping)
     table, t, notes = _time(table, mapping, where, origin)
+    notes = [*notes, *lost]
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
         begins = not before
         read = {
@@ -286,10 +281,7 @@ def run_of_table(
         reported=_reported(own.reported, mapping),
         wrapped=swap_attitude(own.wrapped) if _attitude(mapping) == "ENU" else own.wrapped,
         source=str(path),
-        notes=(
-            *(*notes, *lost, *_conversions(sources, mapping, where)),
-            *_unused(table.columns, sources, mapping),
-        ),
+        notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         sigma=_stated_noise(sources, mapping, where),
         mapping=mapping,
         dropped=rows - table.height,

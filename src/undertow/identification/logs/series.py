@@ -261,9 +261,10 @@ def shared_rows(columns: Mapping[str, Array]) -> float:
 def held_together(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Columns that are held until their next report, in the rows where one of them reports."""
     reports = np.any([np.isfinite(column) for column in columns.values()], axis=0)
-    return {name: np.where(reports, _last_known(column), np.nan) for name, column in columns.items()}
+    return {name: np.where(reports, last_known(column), np.nan) for name, column in columns.items()}
 
 
-def _last_known(column: Array) -> Array:
+def last_known(column: Array) -> Array:
+    """A column whose reports are held until the next; NaN before the first."""
     last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), -1))
     return np.where(last >= 0, column[last], np.nan)
