@@ -59,7 +59,7 @@ def _tried(hidden: tuple[str, ...], effect: str) -> _Tried:
 
 
 def test_an_effect_that_leaves_the_force_as_large_is_in_doubt() -> None:
-    assert _tried(("periodic_side_force",), "lift").doubt.startswith("only simulations get better by it")
+    assert _tried(("periodic_side_force",), "lift").doubt.startswith("it improves only the simulations")
 
 
 def test_a_periodic_force_does_better_than_what_makes_up_for_a_part_of_it() -> None:

@@ -180,7 +180,7 @@ def test_an_effect_that_is_worth_adding_beside_the_inertia_does_not_replace_it(a
     words = without_inertia(
         ["Y_vdot"], Worth(falls={1.0: alone, 8.0: alone}, largest={1.0: alone, 8.0: alone}, worse=())
     )
-    assert words == ("" if alone > 0.1 else "beside it Y_vdot would be zero, and water has inertia")
+    assert words == ("" if alone > 0.1 else "with it, Y_vdot would be zero, although water has inertia")
 
 
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:

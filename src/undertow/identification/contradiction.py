@@ -63,6 +63,6 @@ def _surpassed(
     if not other.trial.kept or not surpassed(found, other, bench, validator):
         return ""
     return (
-        f"{effect.about().rstrip('.')} predicts better, and beside it nothing is gained by this "
-        "(undertow effects new makes an effect of it)"
+        f"{effect.about().rstrip('.')} predicts better, and with it nothing is gained by this effect "
+        "(undertow effects new makes an effect of that force)"
     )

@@ -242,12 +242,12 @@ class ResultBuilder:
         nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
         if not nothing_found or any(r.excess_rms > 0.0 for r in left):
             return []
-        return ["It stands out in the force of no degree of freedom by itself."]
+        return ["In no single degree of freedom does the residual force exceed its noise."]
 
     def _repeated_commands(self) -> list[str]:
         return [
-            f"But {kept} repeats the commands of {fitted}, so that an effect which only knows this manoeuvre "
-            "by heart would look as good: judge by another one."
+            f"But {kept} repeats the commands of {fitted}, so that an effect fitted to this manoeuvre alone "
+            "would look as good: validate on another one."
             for kept, fitted in repeats(
                 self.vehicle, self.validator.train, self.validator.test, self.settings
             )

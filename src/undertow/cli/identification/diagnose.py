@@ -196,18 +196,18 @@ def show(outcome: DiagnosisResult) -> None:
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
-        say("an effect made of it: undertow effects new ID --from (the file of --json)", "dim")
+        say("to make an effect of it: undertow effects new ID --from (the file of --json)", "dim")
     shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
     for warning in (w for w in diagnosis.warnings if w not in shown):
         say(f"warning: {warning}", "yellow")
-    say(f"{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms", "dim")
+    say(f"{diagnosis.seconds:.0f} s; false alarm rate {diagnosis.false_alarm_rate:.0%}", "dim")
 
 
 def _show_ranking(diagnosis: Diagnosis) -> None:
     from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
-    model = "model with other values" if diagnosis.freed else "model as it is"
+    model = "model with fitted values" if diagnosis.freed else "model as it is"
     longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
     heads = ("effect", *([f"{longest} error"] if longest else []), "error", "explains", "chance", "sure")
@@ -223,7 +223,11 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     rest = len(diagnosis.ranking) - len(helping)
     more = f"{rest} more effects were tried and do not help. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
-    say(f"{more}Chance: that the best of all looks as good when nothing is missing.{partly}", "dim")
+    say(
+        f"{more}Chance: the probability that the best of all candidates looks as good when nothing is "
+        f"missing.{partly}",
+        "dim",
+    )
     fitted = [(r.effect, _values(r.parameters, 4 if i == 0 else 1)) for i, r in enumerate(helping)]
     console().print(table(("effect", "fitted values"), [row for row in fitted if row[1]]))
 
@@ -256,13 +260,13 @@ def _show_steps(diagnosis: Diagnosis) -> None:
 
 def _content(diagnosis: Diagnosis) -> str:
     """What a vehicle file with the outcome of a diagnosis has that the given one had not."""
-    freed = f", {', '.join(diagnosis.freed)} among them, held fixed before" if diagnosis.freed else ""
+    freed = f", including {', '.join(diagnosis.freed)}, which were fixed" if diagnosis.freed else ""
     if not diagnosis.effects:
-        return f"the same effects with refitted values{freed}; none was added, for none is named"
+        return f"the same effects with refitted values{freed}; none was added, because none is named"
     summary = f"{' and '.join(diagnosis.effects)} added, values refitted{freed}"
     for equals in diagnosis.indistinguishable:
         chosen = next((e for e in equals.effects if e in diagnosis.effects), None)
         others = [e for e in equals.effects if e != chosen]
         if chosen and others:
-            summary += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
+            summary += f"; {chosen} stands for a set: it could equally be {' or '.join(others)}"
     return summary

@@ -29,7 +29,7 @@ from .trial import Bench
 class Agreement:
     """Size of an effect in parts of the logs, in units of the fitted one.
 
-    over: what the parts are: runs, times within a run, levels of a signal.
+    over: what the parts are: runs, parts of a run, levels of a signal.
     value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
     """
 
@@ -49,7 +49,10 @@ class Agreement:
         if by_chance or self.spread < settings.size_change:
             return ""
         low, high = self.value.min(), self.value.max()
-        return f"its size would have to go from {low:.0%} to {high:.0%} of the fitted one between {self.over}"
+        return (
+            f"its size would have to vary from {low:.0%} to {high:.0%} of the fitted value between "
+            f"{self.over}"
+        )
 
 
 def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
@@ -62,7 +65,7 @@ def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
     block = _numbered([data.block for _, data in pairs])
     kinds = {
         "runs": _numbered([_runs(data) for _, data in pairs]),
-        "times within a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
+        "parts of a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
     }
     kinds |= {
         f"levels of {name}": _levels(np.concatenate(values), bench.settings)
@@ -92,7 +95,7 @@ def disagreement(finding: FoundEffect, bench: Bench, later: Sequence[FoundEffect
 def _differing(finding: FoundEffect, bench: Bench) -> str:
     parts = agreements(finding, bench)
     if not parts:
-        return "no part of the logs by itself shows how large it is"
+        return "no single part of the logs determines its size"
     return next(filter(None, (a.doubt(bench.settings, len(parts)) for a in parts)), "")
 
 
@@ -231,7 +234,7 @@ def is_spring(finding: FoundEffect) -> bool:
     return slow is not None and bool(np.any(np.diag(slow) < 0.0))
 
 
-SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
+SPRING = "it would remove more inertia from slow motion than the water has, as a stiffness would"
 
 
 def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
@@ -255,7 +258,7 @@ def never_turned(finding: FoundEffect, bench: Bench) -> str:
     turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))
     if turned >= bench.settings.turning:
         return ""
-    return f"the heading turns by {turned:.2g} rad only: a force fixed to the vehicle may do the same"
+    return f"the heading turns by only {turned:.2g} rad: a force fixed to the vehicle may explain the same"
 
 
 def _turned(heading: Array) -> float:

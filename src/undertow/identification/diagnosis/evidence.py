@@ -63,7 +63,7 @@ def _summary(means: Array) -> Comparison:
 
 
 def explained(before: Array, after: Array, noise: Array, settings: Settings = DEFAULT) -> float:
-    """Share of what exceeds the noise of the sensors that went away, from mean squares by equation.
+    """Share of the excess over noise of the sensors that went away, from mean squares by equation.
 
     Equations that the noise explains have no say; the others count by how far they are above it, in
     that one very bad equation does not hide the rest.
@@ -89,7 +89,7 @@ class FoundEffect:
 
     trial: the candidate after its fit.
     evidence: fall of the validation error, block by block.
-    explained: share of what exceeds the noise that it takes away.
+    explained: share of the excess over noise that it takes away.
     p_value: chance that the best of all candidates lowers the error as much when nothing is missing.
     significant: whether it is held to be there.
     inclusion: how often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.

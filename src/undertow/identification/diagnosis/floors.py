@@ -130,6 +130,4 @@ def in_words(left: float, found: Sequence[Predictability]) -> str:
         if shares
         else f"the model leaves {100 * left:.0f} %, and the logged signals predict no more of it than chance"
     )
-    return f"{head}; what is beyond that is " + (
-        f"disturbance: {listed(rest)}" if rest else "the noise of the sensors"
-    )
+    return f"{head}; the rest is " + (f"disturbance: {listed(rest)}" if rest else "the noise of the sensors")

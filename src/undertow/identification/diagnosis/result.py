@@ -127,8 +127,8 @@ class Ranked(ResultTable):
 
 IN_PART = "in part"
 IN_PART_MEANS = (
-    f"{IN_PART[0].upper()}{IN_PART[1:]}: more than chance where a disturbance is allowed for, while the "
-    "error, in which all equations count alike, does not fall."
+    f"{IN_PART[0].upper()}{IN_PART[1:]}: better than chance with a disturbance in the noise model, while "
+    "the error with all equations weighted equally does not fall."
 )
 
 

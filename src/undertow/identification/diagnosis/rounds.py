@@ -253,7 +253,7 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
 
 @dataclass(frozen=True)
 class OtherValues:
-    """The model with other values in place of some that the vehicle file holds fixed.
+    """The model with fitted values in place of some that the vehicle file holds fixed.
 
     alike: names of those values, each with fixed values that would do the same in its place.
     fit: the fit with them free.

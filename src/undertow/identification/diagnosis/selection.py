@@ -168,11 +168,11 @@ def dominated(
     for f in others:
         clearly = better(best, f) >= settings.best_share
         if clearly and not beside(best, f).enough(settings.worth):
-            found[f.id] = f"{best.id}, in doubt itself, predicts better, and beside it this adds nothing"
+            found[f.id] = f"{best.id}, itself not established, predicts better, and this adds nothing to it"
     return found
 
 
-_NOT_BEST = "others are better in nearly all resamples of the logs"
+_NOT_BEST = "other effects are better in nearly all resamples of the logs"
 
 
 # Share of the time of a round for trying candidates by the weak form; most goes into their simulation.
@@ -299,7 +299,7 @@ class _Selector:
         many = self._settings.many_alike
         doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
-            best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
+            best, doubt = worthy[0], f"it was found beside {doubtful}, which is not established either"
             return Graded(best, [], worth[best.id], doubt)
         doubts = {}
         for f in (*leading, *near) if worthy else ():
@@ -525,7 +525,7 @@ def without_inertia(names: Sequence[str], held: Worth, settings: Settings = DEFA
     """
     if held.enough(settings.worth):
         return ""
-    return f"beside it {', '.join(names)} would be zero, and water has inertia"
+    return f"with it, {', '.join(names)} would be zero, although water has inertia"
 
 
 def _beyond_chance(current: Round) -> list[FoundEffect]:

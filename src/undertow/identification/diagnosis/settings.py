@@ -270,7 +270,7 @@ class Settings:
     )
     sensor_share: float = _number(
         0.1,
-        "share of what exceeds the noise from which an effect of the sensors is no disturbance",
+        "share of the excess over noise from which an effect of the sensors is no disturbance",
         "a tenth, as of what an effect has to be worth",
         off=_NEVER,
     )

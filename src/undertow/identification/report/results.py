@@ -157,12 +157,12 @@ def _what_it_does(addition: Addition) -> str:
     before, after = addition.ahead
     errors = f"over all horizons together the error {_verb(before, after)}"
     if rises(before, after):
-        return f"{change}; {errors}, so that it is not worth adding."
+        return f"{change}; {errors}, so it is not worth adding."
     old, new = addition.before.error, addition.after.error
     force = "falls, which may be chance," if new < old else "does not fall"
     return (
-        f"{change}; {errors}, too little to be worth adding for that alone ({DEFAULT.worth:.0%}), and that "
-        f"of the force {force} ({old:.4g} to {new:.4g} times the noise)."
+        f"{change}; {errors}, less than an effect has to be worth ({DEFAULT.worth:.0%}), and the error of "
+        f"the force {force} ({old:.4g} to {new:.4g} times the noise)."
     )
 
 
