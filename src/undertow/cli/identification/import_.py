@@ -3,8 +3,8 @@
     undertow import dive.bin --list
     undertow import dive.bin --vehicle my-rov.toml --out dive.parquet
 
-Every command that takes a log reads such files directly. Imported once, a log is read faster, needs no extra
-library and can be handed on. The mapping file beside it (dive.toml) says which column became which channel;
+Every command that takes a log reads such files directly. An imported log is read faster, needs no extra
+library and can be passed on. The mapping file beside it (dive.toml) says which column became which channel;
 correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml.
 
 --list shows what the file holds: series, how often they report, from when to when, and the longest gap.
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from undertow.identification.logs.mapping import LogMapping
 
 _OUT = typer.Option(metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
-_LIST = typer.Option("--list", help="Show what the log holds, and write nothing.")
+_LIST = typer.Option("--list", help="Show what the log contains and write nothing.")
 _VEHICLE = typer.Option(
-    metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
+    metavar="VEHICLE", help="Vehicle file or name; its commands are assigned to the motors in order."
 )
 _MESSAGES = typer.Option(
     metavar="FOLDER",
-    help="Definitions that a log does not hold itself: messages of ROS (.msg), sensors of gliders (.cac).",
+    help="Folder with definitions that are not in the log: ROS messages (.msg), glider sensors (.cac).",
 )
 _ELEMENT = re.compile(r"\[(\d+)\](?=[^\[\]]*$)")  # the last index in the name of a column
 _HEAD = ("series", "samples", "per second", "from s", "to s", "longest gap s", "columns")
 
 
 def import_(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log, in any format but a table.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Vehicle log; any format except a table.")],
     out: Annotated[Path | None, _OUT] = None,
     list_: Annotated[bool, _LIST] = False,
     vehicle: Annotated[str | None, _VEHICLE] = None,
