@@ -156,7 +156,7 @@ def test_a_mapping_that_is_itself_the_mistake(usv: Case, read: Callable[..., Run
 
 def test_height_for_depth(auv: Case, read: Callable[..., Run]) -> None:
     (mistake,) = _doctored(auv, broken.scaled("z", by=-1), read).result.mistakes
-    assert "z counts upwards" in mistake.text
+    assert "z is positive upwards" in mistake.text
     assert mistake.mapping == '[columns]\nz = { channel = "z", scale = -1.0 }'
 
 

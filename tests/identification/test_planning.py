@@ -166,7 +166,7 @@ def test_errors_of_a_fit_to_the_same_log_do_not_count_twice(surge_plan: Planned)
     plan = plan_parameters(fit.vehicle.with_values(values), [log], replace(SHORT, noise={}, tries=8)).plan
     for known in plan.parameters:
         assert known.error_now == pytest.approx(fit.standard_errors[known.name], rel=0.05)
-    assert any("do not count again" in line for line in plan.remarks)
+    assert any("are not counted twice" in line for line in plan.remarks)
 
 
 def test_what_matters_more_gets_better_known() -> None:
@@ -352,7 +352,7 @@ def test_typical_sizes_are_physical(drag_plan: Planned) -> None:
         (["cubic_damping", "none", "none"], "named twice"),
         (["cubic_dampin", "none"], "did you mean 'cubic_damping'"),
         (["quadratic_damping", "none"], "adds no parameter"),
-        (["thrusters", "none"], "comes with the actuators"),
+        (["thrusters", "none"], "belongs to the actuators"),
     ],
 )
 def test_rivals_that_make_no_sense_are_refused(names: list[str], words: str) -> None:

@@ -193,9 +193,9 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
 @pytest.mark.parametrize(
     ("frequency", "error", "said"),
     [
-        (0.1, 0.01, "lies on its bound"),
+        (0.1, 0.01, "is at its bound"),
         (0.3, 0.2, "frequency"),
-        (30.0, 0.1, "lies on its bound"),
+        (30.0, 0.1, "is at its bound"),
         (2.0, 0.1, ""),
     ],
 )

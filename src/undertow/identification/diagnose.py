@@ -555,7 +555,7 @@ class DiagnosisResult:
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
-        head = ("model", "error on validation data (1: noise of the sensors)")
+        head = ("model", "error on validation data (1: sensor noise)")
         rows = ((" and ".join(s.changes) or "refitted", s.error) for s in self.diagnosis.steps)
         return html(repr(self), head, rows)
 
@@ -658,7 +658,7 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool
         examined = without_refuted(examined)
     mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
     ids = ", ".join(f.id for f in examined.mistakes)
-    first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if mistakes else []
+    first = [f"First correct the mistakes in the logs or the vehicle file: {ids}."] if mistakes else []
     return diagnosis.model_copy(
         update={
             "doctor": examined.findings,

@@ -93,8 +93,8 @@ def add(
             code = _code_of(files.place_of(taken), options, build) if codegen else None
     _show_written([picture, json, taken], code)
     if not addition.helps and not force:
-        written = "--force puts it in all the same" if target is None else "--force writes it all the same"
-        typer.echo(f"{effect} is not put into the vehicle file; {written}", err=True)
+        written = "--force adds it anyway" if target is None else "--force writes it anyway"
+        typer.echo(f"{effect} is not added to the vehicle file; {written}", err=True)
         return 1
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
@@ -121,7 +121,7 @@ def show(addition: Addition) -> None:
         spread = f"± {errors[name]:.1g} " if errors[name] < NOTHING_SAID else ""
         say(f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}".rstrip())
     if addition.dropped:
-        say(f"left out, zero within their error: {', '.join(addition.dropped)}")
+        say(f"left out (zero within their error): {', '.join(addition.dropped)}")
 
 
 def _draw(addition: Addition, out: Path) -> None:

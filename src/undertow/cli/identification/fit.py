@@ -175,7 +175,7 @@ def show_correlation(fit: Fitted) -> None:
     section("Correlation of the errors", table(("", *names), rows))
 
 
-_BOUND = "bound: the error that the noise of the sensors alone would leave (Cramér-Rao)"
+_BOUND = "bound: the error that sensor noise alone would leave (Cramér-Rao)"
 _METHODS = {
     "default": "the weak form, then output error",
     "weak": "the weak form",
@@ -232,8 +232,8 @@ def _process_noise(fit: Fitted) -> list[str]:
     quick = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.disturbance.items())
     slow = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.wander.items())
     return [
-        f"a disturbance changes velocities by {quick} in a second (SI); its slow part wanders by {slow} in "
-        "acceleration"
+        f"the disturbance changes velocities by {quick} in one second (SI); its slow part varies by {slow} "
+        "in acceleration"
     ]
 
 
@@ -242,11 +242,11 @@ def _combined(fit: Fitted, given: CommandLine) -> list[str]:
     from undertow.identification.estimation.fitted import base_parameters, verdicts
 
     sums = base_parameters(fit.gram, fit.model.free)
-    lines = [f"only these sums can be identified: {', '.join(map(str, sums))}"] if sums else []
+    lines = [f"only these combinations can be identified: {', '.join(map(str, sums))}"] if sums else []
     lacking = [name for name, verdict in verdicts(fit).items() if verdict != "identified"]
     if lacking:
         plan = given.looking(["plan"], "--only", ",".join(lacking), "--out", "plan.csv")
-        lines.append(f"a better run is designed by: {plan}")
+        lines.append(f"to plan a better run: {plan}")
     return lines
 
 

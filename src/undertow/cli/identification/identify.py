@@ -100,7 +100,7 @@ def _check_figures(folder: Path, logs: Sequence[Path], stream: bool) -> None:
     check_folder(folder)
     if stream or sum(map(size_of, logs)) > _LONG:
         raise UndertowError(
-            "--figures needs logs that are read whole: leave --stream away, or give a part (--from)"
+            "--figures needs logs that are read whole: leave out --stream, or give a part (--from)"
         )
 
 
@@ -147,7 +147,7 @@ def show(done: Identified) -> None:
         say(f"  {_verdict(estimations)}")
         for line in _doubts(experiment, estimations):
             say(f"  {line}", "yellow")
-    console().print(text("± is what (17) of the paper gives; it takes smoothed samples as independent"))
+    console().print(text("± is from (17) of the paper, which takes smoothed samples as independent"))
     for line in done.chosen.contradictions if done.chosen else ():
         say(line, "yellow")
 
@@ -197,7 +197,8 @@ def _verdict(estimations: Sequence[Estimation]) -> str:
     pick = selected(estimations)
     if pick is None:
         return (
-            "no case is physical (inertia above that of the body, damping that takes energy): none is taken"
+            "no case is physical (inertia above that of the body, damping that dissipates energy): "
+            "none is taken"
         )
     count = sum(e.valid for e in estimations)
     return f"taken: case {pick.case.name} ({pick.case}); {RULE} ({count} of {len(estimations)} are physical)"

@@ -56,7 +56,7 @@ def import_(
     from undertow.model.loading import load_vehicle
 
     if not (out or list_):
-        raise UndertowError("nothing to do: give --out NEW.parquet, or --list to see what the log holds")
+        raise UndertowError("nothing to do: give --out NEW.parquet, or --list to see what the log contains")
     target = None if out is None or list_ else new_file(out, force, [log, *filter(None, [map])])
     beside = None if target is None else new_file(target.with_suffix(".toml"), force, filter(None, [map]))
     given = read_mapping(map) if map else None
@@ -74,7 +74,7 @@ def import_(
     section(f"{log}: {found.format}", table(("column", "channel", "unit"), read))
     for line in _without_motion(found, meaning, log, target):
         say(line, "yellow")
-    say(f"what the columns mean stands in {beside}: correct it there where it is wrong")
+    say(f"the meaning of the columns is in {beside}: correct it there if it is wrong")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")
 
 
@@ -114,9 +114,9 @@ def _without_motion(log: FieldLog, meaning: LogMapping, path: Path, out: Path) -
     example = f"{others[0].name}.{[*others[0].columns][-1]}" if others else "SERIES.column"
     line = f'"{example}" = {{ channel = "r", unit = "deg/s" }}'
     return [
-        f"no column is known to be a motion, and {out} has none of the others: {holds}",
-        f"say what they are in a mapping file, in lines like `{line}`: undertow import {path} --map FILE "
-        f"--out {out} --force",
+        f"no column is recognised as a motion, so {out} was not written: {holds}",
+        f"say what the columns are in a mapping file, with lines like `{line}`: undertow import {path} "
+        f"--map FILE --out {out} --force",
     ]
 
 

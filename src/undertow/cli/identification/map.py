@@ -43,8 +43,8 @@ def new(
     written = format_of(log)
     if written is not None:
         raise UndertowError(
-            f"log {log} is one of {written.name} and no table: undertow import {log} --out NEW.parquet "
-            "writes it as a table, with a mapping file of what is understood"
+            f"log {log} is a {written.name} log, not a table: undertow import {log} --out NEW.parquet "
+            "converts it, with a mapping file"
         )
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading"):

@@ -83,8 +83,8 @@ def observe(
     check_writable(out, save, plot, inputs=[vehicle, *logs, *options.files])
     if out is not None and process == "model" and not trust_model:
         raise UndertowError(
-            f"--out {out}: velocities that the model made must not go into a diagnosis of it; take --process "
-            "kinematics, or give --trust-model if the log is for something else"
+            f"--out {out}: velocities from the model must not be used for its own diagnosis; use --process "
+            "kinematics, or --trust-model if the log is for another purpose"
         )
     model, runs = _read(vehicle, logs, options)
     estimated = (*(("V_N", "V_E") if current else ()), *(f"b_{n}" for n in words([bias] if bias else [])))
@@ -156,7 +156,7 @@ def show(found: Observed) -> None:
     """Print sensors, noise, estimated parameters and the tests."""
     innovations(f"Innovations ({found.process})", found)
     driven = [(n, f"{v:.3g}") for n, v in found.disturbance.items()]
-    section("Noise on rates, root of the spectral density", table(("state", "SI, s^0.5"), driven))
+    section("Process noise on the rates, root of the spectral density", table(("state", "SI, s^0.5"), driven))
     if found.parameters:
         values = [(n, f"{v:.4g}", f"{s:.2g}") for n, (v, s) in found.parameters.items()]
         section("Estimated", table(("parameter", "value", "sigma"), values))
@@ -177,7 +177,7 @@ def innovations(title: str, found: Observed | ObservedLogs) -> None:
 
 
 _KINEMATIC = (
-    "noise is not as stated, or the acceleration jumps (thrusters that step), where kinematics are too sure"
+    "noise is not as stated, or the acceleration jumps (thruster steps), where kinematics are overconfident"
 )
 
 
@@ -191,4 +191,4 @@ def verdict(found: Observed | ObservedLogs) -> str:
     coloured = [one.name for one in found.white if not one.white]
     faults += [f"innovations of {', '.join(coloured)} are not white"] if coloured else []
     what = "noise or model are not as stated" if found.process == "model" else _KINEMATIC
-    return f"{'; '.join(faults)}: {what}, so that standard deviations do not hold"
+    return f"{'; '.join(faults)}: {what}, so the standard deviations are not reliable"

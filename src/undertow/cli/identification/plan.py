@@ -173,7 +173,7 @@ def plan(
 
     write_files((out, commands), (picture, draw), (json, plan.to_json()))
     if out is None:
-        console().print(text("the commands were not written: --out OUT.csv does it"))
+        console().print(text("the commands were not written: --out OUT.csv writes them"))
 
 
 _ANGULAR = ("rate", "tilt")
@@ -187,13 +187,11 @@ def _check_goal(
     """Refuse options that contradict each other, or leave open which models are to be told apart."""
     given = [n for n, v in (("--between", between), ("--diagnosis", diagnosis)) if v]
     if len(given) == 2:
-        raise UndertowError("both --between and --diagnosis name the effects to tell apart: give one of them")
+        raise UndertowError("both --between and --diagnosis name the effects to tell apart: give only one")
     if goal == "parameters" and given:
         raise UndertowError(f"{given[0]} is for --goal separate: leave one of the two out")
     if goal == "separate" and not given:
-        raise UndertowError(
-            "--goal separate needs to know the effects: give --between ID,ID or --diagnosis FILE"
-        )
+        raise UndertowError("--goal separate needs the effects: give --between ID,ID or --diagnosis FILE")
     if given and only:
         raise UndertowError(f"--only is for --goal parameters: leave it or {given[0]} out")
 
@@ -358,7 +356,8 @@ def _distances(plan: Plan) -> object:
 
 def _undetermined(plan: Plan) -> list[str]:
     return [
-        f"{group[0]}: no manoeuvre of these actuators determines it, nothing measured depends on it"
+        f"{group[0]}: no manoeuvre of these actuators can determine it, because nothing measured "
+        "depends on it"
         if len(group) == 1
         else f"only a combination of {', '.join(group)} is determined, whatever the manoeuvre"
         for group in plan.undetermined

@@ -185,7 +185,7 @@ def undetermined(
             return f"its {which} {words[p.name]} is not known from these logs"
         ends = p.bounds if own_time else p.bounds[1:]
         if np.isclose(values[p.name], ends, rtol=1e-6).any():
-            return f"{p.name} = {values[p.name]:.3g} lies on its bound"
+            return f"{p.name} = {values[p.name]:.3g} is at its bound"
     sizes = [p.name for p in own if p.linear]
     if sizes and len(own) > len(sizes) and not known & {*sizes}:
         size = ", ".join(words[name] for name in sizes)
@@ -211,7 +211,10 @@ def no_step(finding: FoundEffect, bench: Bench) -> str:
             and p.name in fit.model.free
             and fit.values[p.name] > _most_moved(p.unit, bench.train)
         ):
-            return f"{p.name} = {fit.values[p.name]:.2g} {p.unit} is more than the rms of the motion: no step"
+            return (
+                f"{p.name} = {fit.values[p.name]:.2g} {p.unit} exceeds the rms of the motion, so it is "
+                "not a step"
+            )
     return ""
 
 

@@ -181,7 +181,7 @@ def search(
         if not _do_alone(vehicle, found.winners, opened, residual_is_noise):
             return replace(found, freed={**names, **found.freed})
         steps = _stepwise(vehicle, opened, known, report, residual_is_noise, _none_to_free)
-    report(0.9, "looking at all effects together")
+    report(0.9, "testing all effects together")
     return _refitted_together(vehicle, opened, steps.rounds, steps.effect_set)
 
 

@@ -344,13 +344,13 @@ class Settings:
     def __post_init__(self) -> None:
         if not _LEAST_RATE <= self.false_alarm_rate <= _MOST_RATE:
             raise UndertowError(
-                f"a chance of false alarms of {self.false_alarm_rate:g} is not possible: choose one between "
+                f"false alarm rate {self.false_alarm_rate:g} is out of range: choose one between "
                 f"{_LEAST_RATE:g} and {_MOST_RATE:g} (0.01 by default)"
             )
         if not 0.0 <= self.worth < 1.0:
             raise UndertowError(
-                f"an effect cannot have to lower the error by {self.worth:g} of it: choose --worth from 0 to "
-                "below 1 (0.1, a tenth, by default)"
+                f"worth = {self.worth:g} is out of range: choose --worth from 0 to below 1 (0.1, a tenth, "
+                "by default)"
             )
 
     @classmethod

@@ -111,7 +111,7 @@ class LongLogs(ResultTable):
                 f"kept for validation as a whole: {', '.join(validation)}; {self._span(own)} of it used"
             )
         elif own:
-            lines.append(f"{self._span(own)} apart from these for validation")
+            lines.append(f"{self._span(own)} in addition, for validation")
         return lines + ([self.rest.sentence()] if self.rest else [])
 
     def _of(self, role: Role) -> list[ChosenStretch]:
@@ -137,8 +137,8 @@ class LongLogs(ResultTable):
         return (
             f"{len(used)} of {self.stretches} stretches of {self.seconds:.3g} s, "
             f"{_time(sum(s.end - s.start for s in used))} of {_time(whole)}, hold {self.held:.0%} of the "
-            f"information on the parameters (least in {least}: {self.held_by_motion[least]:.0%}); taken "
-            f"because they add most to what is known of {tell}"
+            f"information on the parameters (least in {least}: {self.held_by_motion[least]:.0%}); chosen "
+            f"because they add most information on {tell}"
         )
 
 

@@ -25,7 +25,7 @@ from .sentences import as_stated, changes, rises, shown, step_changes, useless
 class FittedParameter(ResultTable):
     """A parameter after the fit, in the units and signs of the vehicle file.
 
-    `bound` is the error that the noise of the sensors alone would leave (Cramér-Rao), `t` the magnitude over
+    `bound` is the error that sensor noise alone would leave (Cramér-Rao), `t` the magnitude over
     the standard error, `identified` what the logs determine of it. What is not known is null.
     """
 
