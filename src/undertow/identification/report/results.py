@@ -40,19 +40,15 @@ class FittedParameter(ResultTable):
 
 
 class ChannelError(ResultTable):
-    """Error of a predicted velocity as a share of its motion; null where the prediction diverges."""
+    """Error of a predicted velocity as a share of its motion; null if the prediction diverges."""
 
     velocity: str
-    before: float | None
-    after: float | None
+    before: float | None  # with the model as given
+    after: float | None  # with the refitted model
 
 
 class FitResult(ResultTable):
-    """Outcome of `undertow fit`: errors of predicted velocities on the validation data, as shares.
-
-    `error_before`, `error_after` and `channels` are those `horizon` s ahead; `ahead_before` and `ahead_after`
-    those over the vehicle's own horizons, null where a prediction diverges.
-    """
+    """Outcome of `undertow fit`: errors of predicted velocities on the validation data, as shares."""
 
     schema_id: Literal["undertow/fit/1"] = "undertow/fit/1"
     undertow: str = __version__
@@ -60,12 +56,12 @@ class FitResult(ResultTable):
     command: str
     method: str
     runs: list[RunInfo]
-    horizon: float
-    error_before: float | None
-    error_after: float | None
-    ahead_before: dict[str, float | None]
-    ahead_after: dict[str, float | None]
-    channels: list[ChannelError]
+    horizon: float  # s
+    error_before: float | None  # `horizon` s ahead, with the model as given; null if it diverges
+    error_after: float | None  # the same with the refitted model
+    ahead_before: dict[str, float | None]  # by the vehicle's own horizons, as given
+    ahead_after: dict[str, float | None]  # the same, refitted
+    channels: list[ChannelError]  # by velocity, `horizon` s ahead
     parameters: list[FittedParameter]
     by_run: list[ValuesByRun] = Field(default_factory=list)
     condition: float | None
@@ -73,7 +69,7 @@ class FitResult(ResultTable):
     notes: list[str] = Field(default_factory=list)
     # Doubts about values, by parameter: not identifiable, at a bound, far from the prior.
     remarks: dict[str, list[str]] = Field(default_factory=dict)
-    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    # How long logs were thinned and which stretches were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
     @property
@@ -121,7 +117,7 @@ class AdditionResult(ResultTable):
     p_value: float
     parameters: list[Estimate]
     dropped: list[str]
-    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    # How long logs were thinned and which stretches were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
 
