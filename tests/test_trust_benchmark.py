@@ -347,7 +347,7 @@ def test_every_number_is_switched_off_on_the_same_cases() -> None:
 
 
 def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
-    names = {"default": ["lift"], "named_share": ["lift"], "within_reach": []}
+    names = {"default": ["lift"], "named_share": ["lift"], "output_error_reach": []}
     records = [
         {
             "id": f"{LIFT}:{n}",
@@ -358,9 +358,9 @@ def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
     ]
     rows = {line.split("|")[1].strip(): line for line in ablation_page(records).splitlines() if "|" in line}
     assert [c.strip() for c in rows["`named_share`"].split("|")[-3:-1]] == ["1", "0"]
-    assert [c.strip() for c in rows["`within_reach`"].split("|")[-3:-1]] == ["1", "1"]
-    assert [c.strip() for c in rows["`excited`"].split("|")[-3:-1]] == ["–", "not run"]
-    assert f"- `within_reach` off, `{LIFT}`: missing_effect lift becomes unexplained" in ablation_page(
+    assert [c.strip() for c in rows["`output_error_reach`"].split("|")[-3:-1]] == ["1", "1"]
+    assert [c.strip() for c in rows["`excitation_ratio`"].split("|")[-3:-1]] == ["–", "not run"]
+    assert f"- `output_error_reach` off, `{LIFT}`: missing_effect lift becomes unexplained" in ablation_page(
         records
     )
 

@@ -127,7 +127,7 @@ def test_spread_between_parts_is_recovered(spread: float) -> None:
     value = 1.0 + spread * rng.standard_normal(2000) + error * rng.standard_normal(2000)
     found = Agreement("runs", value, error)
     assert found.spread == pytest.approx(spread, abs=0.02)
-    assert bool(found.doubt()) is (spread > DEFAULT.size_change)
+    assert bool(found.doubt()) is (spread > DEFAULT.size_spread)
 
 
 def test_parts_that_are_hardly_known_do_not_speak_against_an_effect() -> None:

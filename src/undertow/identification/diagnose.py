@@ -403,7 +403,7 @@ def _builder(
 
 def _far_from_noise(found: Search, validator: SimulationValidator) -> bool:
     """Whether neither what was found nor what does as well in its place could be fitted down to the noise."""
-    limit = validator.settings.within_reach
+    limit = validator.settings.output_error_reach
     sets = [found.effect_set, *(s for rivals in found.rivals for s in rivals)]
 
     def far(fit: WeakFit) -> bool:

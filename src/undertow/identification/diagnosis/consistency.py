@@ -45,8 +45,8 @@ class Agreement:
     def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
         """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
         q, _ = heterogeneity(self.value, self.error**2)
-        by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.as_good_chance
-        if by_chance or self.spread < settings.size_change:
+        by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.comparison_level
+        if by_chance or self.spread < settings.size_spread:
             return ""
         low, high = self.value.min(), self.value.max()
         return (
@@ -177,7 +177,7 @@ def undetermined(
     """
     own = [p for p in effect.parameters if p.name in values]
     words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
-    known = {p.name for p in own if abs(values[p.name]) > settings.known_times * errors[p.name]}
+    known = {p.name for p in own if abs(values[p.name]) > settings.time_constant_t * errors[p.name]}
     for p in own:
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
         if own_time and not (p.name in known and values[p.name] > 0.0):
@@ -259,7 +259,7 @@ def never_turned(finding: FoundEffect, bench: Bench) -> str:
         return ""
     runs = [r for data in (bench.train, bench.test) for r in data.runs]
     turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))
-    if turned >= bench.settings.turning:
+    if turned >= bench.settings.least_turn:
         return ""
     return f"the heading turns by only {turned:.2g} rad: a force fixed to the vehicle may explain the same"
 

@@ -296,7 +296,7 @@ class _Selector:
         worthy = [f for f in leading if worth[f.id].enough(least)]
         # What has run into a bound is not what it is called: to predict, too, others come first.
         worthy.sort(key=lambda f: bool(left_open(f, self._settings)))
-        many = self._settings.many_alike
+        many = self._settings.most_equivalent
         doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
             best, doubt = worthy[0], f"it was found beside {doubtful}, which is not established either"
@@ -419,7 +419,7 @@ class _Selector:
         form fits poorly, the other way round: of both orders the first are taken in turns.
         """
         found = _beyond_chance(current)
-        most = self._settings.simulated
+        most = self._settings.simulated_candidates
         if len(found) <= most:
             return found
         work = mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit), len(found))

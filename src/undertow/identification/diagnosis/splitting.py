@@ -149,7 +149,7 @@ def check_excitation(vehicle: Vehicle, runs: Sequence[Run], settings: Settings =
     names = [n for n in vehicle.velocity_names if all(r.has(n) for r in runs)]
     noise = dict(zip(names, channel_noise(runs, names), strict=True))
     largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in names}
-    if names and all(largest[n] < settings.excited * noise[n] or largest[n] == 0.0 for n in names):
+    if names and all(largest[n] < settings.excitation_ratio * noise[n] or largest[n] == 0.0 for n in names):
         seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
         raise UndertowError(
             f"nothing moves in these logs: standard deviation of {seen}; "

@@ -94,7 +94,7 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remain
     if doubt := _doubt(share, left, settings):
         return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
-    if any(len(s.effects) > settings.many_alike for s in sets):
+    if any(len(s.effects) > settings.most_equivalent for s in sets):
         verdict = "not_identifiable"
     return Judgement(verdict, _named(winners, sets, share, left.residual_is_noise), winners, sets, share)
 
@@ -114,7 +114,7 @@ def judge_selection(
     if not named:
         return Judgement("helps_prediction", " ".join(doubts), [], [], share, helping)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
-    if any(len(s.effects) > settings.many_alike for s in sets):
+    if any(len(s.effects) > settings.most_equivalent for s in sets):
         verdict = "not_identifiable"
     text = " ".join([_named(named, sets, share, residual_is_noise=False), *doubts])
     return Judgement(verdict, text, named, sets, share, helping)
@@ -360,7 +360,7 @@ def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT
         value, prior = fit.values[name], stated.value_of(name)
         if prior.sigma is not None:
             spread = float(np.hypot(prior.sigma, fit.standard_errors[name]))
-            if abs(value - prior.value) > settings.moved * spread:
+            if abs(value - prior.value) > settings.far_from_prior * spread:
                 changes[name] = value - prior.value
     return changes
 
@@ -378,7 +378,7 @@ def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) ->
     bounds = within_limits(bounds_of(model), now, step_limits(model))
     step = bounded_step(start.at, now, bounds, (centre, stiffness))
     off = np.abs(stiffness * (now + step - centre))
-    home = all(off[model.free.index(n)] < bench.settings.at_home for n in moved)
+    home = all(off[model.free.index(n)] < bench.settings.near_prior for n in moved)
     left = np.sum((start.at.r + start.at.J @ step) ** 2)
     return bool(home and left < np.sum(bench.base.at.r**2) + bench.settings.more_than_chance)
 
@@ -453,7 +453,7 @@ def absorbing(
 ) -> list[str]:
     """Warnings for parameters that a fit pushed far from what was stated, or to where they cannot be."""
     least = min((h.error for h in helpers), default=0.0)
-    leading = [h for h in helpers if h.error <= settings.as_good_error * least]
+    leading = [h for h in helpers if h.error <= settings.warning_error_ratio * least]
     lines = [
         _line(
             vehicle,
@@ -474,12 +474,12 @@ def _pushed(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_Pushed]:
         if (
             stated.sigma is None
             and bound is None
-            and not _many_times(value, stated.value, settings.many_times)
+            and not _many_times(value, stated.value, settings.far_factor)
         ):
             continue
         spread = float(np.hypot(stated.sigma or 0.0, errors[name]))
         distance = abs(value - stated.value) / spread if spread > 0 else np.inf
-        if distance > settings.moved:
+        if distance > settings.far_from_prior:
             found.append(_Pushed(name, value, stated.value, distance, bound))
     return found
 
@@ -535,7 +535,7 @@ def _number(vehicle: Vehicle, name: str, value: float) -> str:
 
 def _comes_back(pushed: _Pushed, helper: Relief, settings: Settings) -> bool:
     after = helper.values.get(pushed.name)
-    if after is None or abs(after - pushed.prior) >= settings.comes_back * abs(pushed.change):
+    if after is None or abs(after - pushed.prior) >= settings.return_share * abs(pushed.change):
         return False
     # From ten times its prior to a tenth or to nothing is not the way back.
     return not pushed.prior or _times_off(after, pushed.prior) < _times_off(pushed.value, pushed.prior)

@@ -68,7 +68,7 @@ class DynamicsSettings:
     alike: float = 0.02  # share by which two thrusters must differ to be exchanged
     fitted: int = 4  # mistakes that are fitted to the end after a first look at all of them
     units_fitted: int = 2  # units among them: neighbours predict alike, and must not crowd out the others
-    worth_a_fit: float = 1.1  # predicted reduction from which a mistake is fitted
+    least_predicted_fall: float = 1.1  # predicted reduction from which a mistake is fitted
     as_good: float = 1.5  # explanations within this factor of the best one's are as good as it
     changes: float = 1e-9  # change of a sample that is none
     # Share of the motion by which pose rates and velocities may disagree in a log that is evidence at all.
@@ -393,7 +393,7 @@ def _worth_fitting(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, 
     return [
         (predicted, known[i])
         for predicted, i in sorted(looked, reverse=True)
-        if predicted > SETTINGS.worth_a_fit
+        if predicted > SETTINGS.least_predicted_fall
     ]
 
 
