@@ -1,4 +1,4 @@
-"""Estimate added mass and damping from forced motion by the paper's chain: filters, then least squares.
+"""Estimate added mass and damping from forced motion by the paper's method: filters, then least squares.
 
 Each log holds one motion (surge, heave, yaw ...) driven by a known force, as from a towing tank or a flow
 solver: a velocity, the force tau_X (Y, Z, K, M, N) or the thruster commands, and if possible the acceleration
