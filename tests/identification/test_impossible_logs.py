@@ -271,7 +271,7 @@ def test_the_doctor_tells_how_late_commands_are(seconds: float) -> None:
     (found,) = [f for f in findings if f.id == "late_commands"]
     assert found.evidence["delay"] == pytest.approx(-seconds, abs=0.15)
     assert ("actuation_delay" in found.text) is (seconds < 0)
-    assert ("before the commands" in found.text) is (seconds > 0)
+    assert ("precedes the commands" in found.text) is (seconds > 0)
 
 
 DOCTORED = [

@@ -386,7 +386,7 @@ def test_a_model_that_misses_the_logs_is_planned_with_as_stated(surge_plan: Plan
     noise = SIGMA * np.random.default_rng(0).standard_normal(len(manoeuvre.t))
     log = Run("pushed", manoeuvre.t, pushed | {"u": pushed["u"] + noise}, sha256="0")
     plan = plan_parameters(vehicle, [log], replace(SHORT, noise={}, tries=8)).plan
-    assert "planned with the values of its file" in plan.remarks[0]
+    assert "planned with the values in its file" in plan.remarks[0]
     assert [p.value for p in plan.parameters] == [1.0, 0.3, 4.0]
     fit = fit_weak(vehicle, prepare([log], vehicle))
     for known in plan.parameters:

@@ -436,7 +436,7 @@ def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Find
     return Finding(
         id="late_commands",
         severity="warning" if delay > 0 else "mistake",
-        text=f"{clause}; if it is the log, a `delay` of {-delay:+.2f} s in the mapping file mends it",
+        text=f"{clause}; if it is the log, a `delay` of {-delay:+.2f} s in the mapping file corrects it",
         evidence={"delay": delay, "error": error},
         mapping=as_toml(delay_edit(mapping, n, -delay) for n in at.fit.vehicle.command_names),
     )

@@ -517,7 +517,7 @@ def _still(kinematics: Kinematics, rates: Rates, block: list[int]) -> Finding | 
     return Finding(
         id="measures_nothing",
         severity="mistake" if said < moved else "warning",
-        text=f"{', '.join(dead)} {verb} nothing:  {', '.join(pose)} changes by {moved:.2g} {unit} rms, and "
+        text=f"{', '.join(dead)} {verb} nothing: {', '.join(pose)} changes by {moved:.2g} {unit} rms, and "
         f"{', '.join(velocities)} is {said:.2g} {unit}; put it into `ignore` of the mapping file{remedy}",
         evidence={"pose": moved, "velocity": said},
     )
