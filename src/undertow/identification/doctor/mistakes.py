@@ -606,7 +606,7 @@ def angles_across_jumps(runs: Sequence[Run]) -> Iterator[Finding]:
                 yield Finding(
                     id="angle_across_its_jump",
                     severity="warning",
-                    text=f"{run.name}: {name} takes a whole turn in two samples,  {count} times: it was "
-                    "averaged or interpolated across its jump; log it as it is measured",
+                    text=f"{run.name}: {name} makes a full turn within two samples, {count} times: it was "
+                    "averaged or interpolated across the jump at ±180 degrees; log it as measured",
                     evidence={"times": float(count)},
                 )
