@@ -54,7 +54,7 @@ VEHICLES = {
     "wrong effect": ("[effects.rigid_body]", "[effects.rigid_bdy]", ["'rigid_bdy'", "'rigid_body'"]),
     "wrong key of a thruster": ("limit = 2.0", "limits = 2.0", ["limits", "'limit'"]),
     "missing mass": (_M, "", ["rigid_body", "m"]),
-    "negative mass": (_M, "m = -23.8", ["m = -23.8", "cannot be"]),
+    "negative mass": (_M, "m = -23.8", ["m = -23.8", "is impossible"]),
     "infinite": (_M, "m = inf", ["m", "inf"]),
     "not a number": (_M, "m = nan", ["m", "nan"]),
     "true is no quantity": (_M, "m = true", ["m", "True", "quantity"]),

@@ -184,7 +184,7 @@ def _checked(factors: Sequence[str]) -> Column:
 
 def _periodic(spectrum: Spectrum, row: int, near: float) -> Iterator[Coefficient]:
     if not (isfinite(spectrum.period) and spectrum.period > 0):
-        raise UndertowError(f"a period of {spectrum.period} s cannot be: is this a diagnosis?")
+        raise UndertowError(f"a period of {spectrum.period} s is impossible: is this a diagnosis?")
     wave = Wave(f"omega_{FORCE[row]}", 2 * pi / spectrum.period, near)
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
     for part in ("cos", "sin"):

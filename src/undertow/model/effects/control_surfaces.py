@@ -27,7 +27,7 @@ class ControlSurfaces(Wrench):
         "Yasukawa and Yoshimura (2015), MMG standard method (rudder normal force, flow straightening, "
         "acceleration by the propeller); Fossen (2021), chapter 9"
     )
-    signature = "no force in answer to an angle, or no loss of speed in turns"
+    signature = "no force in response to an angle, or no loss of speed in turns"
     built_in = True
     shares = ("thrusters", "propellers")
 

@@ -30,7 +30,7 @@ class Propellers(Wrench):
     )
     thrust_deduction = PerThruster(
         "1",
-        "share of the thrust that the hull takes back by its drag",
+        "share of the thrust lost to added drag of the hull",
         (-1, 1),
         linear=False,
         default=0.0,
