@@ -89,7 +89,7 @@ def test_rows_out_of_order_are_reported_and_not_refused(
     (case / "train.csv").write_text("\n".join([head, *rows[:100], rows[50], rows[99], *rows[100:]]) + "\n")
     assert main([*LOG, "--mend", "mended.toml"]) == 1
     out = _lines(capsys)
-    assert out[0].startswith("mistake: train: 2 of 402 rows are not later than a row before")
+    assert out[0].startswith("mistake: train: 2 of 402 rows are not later than an earlier row")
     assert (case / "mended.toml").read_text() == 'schema = "undertow/mapping/1"\n[time]\ndisorder = "drop"\n'
     assert main(["compare", *LOG[1:], "--map", "mended.toml"]) == 0
     assert main(["compare", *LOG[1:]]) == 2

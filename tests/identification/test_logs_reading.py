@@ -123,7 +123,7 @@ def test_dates_and_epochs_count_from_the_first_sample(log, stamps, unit):
     text = "t,u\n" + "".join(f"{stamp},{k}\n" for k, stamp in enumerate(stamps))
     run = log(text, {"time": {"unit": unit}})
     np.testing.assert_allclose(run.t, [0, 0.25, 0.75], atol=1e-6)
-    assert any("time counts from" in note for note in run.notes)
+    assert any("time starts at" in note for note in run.notes)
 
 
 def test_dates_of_a_parquet_file_need_no_unit(tmp_path):
@@ -149,9 +149,9 @@ def test_enu_and_flu_become_ned_and_frd(log):
     first = {name: data[0] for name, data in run.channels.items()}
     expected = {"x": 20, "y": 10, "z": 3, "theta": -0.1, "psi": math.pi / 2 - 0.2, "u": 1, "v": -2, "r": -0.3}
     assert first == pytest.approx(expected)
-    assert any("turned to NED/FRD" in note for note in run.notes)
+    assert any("converted to NED/FRD" in note for note in run.notes)
     mixed = {"frames": {"position": "ENU"}}
-    refused(log, text, "does not say how angles count", 'attitude = "NED"', mapping=mixed)
+    refused(log, text, "does not define the angles", 'attitude = "NED"', mapping=mixed)
     mixed["frames"]["attitude"] = "NED"
     assert log(text, mixed).channels["psi"][0] == 0.2
 
@@ -174,7 +174,7 @@ def test_missing_commands_follow_the_policy(log):
     np.testing.assert_array_equal(left.channels["f1"], [1, np.nan, np.nan, 4])
     later = log(text.replace("0,0,1\n1,1,", "0,0,\n1,1,5"), None, ["f1"], missing_commands="hold")
     np.testing.assert_array_equal(later.t, [1, 2, 3])  # begins with the first command
-    assert "1 s at the beginning and 0 s at the end without a command left out" in later.notes
+    assert "1 s at the beginning and 0 s at the end left out for lack of a command" in later.notes
     apart = "t,u,f1,f2\n0,0,1,\n1,1,,3\n"
     refused(log, apart, "begin later (--from)", channels=["f1", "f2"], missing_commands="hold")
 
@@ -186,7 +186,7 @@ def test_cells_may_state_their_unit(log):
     np.testing.assert_array_equal(run.channels["volts"], [1.757, 1.5, np.nan])
     np.testing.assert_allclose(run.channels["f1"], [0.5, -0.25, 0.0])
     stated = {"columns": {"voltage": {"channel": "volts", "unit": "mV"}}}
-    refused(log, text, "'voltage' state V, its mapping file mV", 'unit = "V"', mapping=stated)
+    refused(log, text, "'voltage' state V, but the mapping file mV", 'unit = "V"', mapping=stated)
     mixed = {"columns": {"voltage": {"channel": "volts"}}}
     refused(log, text.replace("1.5 V", "1.5 A"), "has the text '1.757V' in row 1", mapping=mixed)
 
@@ -231,7 +231,7 @@ def test_a_command_may_be_made_of_two_clocks(log):
 
 def test_a_constant_channel_is_noted_and_refused_on_demand(log):
     run = log("t,u,v\n0,1,0.5\n1,2,0.5\n2,3,\n")
-    assert "constant channels (not used, or a dead sensor): v = 0.5" in run.notes
+    assert "constant channels (unused, or a dead sensor): v = 0.5" in run.notes
     refuse_constant(run, ["u"])
     with pytest.raises(UndertowError, match=r"v = 0\.5 over all 3 samples"):
         refuse_constant(run, ["u", "v"])
@@ -289,7 +289,7 @@ def test_units_that_do_not_fit_are_refused(log, column, parts):
 
 def test_time_that_is_no_time(log):
     refused(log, PLAIN, "time unit 'kg'", "[mass]", mapping={"time": {"unit": "kg"}})
-    refused(log, PLAIN, "'0' in row 1 is no ISO 8601 time stamp", mapping={"time": {"unit": "iso"}})
+    refused(log, PLAIN, "'0' in row 1 is not an ISO 8601 time stamp", mapping={"time": {"unit": "iso"}})
 
 
 def test_paths_that_are_no_file(tmp_path):
@@ -375,7 +375,7 @@ def test_velocities_along_the_earth_and_through_the_water(log):
     run = log(text, {"frames": {"velocity": "NED"}})
     np.testing.assert_allclose(run.channels["u"], 2, atol=1e-12)  # heading east, moving east
     np.testing.assert_allclose(run.channels["v"], 0, atol=1e-12)
-    assert "u, v, w turned to body axes from NED" in run.notes
+    assert "u, v, w converted to body axes from NED" in run.notes
     drifting = log(text, {"water": {"velocity": [0.0, 0.5, 0.0]}})
     np.testing.assert_allclose(drifting.channels["u"], 0.5, atol=1e-12)
     np.testing.assert_allclose(drifting.channels["v"], 2, atol=1e-12)
@@ -423,7 +423,7 @@ def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked(log)
             log,
             packed.getvalue(),
             "run.csv.gz",
-            "more than 5 MB, unpacked",
+            "more than 5 MB unpacked",
             name="run.csv.gz",
             limits=limits,
         )
@@ -435,7 +435,7 @@ def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked(log)
 @pytest.mark.parametrize(
     ("limits", "parts"),
     [
-        ({"cells": 3_000}, ["1001 rows of 3 columns or more, at most 1000 such rows are read as a whole"]),
+        ({"cells": 3_000}, ["1001 rows of 3 columns or more, at most 1000 such rows can be read as a whole"]),
         ({"columns": 2}, ["has 3 columns, at most 2"]),
         ({"rows": 500}, ["more than 500 rows", "--from and --to", "thin it out"]),
         ({"text": 1_000}, ["more than 0.001 MB"]),
@@ -607,7 +607,7 @@ def test_shares_of_full_thrust_that_are_taken_for_newtons_are_reported(tmp_path)
     ):
         table.with_columns(pl.col(n) * by for n in otter.command_names).write_csv(path)
         (run,) = read_logs([path], otter, LogMapping.model_validate(mapping))
-        assert len([note for note in run.reader_notes if "takes them for newtons" in note]) == reported, (
+        assert len([note for note in run.reader_notes if "takes them as newtons" in note]) == reported, (
             by,
             reported,
         )

@@ -139,7 +139,7 @@ def test_what_is_left_out_is_said(log: FieldLog) -> None:
     assert log.notes == (
         "ArduSub V4.1.0 (89639005)",
         f"left out: 0.0 to {ARMED} s (disarmed), {ARMED} to {DIVES} s (motors at rest, or estimator without "
-        f"aid), {DISARMED} to {END} s (disarmed)",
+        f"an aid), {DISARMED} to {END} s (disarmed)",
     )
 
 
@@ -188,19 +188,19 @@ def test_a_spell_without_aid_is_left_out(tmp_path: Path) -> None:
     log = read_field_log(write_bin(tmp_path / "spell.bin", {"XKF4": held}))
     (a, b), (c, e) = log.stretches
     assert (a, b, c, e) == pytest.approx((DIVES, 30.0, 50.0, DISARMED), abs=1e-6)
-    assert "left out where the estimator held its place for want of aid" in log.notes
+    assert "left out where the estimator held its position without an aid" in log.notes
 
 
 def test_without_parameters_it_is_said_that_the_motors_are_not_known(tmp_path: Path) -> None:
     path = write_bin(tmp_path / "cut.bin", {"PARM": lambda now, cells: []})
-    with pytest.raises(UndertowError, match=r"no motors that are known .*SERVOn_FUNCTION.* commands f1, f2"):
+    with pytest.raises(UndertowError, match=r"no recognised motors .*SERVOn_FUNCTION.* commands f1, f2"):
         read_logs([path], vehicle_for(tmp_path)[1])
 
 
 def test_a_log_that_never_moves_is_used_where_it_is_armed(tmp_path: Path) -> None:
     log = read_field_log(write_bin(tmp_path / "still.bin", {"RCOU": lambda t, cells: [1500] * 8 + [0] * 6}))
     assert log.stretches == (pytest.approx((ARMED, DISARMED)),)
-    assert "armed, but no motor leaves its rest: all of it that is armed is used" in log.notes
+    assert "armed, but no motor leaves its rest: all of the armed time is used" in log.notes
 
 
 def test_attitude_without_quaternions_is_that_of_xkf1(tmp_path: Path) -> None:
@@ -346,7 +346,7 @@ def test_curves_of_the_t200_have_the_published_ends() -> None:
 
 def test_outputs_that_are_taken_for_newtons_are_reported(log_path: Path) -> None:
     (run,) = read_logs([log_path], load_vehicle("bluerov2"))
-    assert any("the vehicle takes them for newtons" in note for note in run.reader_notes)
+    assert any("the vehicle takes them as newtons" in note for note in run.reader_notes)
 
 
 # --- damage ---------------------------------------------------------------------------------------

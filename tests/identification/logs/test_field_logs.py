@@ -63,7 +63,7 @@ def test_a_clock_that_goes_back_for_good_cuts_the_log() -> None:
     assert (first, after, end) == (0.0, 60.0, 89.5)
     assert 59.5 <= last < 60.0
     assert log.notes == (
-        "samples that are not later than those before are left out: 40 of nav",
+        "samples that are not later than earlier ones are left out: 40 of nav",
         "cut at 60.0 s, where the clock goes back",
     )
 
@@ -72,7 +72,7 @@ def test_a_time_twice_and_one_too_early_are_left_out_with_a_word() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     log = in_order(_nav(np.insert(t, [20, 50], [9.5, 3.0])))
     assert log.stretches == ()
-    assert log.notes == ("samples that are not later than those before are left out: 2 of nav",)
+    assert log.notes == ("samples that are not later than earlier ones are left out: 2 of nav",)
     sound = _nav(t)
     assert in_order(sound) is sound
 
@@ -99,7 +99,7 @@ def test_python_reads_a_vehicles_own_log_as_the_commands_do(tmp_path: Path) -> N
 def test_texts_and_lines_that_are_cut_off_are_left_out(tmp_path: Path) -> None:
     log = read_field_log(_alog(tmp_path, "0 NAV_X a 3\n0 MODE a on\n1 NAV_X a 4\n2 NAV_X"))
     assert list(log.series) == ["NAV_X"]
-    assert log.notes == ("1 lines are cut off and were left out",)
+    assert log.notes == ("1 truncated lines were left out",)
 
 
 def test_what_the_table_of_a_log_means_is_written_beside_it(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def test_commands_are_taken_by_their_names_where_these_are_those_of_the_vehicle(
 
 def test_a_file_without_time_is_refused_with_its_names(tmp_path: Path) -> None:
     path = _written(tmp_path, {"speed": np.ones(20), "depth": np.ones(20)})
-    with pytest.raises(UndertowError, match=r"no vector of time .*it has speed, depth.*call one of them"):
+    with pytest.raises(UndertowError, match=r"no time vector .*it has speed, depth.*call one of them"):
         read_log(path)
 
 

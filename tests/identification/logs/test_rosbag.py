@@ -202,7 +202,7 @@ def test_a_twist_that_no_sensor_fills_gives_way(tmp_path: Path) -> None:
     assert run.channels["r"] == pytest.approx(dive().rates[:, 2], abs=1e-9)
     assert "z" not in run.channels
     assert any("/pressure: a pressure of 0.2 is none of air and water" in note for note in log.notes)
-    assert any("no topic is known to hold commands" in note for note in log.notes)
+    assert any("no topic is recognised as thruster commands" in note for note in log.notes)
 
 
 def test_commands_one_by_one_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
@@ -293,7 +293,7 @@ def test_bags_of_ros2_itself_are_read(name: str, series: int) -> None:
         pytest.skip(f"the bag of rosbag2 is not at {_REAL / name}")
     log = read_field_log(_REAL / name)
     assert len(log.series) == (2 if "cdr" in name else 8)
-    with pytest.raises(UndertowError, match=r"none of its series is known to be a motion.*--list"):
+    with pytest.raises(UndertowError, match=r"none of its series is recognised as a motion.*--list"):
         read_log(log.path)
     if "cdr" in name:
         assert list(log.series["/test_topic"].columns["int32_value"]) == [123.0] * 3

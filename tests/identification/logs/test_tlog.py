@@ -88,7 +88,7 @@ def test_degrees_become_metres_where_there_are_no_others(tmp_path: Path) -> None
     moved = places - places[0]
     # Degrees are logged to 1e-7, a centimetre; altitudes to a millimetre.
     np.testing.assert_allclose(moved, dive().pose[:, :3] - dive().pose[0, :3], atol=0.021)
-    assert any("metres are counted from the first fix, 48.38614" in note for note in log.notes)
+    assert any("positions are metres from the first fix, 48.38614" in note for note in log.notes)
     assert log.mapping.columns["GLOBAL_POSITION_INT.vx"].scale == 0.01
     assert len(t) == len(dive().t)
 

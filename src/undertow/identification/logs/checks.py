@@ -40,9 +40,7 @@ def check_time(t: Array, column: str, where: str) -> None:
     thing = f"{where}: time column {column!r}"
     if len(t) < 2:
         found = "no sample" if len(t) == 0 else f"one sample (t = {t[0]:g} s)"
-        raise UndertowError(
-            f"{where} has {found}, at least 2 are needed: check that the log was written to its end"
-        )
+        raise UndertowError(f"{where} has {found}, at least 2 are needed: check that the log is complete")
     bad = np.flatnonzero(~np.isfinite(t))
     if len(bad):
         value = "missing" if np.isnan(t[bad[0]]) else "infinite"
@@ -84,7 +82,7 @@ def disorder(t: Array, later: NDArray[np.bool_]) -> list[str]:
     if not len(at):
         return []
     return [
-        f"{len(at)} rows left out, not later than a row before: first t = {t[at[0]]:.9g} s, row {at[0] + 1}"
+        f"{len(at)} rows left out, not later than an earlier row: first t = {t[at[0]]:.9g} s, row {at[0] + 1}"
     ]
 
 
@@ -108,8 +106,8 @@ def check_finite(name: str, t: Array, data: Array, where: str) -> None:
     if len(beyond):
         raise UndertowError(
             f"{where}: channel {name!r} is {data[beyond[0]]:g} at t = {t[beyond[0]]:g} s and beyond "
-            f"{MEASURABLE.largest:g} in {len(beyond)} of {len(data)} samples, which nothing measures: name "
-            "the value under `missing` in a mapping file, or mend unit, scale and power there"
+            f"{MEASURABLE.largest:g} in {len(beyond)} of {len(data)} samples, which is impossible: name the "
+            "value under `missing` in a mapping file, or correct unit, scale and power there"
         )
 
 
@@ -146,7 +144,7 @@ def fill_commands(
     held = last_known(data)
     if np.isnan(held[0]):
         raise UndertowError(
-            f"{where}: {text}, and none comes before t = {t[0]:g} s to be held: begin later (--from)"
+            f"{where}: {text}, and there is none before t = {t[0]:g} s to hold: begin later (--from)"
         )
     return held, f"{text}; the last value was held"
 
@@ -176,8 +174,8 @@ def refuse_twins(runs: Iterable[Run]) -> None:
         what = run.sha256, float(run.t[0])  # several stretches of a log are not the same data
         if run.sha256 and what in seen:
             raise UndertowError(
-                f"logs {seen[what]} and {run.source} have the same content: give each once, either to "
-                "work on or for validation"
+                f"logs {seen[what]} and {run.source} have the same content: give each only once, for "
+                "fitting or for validation"
             )
         seen[what] = run.source
 

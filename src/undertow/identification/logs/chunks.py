@@ -143,7 +143,7 @@ class LongLog:
         with _opened(self.path, self._where, packed=is_gzip(begin)) as file:
             text = file.read(_GLANCE)
         if b"\0" in text:
-            raise UndertowError(f"{self._where} is no text: give a CSV, CSV.gz or Parquet file")
+            raise UndertowError(f"{self._where} is not text: give a CSV, CSV.gz or Parquet file")
         lines = text.split(b"\n")
         whole = size_of(self.path)
         length = np.mean([len(line) + 1 for line in lines[:-1]] or [max(whole, 1)])
@@ -291,7 +291,7 @@ class LongLog:
         for line in lines:
             if is_header(line, self._comment):
                 return line
-        raise UndertowError(f"{self._where} is empty (no header): check that it was written to its end")
+        raise UndertowError(f"{self._where} is empty (no header): check that it is complete")
 
 
 def long_logs(
@@ -372,7 +372,7 @@ def _opened(path: Path, where: str, *, packed: bool) -> Iterator[IO[bytes]]:
         with gzip.open(path, "rb") if packed else path.open("rb") as file:
             yield file  # type: ignore[misc]
     except DAMAGED as error:
-        found = "is a damaged gzip file" if packed else "cannot be read to its end"
+        found = "is a damaged gzip file" if packed else "cannot be read completely"
         raise UndertowError(f"{where} {found} ({error}): copy it again") from error
 
 

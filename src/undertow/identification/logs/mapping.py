@@ -379,7 +379,7 @@ class Formula:
             tree = ast.parse(self.text.strip(), mode="eval")
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             reason = error.msg if isinstance(error, SyntaxError) else str(error)
-            raise UndertowError(f"formula {self.text!r} is no arithmetic ({reason}): {_HOW}") from error
+            raise UndertowError(f"formula {self.text!r} is not arithmetic ({reason}): {_HOW}") from error
         if sum(1 for _ in ast.walk(tree)) > _LIMITS.parts:
             raise UndertowError(f"formula {self.text!r} has more than {_LIMITS.parts} parts: shorten it")
         return tree.body
@@ -416,7 +416,7 @@ class Formula:
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._function(name, len(arguments))(*(self._walk(a, column) for a in arguments))
         part = ast.unparse(node)
-        raise UndertowError(f"formula {self.text!r} has {part!r}, which is no arithmetic: {_HOW}")
+        raise UndertowError(f"formula {self.text!r} has {part!r}, which is not arithmetic: {_HOW}")
 
     def _function(self, name: str, count: int) -> Callable[..., Any]:
         if name not in _FUNCTIONS:
@@ -429,6 +429,6 @@ class Formula:
 
 
 _HOW = (
-    f"write numbers, columns (column('its name') where that is no plain word), + - * / ** and "
+    f"write numbers, columns (column('its name') if it is not a plain word), + - * / ** and "
     f"{', '.join(_FUNCTIONS)}"
 )

@@ -85,10 +85,10 @@ def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[
     if lacking:
         motors = f"{len(log.actuators)} motors ({', '.join(n for n, _ in log.actuators)})"
         why = f" ({'; '.join(log.notes)})" if log.notes else ""
-        unknown = f"no motors that are known{why}"
+        unknown = f"no recognised motors{why}"
         raise UndertowError(
             f"log {log.path} has {motors if log.actuators else unknown}, but the vehicle has commands "
-            f"{', '.join(lacking)}: say in a mapping file which is which (undertow import {log.path} --out "
+            f"{', '.join(lacking)}: assign them in a mapping file (undertow import {log.path} --out "
             "NEW.parquet writes a first one)"
         )
 
@@ -109,7 +109,7 @@ def stretches_of(table: pl.DataFrame, column: str | None, where: str) -> list[pl
 def nothing_numbered(column: str, where: str) -> str:
     """What to say of a log none of whose rows is in a stretch."""
     return (
-        f"{where}: no row has a number in column {column!r}, so that nothing is left: remove `stretch` "
+        f"{where}: no row has a number in column {column!r}, so nothing is left: remove `stretch` "
         "from [time] in the mapping file to use all of it"
     )
 
@@ -143,7 +143,7 @@ def _delimiter_hint(columns: Sequence[str]) -> str:
     return (
         f" (one column: set delimiter = {other!r} in a mapping file)"
         if other
-        else "; say in a mapping file which is meant"
+        else "; name the right one in a mapping file"
     )
 
 
@@ -198,7 +198,7 @@ def computed(
     elif not shared:
         raise UndertowError(
             f"{where}: the columns of channel {name!r}, {listed([*cells])}, have no row in common: write "
-            "them into the rows of one of them"
+            "them into the same rows"
         )
     values = formula.of(cells)
     scale, offset = 1.0, 0.0

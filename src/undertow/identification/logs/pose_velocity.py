@@ -441,7 +441,7 @@ def _tracked(run: Run, name: str) -> Track:
     if count < SETTINGS.fewest:
         raise UndertowError(
             f"run {run.name!r}: channel {name!r} has {count} samples, at least {SETTINGS.fewest} are needed "
-            "to take a velocity from it: give a longer log"
+            "to derive a velocity from it: give a longer log"
         )
     try:
         return track(run.t, reports)

@@ -229,9 +229,11 @@ def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
     is_share = largest <= 1.0 if run.reader_notes else largest == 1.0 and not stated
     if not plain or not is_share:
         return run
-    if_newtons = "" if run.reader_notes else '; if they are newtons, write unit = "N" into the mapping file'
+    if_newtons = (
+        "" if run.reader_notes else '; if they are in newtons, write unit = "N" into the mapping file'
+    )
     remark = (
-        f"commands {', '.join(plain)} lie within -1 and 1, and the vehicle takes them for newtons: give its "
+        f"commands {', '.join(plain)} lie between -1 and 1, but the vehicle takes them as newtons: give its "
         "thrusters thrust_per_command = { value = (newtons at 1), estimate = true } or a curve "
         f'("t200-16v"){if_newtons}'
     )
@@ -333,14 +335,14 @@ def _time(
     spec, notes = mapping.time, []
     if spec.unit == "iso" or is_dates(table, spec.column):
         t, first, _ = seconds(table, spec.column, where, origin)
-        notes += [f"time counts from {first}"] if first else []
+        notes += [f"time starts at {first}"] if first else []
         notes += lacking_zeros(table, spec.column)
     else:
         scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
         since, start = elapsed(table, mapping, scale, where, origin)
         t = scale * since + offset
         notes += (
-            [f"time counts from the first sample, {_shown(start)} {spec.unit} in the file"] if start else []
+            [f"time starts at the first sample, {_shown(start)} {spec.unit} in the file"] if start else []
         )
     t = t + spec.offset
     if spec.disorder == "drop":
@@ -418,7 +420,7 @@ def _where_commanded(run: Run, names: Iterable[str], policy: str, before: Comman
     last = -1 if policy == "hold" or before is not None else known[-1]
     begin, end = float(run.t[known[0]]), float(run.t[last])
     lost = begin - float(run.t[0]), float(run.t[-1]) - end
-    note = f"{lost[0]:.3g} s at the beginning and {lost[1]:.3g} s at the end without a command left out"
+    note = f"{lost[0]:.3g} s at the beginning and {lost[1]:.3g} s at the end left out for lack of a command"
     return run.slice(begin, end).with_notes(*([note] if any(lost) else []))
 
 
@@ -473,7 +475,7 @@ def _attitude(mapping: LogMapping) -> str:
     spec = mapping.frames
     if spec.attitude is None and (spec.position == "ENU") != (spec.body == "FLU"):
         raise UndertowError(
-            f"frames: position {spec.position} with body {spec.body} does not say how angles count: add "
+            f"frames: position {spec.position} with body {spec.body} does not define the angles: add "
             "attitude = "
             '"NED" (heading from north, clockwise) or attitude = "ENU" (heading from east, anticlockwise)'
         )
@@ -510,15 +512,15 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
     notes = [f"converted: {', '.join(changed)}"] if changed else []
     late = {n: c.delay for n, c in mapping.channels.items()} | {c.channel: c.delay for c in sources.values()}
     shifted = [f"{n} by {seconds_of(delay, n):g} s" for n, delay in late.items() if seconds_of(delay, n)]
-    notes += [f"taken as late: {', '.join(shifted)}"] if shifted else []
+    notes += [f"delays removed: {', '.join(shifted)}"] if shifted else []
     spec = mapping.frames
     if "ENU" in (spec.position, _attitude(mapping)) or spec.body == "FLU":
         notes.append(
-            f"turned to NED/FRD from position {spec.position}, attitude {_attitude(mapping)}, body "
+            f"converted to NED/FRD from position {spec.position}, attitude {_attitude(mapping)}, body "
             f"{spec.body}"
         )
     if spec.velocity != "body":
-        notes.append(f"u, v, w turned to body axes from {spec.velocity}")
+        notes.append(f"u, v, w converted to body axes from {spec.velocity}")
     if mapping.water is not None:
         text = ", ".join(f"{speed:g}" for speed in mapping.water.velocity)
         notes.append(f"velocity of the water, {text} m/s north, east, down, added to u, v, w")
@@ -565,5 +567,5 @@ def _checked(
     constant = checks.constant_channels(run)
     if constant:
         text = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
-        notes.append(f"constant channels (not used, or a dead sensor): {text}")
+        notes.append(f"constant channels (unused, or a dead sensor): {text}")
     return replace(run, channels=filled).with_notes(*notes)

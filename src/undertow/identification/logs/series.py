@@ -229,7 +229,7 @@ def with_report_noise(run: Run, must: Collection[str] = (), *, part: bool = Fals
         elif name in must and not part:
             raise UndertowError(
                 f"run {run.name!r}: channel {name!r} has {len(t)} new reports, at least {SETTINGS.fewest} "
-                "are needed: give a longer log, or leave the column out (`ignore` in the mapping file)"
+                "are needed: give a longer log, or leave out the column (`ignore` in the mapping file)"
             )
         elif not part:
             few.append(name)

@@ -79,17 +79,17 @@ def too_many_cells(where: str, rows: int, columns: int, most: int) -> str:
     """What to say of a table that memory is not meant for."""
     return (
         f"{where} has {rows} rows of {columns} columns or more, at most {most // max(columns, 1)} such rows "
-        f"are read as a whole: {_SMALLER}"
+        f"can be read as a whole: {_SMALLER}"
     )
 
 
 def _unreadable(where: str, reason: str) -> str:
-    line = reason.split("\n")[0].strip() or "the reader breaks down"
+    line = reason.split("\n")[0].strip() or "the reader fails"
     return f"{where} cannot be read as a table: {line}: check that it is whole, or export it again"
 
 
 _HELPER = Helper(_DECODE)
-_BREAKS = "the reader breaks down, for the file is damaged or needs too much memory"
+_BREAKS = "the reader fails: the file is damaged or needs too much memory"
 
 
 _SMALLER = (
@@ -138,8 +138,8 @@ class LogLimits:
         """Refuse a text of so many bytes, rows and columns."""
         if columns > self.columns:
             raise UndertowError(
-                f"{where} has {columns} columns, at most {self.columns} are read: leave some out, or check "
-                "the delimiter"
+                f"{where} has {columns} columns, at most {self.columns} are allowed: leave some out, or "
+                "check the delimiter"
             )
         if self.rows is not None and rows > self.rows:
             raise UndertowError(
@@ -151,8 +151,8 @@ class LogLimits:
             raise UndertowError(too_many_cells(where, rows, columns, self.cells))
         if size > self.text:
             raise UndertowError(
-                f"{where} has more than {self.text / 1e6:g} MB, unpacked, which is too much to be read as a "
-                f"whole: {_SMALLER}"
+                f"{where} has more than {self.text / 1e6:g} MB unpacked, too much to read as a whole: "
+                f"{_SMALLER}"
             )
 
 
@@ -184,7 +184,7 @@ def refuse_no_file(path: Path) -> None:
         alike = nearest(path.name, there)
         raise UndertowError(f"log {path} does not exist or is not a file{alike}: give the path of a log")
     if not path.stat().st_size:
-        raise UndertowError(f"log {path} is empty (0 bytes): check that the log was written to its end")
+        raise UndertowError(f"log {path} is empty (0 bytes): check that the log is complete")
 
 
 def size_of(path: Path) -> int:
@@ -217,7 +217,7 @@ def read_table(
 ) -> pl.DataFrame:
     """Turn the bytes of a CSV, CSV.gz or Parquet file into a table with clean column names."""
     if not data:
-        raise UndertowError(f"{where} is empty (0 bytes): check that the log was written to its end")
+        raise UndertowError(f"{where} is empty (0 bytes): check that the log is complete")
     if path is not None and is_parquet(data):
         return _tidy(lambda: flat_table(path, where, limits.cells).collect(), where)
     return _tidy(lambda: _csv(data, mapping, where, limits), where)
@@ -267,7 +267,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
                 "UTF-8, if it is a table"
             ) from error
     if not header:
-        raise UndertowError(f"{where} is empty (no header): check that the log was written to its end")
+        raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     # Polars would give the second of two columns of one name another one.
     _refuse_doubled(next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter)), where)
     return pl.read_csv(
@@ -399,7 +399,7 @@ def in_unit_of_cells(
         return column.model_copy(update={"unit": unit}) if unit else column
     if not same_unit(unit, column.unit):
         raise UndertowError(
-            f"{where}: the cells of column {name!r} state {unit}, its mapping file {column.unit}: write unit "
+            f"{where}: cells of column {name!r} state {unit}, but the mapping file {column.unit}: write unit "
             f'= "{unit}" there'
         )
     return column
@@ -484,7 +484,7 @@ def seconds(
         stamps = _parsed(padded(stamps), where)
     if not stamps.dtype.is_temporal():
         raise UndertowError(
-            f"{where}: time column {name!r} holds {stamps.dtype}, no ISO 8601 time stamps: give its unit in "
+            f"{where}: time column {name!r} holds {stamps.dtype}, not ISO 8601 time stamps: give its unit in "
             'the mapping file, such as unit = "ns"'
         )
     first = stamps.drop_nulls().first()
@@ -541,8 +541,8 @@ def _parsed(stamps: pl.Series, where: str) -> pl.Series:
     odd = (parsed.is_null() & stamps.is_not_null()).arg_true()
     if len(odd):
         raise UndertowError(
-            f"{where}: time {stamps[odd[0]][:40]!r} in row {odd[0] + 1} is no ISO 8601 time stamp such as "
-            "2024-05-01T12:00:00.250Z: rewrite it, or give the unit of a numeric time column"
+            f"{where}: time {stamps[odd[0]][:40]!r} in row {odd[0] + 1} is not an ISO 8601 time stamp such "
+            "as 2024-05-01T12:00:00.250Z: rewrite it, or give the unit of a numeric time column"
         )
     return parsed
 

@@ -227,7 +227,7 @@ def open_records(path: Path) -> Records:
         name: _clock(m) for name, m in there.items() if m.kind.columns[:1] and m.kind.columns[0] in _CLOCKS
     }
     if not clocks:
-        raise UndertowError(f"log {path} has no message with a time: check that it was written to its end")
+        raise UndertowError(f"log {path} has no message with a time: check that it is complete")
     t = np.full(len(places), np.nan)
     for number, own in rows.items():
         t[own] = clocks.get(kinds[number].name, np.nan)

@@ -132,8 +132,8 @@ class FieldLog:
             asked.setdefault(series, []).append(column)
         if not asked:
             raise UndertowError(
-                f"log {self.path}: none of its series is known to be a motion; undertow import {self.path} "
-                "--list shows what it has: say what it means in a mapping file (--map)"
+                f"log {self.path}: none of its series is recognised as a motion; undertow import {self.path} "
+                "--list shows what it contains: say what it means in a mapping file (--map)"
             )
         kept, t, places = self._rows(asked, window)
         times = [self.series[name].t[rows] for name, rows in kept.items()]
@@ -159,12 +159,12 @@ class FieldLog:
         inside = {name: rows[_between(self.series[name].t[rows], low, high)] for name, rows in every.items()}
         t, places = union([self.series[name].t[rows] for name, rows in inside.items()])
         if not len(t):
-            raise UndertowError(f"log {self.path} has no sample in the time window: give another one")
+            raise UndertowError(f"log {self.path} has no sample in the time window: change it")
         if len(t) * width > SETTINGS.cells:
             raise UndertowError(
                 f"log {self.path} makes a table of {len(t)} rows of {width} columns, at most "
-                f"{SETTINGS.cells // width} such rows are held: take a part of it with --from and --to, or "
-                "leave columns out of a mapping file (--map; undertow import writes one)"
+                f"{SETTINGS.cells // width} such rows are allowed: use a part of it with --from and --to, "
+                "or leave columns out of a mapping file (--map; undertow import writes one)"
             )
         return inside, t, places
 
@@ -205,7 +205,7 @@ def in_order(log: FieldLog) -> FieldLog:
         return log
     ends = [log.series[name].t[rising(log.series[name].t)][[0, -1]] for name in sorted(clocks)]
     whole = (float(np.min(ends)), float(np.max(ends)))
-    notes = [f"samples that are not later than those before are left out: {', '.join(counts)}"]
+    notes = [f"samples that are not later than earlier ones are left out: {', '.join(counts)}"]
     notes += [f"cut at {min(seams):.1f} s, where the clock goes back"] if seams else []
     stretches = long_enough(cut_at(log.stretches or [whole], seams)) if seams else log.stretches
     return replace(log, stretches=tuple(stretches), notes=(*log.notes, *notes))
@@ -245,7 +245,7 @@ OFF = 0.0  # width of the pulse of an output that is switched off, microseconds
 def switched_off(pulses: Iterable[Array]) -> list[str]:
     """What is said of outputs that give no pulse at times."""
     most = max((float(np.mean(p == OFF)) for p in pulses), default=0.0)
-    return [f"outputs of motors give no pulse (0 µs) in up to {most:.1%} of their samples: no thrust"] * (
+    return [f"motor outputs give no pulse (0 µs) in up to {most:.1%} of their samples: no thrust"] * (
         most > 0
     )
 

@@ -64,13 +64,15 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         )
     t, columns, units = _sensors(path, messages)
     if len(t) < 2:
-        raise UndertowError(f"log {path} has {len(t)} records: check that it was copied to its end")
+        raise UndertowError(f"log {path} has {len(t)} records: check that the copy is complete")
     fixes = [columns.get(name) for name in ("m_gps_lat", "m_gps_lon")]
     notes = []
     if fixes[0] is not None and fixes[1] is not None:
         fixed = np.abs(fixes[0]) <= 90.0  # without a fix Slocum writes 69696969
         columns["north"], columns["east"] = north_east(np.where(fixed, fixes[0], np.nan), fixes[1])
-        notes.append("positions are the satellite fixes; m_x_lmc and m_y_lmc are dead reckoned and not used")
+        notes.append(
+            "positions are the satellite fixes; m_x_lmc and m_y_lmc are dead reckoning and are not used"
+        )
     name = path.suffix[1:].lower() or "glider"
     series = Series(name, t - t[0], columns, units)
     known = {f"{name}.{column}": one for column, one in KNOWN.items() if column in columns}

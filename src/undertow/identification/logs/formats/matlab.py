@@ -65,8 +65,8 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         what = f" {notes[0]}" if notes else ""
         names = ", ".join(content) or "nothing"
         raise UndertowError(
-            f"log {path} has no vector of time with others as long as it (it has {names}): call one of them "
-            f"time or t.{what}"
+            f"log {path} has no time vector with other vectors of the same length (it has {names}): call "
+            f"one of them time or t.{what}"
         )
     begin = min(float(one.t[0]) for one in found)
     if abs(begin) > SETTINGS.since:

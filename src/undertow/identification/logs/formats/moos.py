@@ -41,13 +41,13 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             else:
                 found[words[1]].append(sample)
     if not found:
-        raise UndertowError(f"log {path} has no number in any line: check that it was written to its end")
+        raise UndertowError(f"log {path} contains no numbers: check that it is complete")
     series = {name: _series(name, rows) for name, rows in found.items()}
     mapping = LogMapping(
         columns={f"{n}.{_LAST}": column for n, column in _KNOWN.items() if n in series},
         frames=Frames(position="ENU", body="FRD", attitude="NED"),
     )
-    notes = (f"{damaged} lines are cut off and were left out",) if damaged else ()
+    notes = (f"{damaged} truncated lines were left out",) if damaged else ()
     return FieldLog(path, FORMAT.name, series, mapping, notes=notes)
 
 

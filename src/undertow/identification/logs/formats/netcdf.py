@@ -76,7 +76,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         found = list(_along_time(file, ""))
     if not found:
         raise UndertowError(
-            f"log {path} has no variable that counts the time along a dimension: give one the units 'seconds "
+            f"log {path} has no time variable along a dimension: give one the units 'seconds "
             "since ...' or the standard_name 'time'"
         )
     begin = min(start for _, (start, _), _ in found)

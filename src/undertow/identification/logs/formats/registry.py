@@ -66,12 +66,12 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
     size = path.stat().st_size if path.is_file() else 0
     if size > found.largest:
         raise UndertowError(
-            f"log {path} has {size / 1e6:.0f} MB, at most {found.largest / 1e6:.0f} MB of {found.name} are "
-            f"read: {found.shorter}"
+            f"log {path} has {size / 1e6:.0f} MB, at most {found.largest / 1e6:.0f} MB of {found.name} can "
+            f"be read: {found.shorter}"
         )
     if found.hangs and not _TRIES.answer([str(path.absolute()), _seconds(size)], True, False):
         raise UndertowError(
-            f"log {path} cannot be read as {found.name}: its reader breaks down, or takes more than "
+            f"log {path} cannot be read as {found.name}: its reader fails, or takes more than "
             f"{_seconds(size):.0f} s: copy it again"
         )
     try:
@@ -118,11 +118,11 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
         refuse_no_file(path)
     if found is None and path.suffix in (".csv", ".gz", ".parquet"):
         raise UndertowError(
-            f"log {path} is a table, which every command reads as it is; undertow map new {path} begins the "
-            "mapping file that says what its columns mean"
+            f"log {path} is a table, which every command reads directly; undertow map new {path} writes a "
+            "first mapping file for its columns"
         )
     if found is None:
-        raise UndertowError(f"log {path} is of no format that is known: {readable()}")
+        raise UndertowError(f"log {path} has an unknown format: {readable()}")
     return found
 
 

@@ -150,8 +150,8 @@ def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Colum
     actuators = _actuators(topics, known)
     _take_wrench(known, topics, bool(actuators))
     if known.columns and not actuators and "tau_X" not in known.columns:
-        lacking = "no topic is known to hold commands of thrusters"
-        known.notes.append(f"{lacking}: a model needs what drives the vehicle")
+        lacking = "no topic is recognised as thruster commands"
+        known.notes.append(f"{lacking}: a model needs the inputs of the vehicle")
     columns = dict(known.columns.values())
     return LogMapping(columns=columns, frames=frames), actuators, known.notes
 
@@ -177,16 +177,16 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
     down, first = _is_down(sources[0][0]), sources[0][0]
     if not (first.frame or first.child or _said(first.series.name, "ned", "enu")):
         known.notes.append(
-            f"{first.series.name} ({first.type}) names no frame: taken for east-north-up, as REP 103 has it; "
-            'in a mapping file [frames] position = "NED", body = "FRD" says otherwise'
+            f"{first.series.name} ({first.type}) names no frame: east-north-up is assumed, as in REP 103; "
+            '[frames] position = "NED", body = "FRD" in a mapping file changes that'
         )
     pose = next((topic for topic, fields in sources if "pose" in fields), None)
     twist = next((topic for topic, fields in sources if "twist" in fields), None)
     axes = (twist.child or twist.frame) if twist else ""
     if pose and twist and axes and axes == pose.frame:
         known.notes.append(
-            f"{twist.series.name}: its velocities are in the frame of the pose, {axes!r}, so that they are "
-            "taken along the axes of the earth"
+            f"{twist.series.name}: its velocities are in the frame of the pose, {axes!r}, so they are taken "
+            "along earth axes"
         )
         return Frames(velocity="NED") if down else Frames(position="ENU", body="FLU", velocity="ENU")
     return Frames() if down else Frames(position="ENU", body="FLU")
@@ -213,7 +213,9 @@ def _take_motion(
             if channel in (*_LINEAR, *_RATES) and frames.velocity == "body":
                 known.take(topic, {channel: name}, scale=-1.0 if channel in FLIPPED_BODY else 1.0)
     if len(known.columns) == before and named:
-        known.notes.append(f"{topic.series.name} ({topic.type}) is not used: another topic tells the same")
+        known.notes.append(
+            f"{topic.series.name} ({topic.type}) is not used: another topic has the same information"
+        )
 
 
 def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator[tuple[str, str]]:
@@ -261,7 +263,7 @@ def _take_doppler(known: _Understood, topic: Topic, frames: Frames) -> None:
             )
         return
     if frames.velocity != "body" or "u" in known.columns:
-        known.notes.append(f"{name} ({topic.type}) is not used: another topic tells the same")
+        known.notes.append(f"{name} ({topic.type}) is not used: another topic has the same information")
         return
     for channel, axis in _LINEAR.items():
         known.take(
@@ -314,7 +316,7 @@ def _actuators(topics: Sequence[Topic], known: _Understood) -> tuple[tuple[str, 
     best, *others = sorted(sets, key=lambda one: (not _ASKED.search(one[0][0]), -len(one)))
     if others:
         left = ", ".join(one[0][0] for one in others)
-        known.notes.append(f"commands are taken from {best[0][0]} and what follows it, not from {left}")
+        known.notes.append(f"commands are taken from {best[0][0]} and the topics after it, not from {left}")
     return tuple((name, Column(channel=f"motor{k}")) for k, (name, _) in enumerate(best, 1))
 
 

@@ -217,7 +217,7 @@ def _collected(path: Path, messages: Any, connections: list[Any]) -> tuple[dict[
         kept += len(raw)
         if kept > SETTINGS.kept:
             raise UndertowError(
-                f"log {path} has more than {SETTINGS.kept / 1e6:g} MB of messages that can be measured: "
+                f"log {path} has more than {SETTINGS.kept / 1e6:g} MB of messages with measurements: "
                 "rosbags-convert --src LOG --dst LESS --include-topic TOPIC TOPIC leaves topics out"
             )
         one = records.setdefault(name, _Records(connection.msgtype, [], []))
@@ -234,7 +234,7 @@ def _definitions(folder: Path, typesys: Any) -> dict[str, Any]:
     """Types defined by the .msg files of a folder: package/msg/Name.msg, or package/Name.msg."""
     files = sorted(folder.rglob("*.msg"))
     if not files:
-        raise UndertowError(f"folder {folder} has no definition of messages: it needs files such as Name.msg")
+        raise UndertowError(f"folder {folder} has no message definitions: it needs files such as Name.msg")
     found: dict[str, Any] = {}
     for file in files:
         holder = file.parent.parent if file.parent.name == "msg" else file.parent
@@ -243,7 +243,7 @@ def _definitions(folder: Path, typesys: Any) -> dict[str, Any]:
             found |= typesys.get_types_from_msg(file.read_text(encoding="utf-8"), name)
         except Exception as error:  # whatever the parser makes of a text that is none
             words = str(error).split("\n")[0]
-            raise UndertowError(f"{file} is no definition of a message: {words}") from error
+            raise UndertowError(f"{file} is not a message definition: {words}") from error
     return found
 
 
@@ -258,7 +258,7 @@ def _times(one: _Records, types: _Types, begin: int) -> tuple[Array, str]:
     parts = np.frombuffer(b"".join(raw[4:12] for raw in one.raw), order).astype(np.int64).reshape(-1, 2)
     stamped = parts[:, 0] * 1_000_000_000 + parts[:, 1]
     if np.any(stamped == 0):
-        return recorded, "messages without a stamp: they count from when they were recorded"
+        return recorded, "messages without a time stamp: their recording times are used"
     t = (stamped - begin).astype(np.float64) * 1e-9
     apart = float(np.median(t - recorded))
     if abs(apart) > SETTINGS.apart:

@@ -63,7 +63,7 @@ def used_stretches(
     if not armed:
         notes.append("the vehicle is never armed: all of the log is used")
     elif not moving:
-        notes.append("armed, but no motor leaves its rest: all of it that is armed is used")
+        notes.append("armed, but no motor leaves its rest: all of the armed time is used")
     # No command is known before the first message on them.
     begin = float(outputs[0][0]) if outputs is not None and len(outputs[0]) else span[0]
     kept = long_enough((max(a, begin), b) for a, b in moving or armed or [span])
@@ -72,7 +72,7 @@ def used_stretches(
     pieces = long_enough(cut_at(kept, [*inside, *(edge for stretch in held for edge in stretch)]))
     aided = [p for p in pieces if not _within(sum(p) / 2, held)]
     if len(aided) < len(pieces) and aided:
-        notes.append("left out where the estimator held its place for want of aid")
+        notes.append("left out where the estimator held its position without an aid")
     pieces = aided or long_enough(cut_at(kept, inside))
     return tuple(pieces), [*notes, *_left_out(span, pieces, armed)]
 
@@ -103,7 +103,7 @@ def _left_out(span: Stretch, used: Sequence[Stretch], armed: Sequence[Stretch]) 
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         switched = [edge for stretch in armed for edge in stretch if first < edge < last]
         for a, b in pairwise([first, *switched, last]):
-            why = "motors at rest, or estimator without aid" if _within((a + b) / 2, armed) else "disarmed"
+            why = "motors at rest, or estimator without an aid" if _within((a + b) / 2, armed) else "disarmed"
             said += [f"{a:.1f} to {b:.1f} s ({why})"] if b - a >= SETTINGS.reported else []
     return [f"left out: {', '.join(said)}"] if said else []
 

@@ -189,7 +189,7 @@ def _autopilot(frames: Iterable[_Frame], mavlink: ModuleType) -> tuple[tuple[int
         if f.number == heartbeat and f.payload.ljust(9, b"\0")[kind] != mavlink.MAV_AUTOPILOT_INVALID
     )  # fmt: skip
     if not beats:
-        raise UndertowError("no message is a heartbeat of an autopilot: is it a log of a ground station?")
+        raise UndertowError("no heartbeat of an autopilot: is it the log of a ground station?")
     chosen = beats.most_common(1)[0][0]
     others = [f"{system}" for system, component in beats if (system, component) != chosen]
     notes = [f"system {chosen[0]} is read; also heard: {', '.join(others)}"] if others else []
@@ -253,7 +253,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     tally.broken += int(np.sum(~sound))  # no checksum covers the time of arrival
     frames = [frame for frame, kept in zip(frames, sound, strict=True) if kept]
     if not frames:
-        raise UndertowError(f"log {path} has no whole MAVLink message: check that it was written to its end")
+        raise UndertowError(f"log {path} has no whole MAVLink message: check that it is complete")
     source, notes = _autopilot(frames, mavlink)
     own = _by_kind((f for f in frames if f.source == source), mavlink)
     return _understood(path, own, [*tally.notes, *notes])
@@ -317,8 +317,8 @@ def _pace(series: Mapping[str, Series], driven: bool) -> list[str]:
     if len(t) < 2 or (pace := 1.0 / float(np.median(np.diff(t)))) >= _SLOW:
         return []
     return [
-        f"commands came {pace:.2g} times a second; what motors did in between is not known: the log on the "
-        "autopilot (.bin) has more, or ask for SERVO_OUTPUT_RAW more often"
+        f"only {pace:.2g} commands a second were logged: the log on the autopilot (.bin) has more, or "
+        "request SERVO_OUTPUT_RAW at a higher rate"
     ]
 
 
@@ -341,7 +341,7 @@ def _position(series: dict[str, Series]) -> tuple[dict[str, Column], Any, list[s
         names = {"x": "x", "y": "y", "z": "z", "vx": "u", "vy": "v", "vz": "w"}
         return named("LOCAL_POSITION_NED", names), "NED", []
     if world is None or not np.any(world.columns["lat"]):
-        return {}, "body", ["no message says where the vehicle is: angles and rates only"]
+        return {}, "body", ["no position messages: angles and rates only"]
     places, note = _projected(world)
     series["GLOBAL_POSITION_INT"] = replace(world, columns={**world.columns, **places})
     moved = named("GLOBAL_POSITION_INT", {"vx": "u", "vy": "v", "vz": "w"}, unit="m/s", scale=0.01)
@@ -359,7 +359,7 @@ def _projected(world: Series) -> tuple[dict[str, Array], str]:
     )
     north, east = north_east(lat, lon)
     first = int(np.argmax(fixed))
-    note = f"metres are counted from the first fix, {lat[first]:.6f}, {lon[first]:.6f} degrees"
+    note = f"positions are metres from the first fix, {lat[first]:.6f}, {lon[first]:.6f} degrees"
     return {"north": north, "east": east, "down": down}, note
 
 

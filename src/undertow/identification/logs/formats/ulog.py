@@ -52,7 +52,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     with redirect_stdout(said):
         log = _opened(path)
     if not log.data_list:
-        raise UndertowError(f"log {path} has no data: check that it was written to its end")
+        raise UndertowError(f"log {path} has no data: check that it is complete")
     found = {_name(data): data.data for data in log.data_list}
     begin = log.start_timestamp
     series = {name: _series(name, data, begin) for name, data in found.items()}
@@ -65,7 +65,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     notes = [f"damaged: {line}" for line in said.getvalue().splitlines()[:1]]
     lost = sum(dropout.duration for dropout in log.dropouts) / 1000
     notes += (
-        [f"the logger dropped out {len(log.dropouts)} times, for {lost:.3g} s in all"] if log.dropouts else []
+        [f"the logger dropped data {len(log.dropouts)} times, for {lost:.3g} s in all"]
+        if log.dropouts
+        else []
     )
     actuators = _actuators(series)
     pieces, cuts = _stretches(series, actuators)
@@ -144,8 +146,8 @@ def _about_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Colu
     if not names:
         return []
     note = (
-        f"commands are those of {_PULSES} as logged: for pulses that rest at 1500 µs, give each scale = "
-        "0.0025 and offset = -3.75 in the mapping file that undertow import writes"
+        f"commands are those of {_PULSES} as logged: for pulses that are neutral at 1500 µs, give each "
+        "scale = 0.0025 and offset = -3.75 in the mapping file that undertow import writes"
     )
     return [note, *switched_off(series[_PULSES].columns[name] for name in names)]
 
@@ -186,5 +188,5 @@ def _accepts(path: Path, head: bytes) -> bool:
 
 FORMAT = Format(
     "PX4 ULog", (".ulg",), _accepts, _read, 800_000_000,
-    "ulog2csv -m TOPIC,TOPIC LOG (it comes with pyulog) writes the topics that are needed as tables",
+    "ulog2csv -m TOPIC,TOPIC LOG (part of pyulog) writes the needed topics as tables",
 )  # fmt: skip
