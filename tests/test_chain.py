@@ -82,7 +82,7 @@ def test_the_page_tells_the_whole_chain() -> None:
         "tuned.toml, hovering                           unstable  stable",
         "undertow observe rov.toml",
         "mission 'four-legs': all conditions hold",
-        "loop that gets its estimate, linearised at rest: stable",
+        "loop with the observer, linearised at rest: stable",
         "--observer observer.toml --dt 0.1",
         "build/round-rov: written",
     ]

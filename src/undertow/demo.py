@@ -131,7 +131,13 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
         f"{effect} with {', '.join(f'{name} = {value:.4f}' for name, value in own.items())}"
         for effect, own in values.items()
     )
-    yield "text", f"To check: the log was simulated, apart from undertow's own models, with {hidden} (m/s)."
+    yield (
+        "text",
+        (
+            f"For comparison: the log was simulated, independently of undertow's own models, with {hidden} "
+            "(m/s)."
+        ),
+    )
 
 
 def _verdict(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
@@ -146,7 +152,7 @@ def _verdict(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
             error = "" if p.standard_error is None else f" ± {p.standard_error:.1g}"
             yield "text", f"{p.effect}: {p.name} = {p.value:.4f}{error} {p.unit}"
     for warning in d.warnings:
-        yield "text", f"Without it, the fit had bent the model: {warning}."
+        yield "text", f"Without it, the fit had distorted the model: {warning}."
     yield output.text("auv/diagnosis.json", d.to_json(), "the diagnosis, for programs")
 
 
@@ -161,7 +167,7 @@ def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     yield output.picture(
         "auv/error-map.png",
         error_map(data.maps[0], names),
-        "where force is missing, by motion and regime",
+        "residual force by motion and regime",
     )
     yield output.picture(
         "auv/measured-vs-simulated.png",
@@ -171,7 +177,7 @@ def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     yield output.picture(
         "auv/residual-force.png",
         residual_against(sway, names),
-        "force that the model lacks in sway, against the variables",
+        "residual force in sway, against the variables",
     )
 
 
@@ -248,7 +254,7 @@ def _hull(output: _Output, bar: Bar) -> Iterator[Piece]:
     yield "title", "2. A box hull in a flow solver"
     yield (
         "text",
-        "A Navier-Stokes solver pushed a box hull through water: no formula made these data. The "
+        "A Navier-Stokes solver pushed a box hull through water: these data come from no formula. The "
         "model is inertia with linear and quadratic drag. It is identified on one profile of the push and "
         "judged on the other, then the other way round.",
     )
@@ -320,7 +326,7 @@ def _effects(
     rows = [(name, *(f"{e:.1%}" for e in row)) for name, row in zip(names, errors, strict=True)]
     yield "table", (("with", *(way.name for way in ways)), rows)
     if others:
-        yield "text", f"{others} more change it by less than {SETTINGS.noticeable:.0%}."
+        yield "text", f"{others} others change it by less than {SETTINGS.noticeable:.0%}."
     regimes = tuple(way.name for way in ways)
     chart = ErrorMap(names, regimes, 100 * np.array(errors), quantity="velocity error [%]", floor=None)
     picture = error_map(chart, ("fitted to one profile → judged on the other", ""))
@@ -360,7 +366,7 @@ def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
             "text",
             f"Diagnosis of the fit to {way.profile}, judged on {way.other}: {d.verdict}. {d.headline}",
         )
-    yield "text", "What is left is not noise, for these logs have next to none."
+    yield "text", "The residual is not noise, because these logs have hardly any."
     for way in ways:
         models = (way.plain, way.additions[best].fit.vehicle)
         pair = (compare(v, way.setup.test, compiled=False) for v in models)
@@ -389,10 +395,10 @@ def _tank(output: _Output) -> Iterator[Piece]:
     found = coefficients(DATA / "tank", tank)
     yield (
         "text",
-        f"Before there is a vehicle there is a mesh of its hull: an AUV of {tank.mass:g} kg, {tank.size:g} m "
+        f"There is no vehicle yet, only a mesh of its hull: an AUV of {tank.mass:g} kg, {tank.size:g} m "
         "long. OpenFOAM pushed it (added mass) and towed it forward (damping); the logs give:",
     )
     rows = [(f"-{c.name}", c.way, f"{c.value:.4g}", f"{c.sigma:.2g}", c.unit) for c in found]
     yield "table", (("coefficient", "direction", "value", "sigma", "unit"), rows)
-    what = "a vehicle file made of them; undertow tank new, run and vehicle new do this for your hull"
+    what = "a vehicle file made from them; undertow tank new, run and vehicle new do this for your hull"
     yield output.text("tank/vehicle.toml", tank_vehicle(tank, found, "auv"), what)

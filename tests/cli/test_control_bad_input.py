@@ -148,7 +148,7 @@ def test_values_beyond_all_bounds_are_refused(
 def test_weights_that_are_too_far_apart_are_refused(here: Path, capsys: Capture) -> None:
     weights = ["--error", "x=1e-9,z=1e9,psi=1", "--force", "surge=1e-9,heave=1e9,yaw=1e9"]
     said = refusal(["design", "mini-auv", "--law", "pid", *weights], capsys, here)
-    assert "numerically singular; give errors and forces that are nearer" in said
+    assert "numerically singular; give errors and forces of more similar size" in said
 
 
 def test_failing_linear_algebra_ends_in_one_line(

@@ -83,7 +83,7 @@ def test_a_vehicle_without_thrusters_is_refused(here: Path, capsys: Capture) -> 
     text = bundled_vehicles()["mini-auv"].read_text()
     (here / "bare.toml").write_text(text[: text.index("[[thrusters]]")])
     line = refusal(["simulate", "bare.toml", "mine.toml", "--to", "1,1,1"], capsys, here)
-    assert "asks for a force in surge, heave, yaw" in line
+    assert "needs a force in surge, heave, yaw" in line
     line = refusal(["export", "c", "bare.toml", "--controller", "mine.toml"], capsys, here)
     assert "no thruster" in line
 

@@ -179,7 +179,7 @@ def test_a_type_has_the_motions_that_are_asked_for(capsys: Capture, tmp_path: Pa
         ({"--height": "0.2"}, "is a block coefficient of 1.84 (possible: 0.1 to 0.98)"),
         ({"--mass": "0"}, "mass = 0 must be a positive number"),
         ({"--length": None}, "--type ship lacks dimensions"),
-        ({"--type": None}, "give the shape once"),
+        ({"--type": None}, "give the shape only once"),
         ({"--type": "boat"}, "boat"),
     ],
 )

@@ -72,7 +72,7 @@ def test_the_integral_is_slowed_until_the_conditions_hold(auv: Vehicle) -> None:
     [
         ({**ERROR, "x": 0.0}, FORCE, "pd", "error of x is 0"),
         ({"x": 1.0}, FORCE, "pd", "error of z is missing"),
-        ({**ERROR, "y": 1.0}, FORCE, "pd", "error of y is of no use"),
+        ({**ERROR, "y": 1.0}, FORCE, "pd", "error of y has no effect"),
         (ERROR, {**FORCE, "surge": float("inf")}, "pd", "force of surge is inf"),
         (ERROR, FORCE, "sliding-mode", "has no quadratic design"),
     ],
@@ -113,7 +113,7 @@ def test_lqg_separates() -> None:
 def test_lqg_refuses_what_it_cannot_hold(auv: Vehicle) -> None:
     plant = linearize(auv, find_trim(auv))
     force = dict.fromkeys(plant.input_labels, 5.0)
-    with pytest.raises(UndertowError, match="y, v cannot be moved by commands or seen"):
+    with pytest.raises(UndertowError, match="y, v are not controllable or not observable"):
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, dict.fromkeys(auv.pose_names, 0.1))
     with pytest.raises(UndertowError, match="'a' is not an output"):
         lqg(auv, find_trim(auv), {"x": 1.0}, force, {"u": 0.1}, {"a": 0.1})

@@ -135,7 +135,7 @@ def test_continuous_laws_are_not_sampled(lanes: int) -> None:
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
-        ({}, "runs do not differ"),
+        ({}, "the runs are all the same"),
         ({"parameters": {"mm": np.ones(3)}}, "parameter 'mm' is not known"),
         ({"gains": {"K_P_q": np.ones(3)}}, "gain 'K_P_q' is not known"),
         ({"starts": {"phi": np.ones(3)}}, "'phi' is not known"),

@@ -560,7 +560,7 @@ BAD = {
     "no times": (lambda: mission("trajectory", P).profile(NAMES), "way-point 1 of the trajectory has no"),
     "times back": (
         lambda: mission("trajectory", [{"t": 0}, {"x": 1.0, "t": 0}]).profile(NAMES),
-        "way-point 2 has t = 0 s, not after the one before it",
+        "way-point 2 has t = 0 s, not later than the one before",
     ),
     "a time that is not kept": (lambda: mission("spline", [{"t": 0}, {"x": 1.0}]), "way-point 1 has a time"),
     "twice the same": (lambda: mission("spline", [*P, {"x": 5.0}]), "way-points 2 and 3 are 0 m apart"),

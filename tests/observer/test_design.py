@@ -241,7 +241,7 @@ def test_late_reports_and_laws_without_samples_are_refused(tmp_path: Path) -> No
         design(table(sensors={"u": {"noise": 0.01}}), late)
     vehicle = load_vehicle("mini-auv")
     loop = ClosedLoop(load_gains("paper-pd", vehicle), observer=design(table(), vehicle), compiled=False)
-    with pytest.raises(UndertowError, match="works on samples"):
+    with pytest.raises(UndertowError, match="needs a sampled law"):
         loop.run(Scenario((1, 1, 1, 0), 1.0, 0.1, continuous=True))
     (tmp_path / "bad.toml").write_text('schema = "undertow/observer/1"\nname = "x"\nsensor = 1\n')
     with pytest.raises(UndertowError, match="key 'sensor' is not known"):

@@ -434,7 +434,7 @@ class Model:
 
 
 def compile(vehicle: Vehicle) -> Model:
-    """Compile the equations of a vehicle, where there is a C compiler.
+    """Compile the equations of a vehicle, with a C compiler if there is one.
 
     Parameters
     ----------

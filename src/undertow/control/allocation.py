@@ -63,13 +63,13 @@ def allocation_of(gains: GainSet) -> Allocation:
     rows = tuple(i for i, d in enumerate(dofs) if d not in gains.unactuated)
     if not rows:
         raise UndertowError(
-            f"a controller has nothing to command: no thruster of '{vehicle.name}' pushes in "
+            f"a controller has no actuators: no thruster of '{vehicle.name}' pushes in "
             f"{', '.join(dofs)}; add [[thrusters]] to the vehicle file"
         )
     if np.linalg.matrix_rank(matrix[list(rows)]) < len(rows):
         raise UndertowError(
             f"thrusters of '{vehicle.name}' cannot push in {', '.join(dofs[i] for i in rows)} independently: "
-            "name in unactuated, in the gain file, what is to be left out"
+            "list under unactuated in the gain file what is not to be controlled"
         )
     own, units = vehicle.command_limits, vehicle.command_units
     stated = {name: _limit(name, limit, units[name]) for name, limit in gains.allocation.limits.items()}

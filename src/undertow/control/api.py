@@ -59,7 +59,7 @@ def check_gains(
     gains : path or GainSet
         A gain file, or the name of a bundled one (paper-pd, paper-pid, paper-smc).
     confidence : float
-        Probability of the interval of each parameter.
+        Confidence level of the parameter intervals.
     covariance : (names, matrix)
         Covariance of parameters, as `undertow.model.saving.last_covariance` reads it from a vehicle file.
     forms : sequence of str
@@ -69,11 +69,11 @@ def check_gains(
     tilt : float
         Largest roll and pitch that the check covers, degrees.
     start : mapping, optional
-        Largest errors by coordinate, m and rad, at rest, that the certified region has to hold.
+        Largest errors by coordinate, m and rad, at rest, that the certified region has to contain.
     observer : str or Path, optional
-        Observer file: the loop in which the law gets its estimate is linearised, too.
+        Observer file; the loop with this observer is linearised, too.
     progress : callable
-        Told what share is done, and what is being done.
+        Called with the fraction done and a description of the present work.
 
     Returns
     -------

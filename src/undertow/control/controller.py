@@ -174,11 +174,11 @@ class Controller:
             )
         if self._by_turns and self.reference is not None:
             raise UndertowError(
-                "[schedule] order = 'yaw-first' waits for the heading of a set-point, and a mission moves: "
+                "[schedule] order = 'yaw-first' waits for the heading of a set-point, but a mission moves: "
                 'write order = "together" (--order together)'
             )
         if not 0 < self.gate <= pi:
-            fault = "beyond 180 deg, which no error of the heading is" if self.gate > pi else "not above zero"
+            fault = "beyond 180 deg, the largest heading error" if self.gate > pi else "not above zero"
             raise UndertowError(
                 f"[schedule] gate = {self.gains.schedule.gate} is {fault}: give an angle of up to 180 deg "
                 "(a number without a unit is in rad)"

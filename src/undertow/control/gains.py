@@ -169,7 +169,8 @@ def _declared(table: GainTable, law: type[Law]) -> Iterable[GainMatrix]:
     for name in table.gains:
         if name not in known:
             raise UndertowError(
-                f"gain '{name}' is none of law '{law.id}'{nearest(name, known)}: it has {', '.join(known)}"
+                f"gain '{name}' does not belong to law '{law.id}'{nearest(name, known)}: it has "
+                f"{', '.join(known)}"
             )
     for gain in law.gains:
         if gain.name not in table.gains:
@@ -220,8 +221,8 @@ def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
     value = si_of(f"gain {gain.name} for {coordinate}", stated, gain.unit(coordinate))
     if value <= 0:
         raise UndertowError(
-            f"gain {gain.name} for {coordinate} is {stated}, not above zero: gains are positive, the law "
-            "itself has the signs"
+            f"gain {gain.name} for {coordinate} is {stated}, but gains have to be positive: the law itself "
+            "has the signs"
         )
     low, high = LIMITS.gains
     if not low <= value <= high:
@@ -242,9 +243,9 @@ def _check_axes(table: GainTable, plant: Plant, steered: bool) -> None:
         idle = steered and not plant.speed
         remedy = "state [allocation] speed, at which surfaces steer" if idle else "add a thruster"
         raise UndertowError(
-            f"law '{table.law}' asks for a force in {', '.join(missing)}, which no thruster of "
-            f"'{vehicle.name}' gives: {remedy}, or write unactuated = {json.dumps(silent)} if that "
-            "force is to be left out"
+            f"law '{table.law}' needs a force in {', '.join(missing)}, which no thruster of "
+            f"'{vehicle.name}' gives: {remedy}, or write unactuated = {json.dumps(silent)} to do without "
+            "that force"
         )
     odd = [d for d in table.unactuated if d not in silent and not _dependent(d, table, plant)]
     if odd:

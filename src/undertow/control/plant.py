@@ -235,9 +235,9 @@ def _as_commanded(vehicle: Vehicle, speed: float, left_out: dict[str, str]) -> V
     idle = () if speed else vehicle.surfaces
     if not idle and not vehicle.inputs:
         return vehicle
-    reason = "it stays at zero: laws command surfaces at a speed ahead ([allocation] speed)"
+    reason = "it stays at zero: laws command surfaces only at a forward speed ([allocation] speed)"
     left_out |= {s.name: reason for s in idle}
-    left_out |= {name: "an input that logs hold: laws take it as zero" for name in vehicle.inputs}
+    left_out |= {name: "an input from the log: laws take it as zero" for name in vehicle.inputs}
     kept = tuple(e for e in vehicle.effects if not idle or ControlSurfaces.id not in e.requires)
     alone = replace(vehicle, effects=kept, surfaces=() if idle else vehicle.surfaces, inputs={})
     return alone.with_values({n: Value(0.0) for n in vehicle.inputs if n in alone.declared_parameters})

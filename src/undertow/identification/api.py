@@ -335,7 +335,7 @@ def read_log(
     path : path
         The log.
     mapping : path or Mapping, optional
-        What the columns mean; without it they must have the channel names and SI units of undertow.
+        Meaning of the columns; without it they must have the channel names and SI units of undertow.
     window : (t_min, t_max)
         Part of the log that is used, s.
     commands : sequence of str
@@ -389,23 +389,22 @@ def fit(
     vehicle : Vehicle
         The model.
     runs, validation : Run or sequence of Run
-        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
+        Logs to fit to and to validate on; without `validation`, parts of `runs` are set aside for it.
     method : str
         "default" (the weak form, then output error), "weak", "integral", "instrumental", "output_error" or
         "prediction_error".
     horizon : float
-        Length of the simulated windows, s; the default method fits over others, from the vehicle's own time
-        constants.
+        Length of the simulated windows, s; the default method derives it from the vehicle's time constants.
     loss : str
-        "gaussian", or "huber" or "student-t" where there are outliers.
+        "gaussian"; "huber" or "student-t" resist outliers.
     equal : sequence of str
         Parameters that are fitted as one, or as a multiple: "M_q = 0.9 N_r".
     dissipative : bool
-        Let linear damping take energy from every motion.
+        Constrain linear damping to dissipate energy in every motion.
     report : callable
-        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
+        Called with the fraction done, 0 to 1, and a description of the present work.
     trust_log : bool
-        Use logs even where their channels contradict each other or the vehicle (wrong units).
+        Use logs even if their channels contradict each other or the vehicle (wrong units).
 
     Returns
     -------
@@ -479,7 +478,7 @@ def add_effect(
     effect : str
         Id of an effect of the catalogue.
     runs, validation : Run or sequence of Run
-        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
+        Logs to fit to and to validate on; without `validation`, parts of `runs` are set aside for it.
     force : bool
         Add it even if it does not lower the error on validation data.
 

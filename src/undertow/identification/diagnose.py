@@ -579,17 +579,17 @@ def diagnose(
     vehicle : Vehicle
         The model; parameters marked `estimate` are refitted.
     runs, validation : Run or sequence of Run
-        Logs to fit to and to judge by; without `validation`, parts of `runs` are left out of the fit.
+        Logs to fit to and to validate on; without `validation`, parts of `runs` are set aside for it.
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
     report : callable
-        Called with the share of the work that is done, 0 to 1, and with what is being done, in words.
+        Called with the fraction done, 0 to 1, and a description of the present work.
     false_alarms : float, optional
-        Chance of naming an effect where nothing is missing, 0.005 to 0.2; that of `settings` by default.
+        Probability of naming an effect when nothing is missing, 0.005 to 0.2; by default that of `settings`.
     settings : Settings
         The numbers that decide, see `undertow.identification.diagnosis.settings`.
     trust_log : bool
-        Use logs even where their channels contradict each other or the vehicle (wrong units).
+        Use logs even if their channels contradict each other or the vehicle (wrong units).
 
     Returns
     -------

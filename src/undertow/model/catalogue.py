@@ -28,7 +28,7 @@ Catalogue = Mapping[str, type[Effect]]
 
 @cache
 def catalogue() -> Catalogue:
-    """All effects that the program knows, by id: its own, then those that installed packages add.
+    """All known effects by id: those of undertow, then those of installed packages.
 
     Returns
     -------

@@ -321,7 +321,7 @@ class Wrench(Effect):
 
 
 class Flow(Effect):
-    """A motion of the water, felt by every effect that is stated in `nu_r`."""
+    """A motion of the water; it acts on every effect that is stated in `nu_r`."""
 
     family = "water"
 
@@ -335,7 +335,7 @@ class Flow(Effect):
 
 
 class Actuation(Effect):
-    """A step on the way from the command to what the thruster delivers.
+    """A step between a command and the thrust that is delivered.
 
     Attributes
     ----------
@@ -391,8 +391,8 @@ class Measurement(Effect):
     of_velocity_sensor : bool
         Whether only a velocity sensor can have it; it is not tried where velocities were taken from the pose.
     stage : int
-        Place in the chain, whatever the order in a vehicle file: 10 what reaches the sensor where it sits,
-        20 how it is turned, 30 its scale, 40 its bias, 50 its delay.
+        Place in the chain, whatever the order in a vehicle file: 10 lever arm, 20 rotation, 30 scale,
+        40 bias, 50 delay.
     """
 
     family = "measurement"

@@ -58,7 +58,7 @@ class Parameter:
     linear : bool
         True for a regressor column, False for a shape parameter (delay, width, time constant).
     default : float, optional
-        Value (then known and kept) when the vehicle file is silent.
+        Value, taken as known, if the vehicle file states none.
     starts : tuple of float
         Where a search over a shape parameter begins.
     required : bool
@@ -76,19 +76,19 @@ class Parameter:
         True for what nature changes from one run to the next (a current, a trim): its value may differ
         between runs unless a vehicle file says ``per_run = false``.
     arm_of : str
-        For a place aboard, from the body origin: "1" where the parameter is a length, the name of a mass or
-        force where it is that times a length; empty for all others.
+        For a position aboard, from the body origin: "1" if the parameter is a length, the name of a mass or
+        force if it is that times a length; empty for all others.
     logged : bool
-        Whether a log may hold it: where `inputs` of a vehicle file names it, it is an input, held between
-        samples, and no parameter.
+        Whether a log may contain it: if `inputs` of a vehicle file names it, it is an input, held between
+        samples, instead of a parameter.
     with_log, without_log : str
-        Such an input without which, or beside which, the parameter has no meaning and is not there.
+        Input without which, or with which, the parameter has no meaning and does not exist.
     step_width : bool
-        True for the velocity in which a smoothed step is made: wider than the motion itself it is no step.
+        True for the velocity over which a step is smoothed; wider than the motion it is not a step.
     within : float
         Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
-        sqrt(length / g)) that a fit takes for possible where the file states no standard deviation. Places
-        aboard have `Limits.farthest` instead.
+        sqrt(length / g)) that a fit allows if the file states no standard deviation. Positions aboard have
+        `Limits.farthest` instead.
     """
 
     unit: str

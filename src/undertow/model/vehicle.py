@@ -87,7 +87,7 @@ class Vehicle:
     degrees_of_freedom : tuple of str
         Subset of surge, sway, heave, roll, pitch, yaw, in this order.
     effects : tuple of Effect
-        The effects, without those that the thrusters bring in.
+        The effects, without those that come with the thrusters.
     values : mapping
         Value of every parameter, by name.
     thrusters : tuple of Thruster
@@ -105,10 +105,10 @@ class Vehicle:
     fitted_to : mapping
         Hashes (sha256) of the logs that values with their standard deviations were fitted to, by name.
     follows : mapping
-        Parameters that the file leaves to another one, with its name and the factor, SI: W = 9.81 m.
+        Parameters that follow from another one, with its name and the factor, SI: W = 9.81 m.
     velocity_along_earth : bool
-        Whether what the logs have as body velocity was reported along the axes of the earth, and turned into
-        the body by the attitude as reported: then an error of the attitude turns the velocity, too.
+        Whether the logged body velocity was reported along earth axes and rotated by the reported attitude,
+        so that an attitude error rotates the velocity, too.
     """
 
     name: str

@@ -75,7 +75,7 @@ def show(done: Design) -> None:
     for line in _on_conditions(done):
         say(f"  {line}")
     if done.slowed:
-        console().print(text(f"  the integral was given twice the time {done.slowed} times until they held"))
+        console().print(text(f"  the integral time was doubled {done.slowed} times until they held"))
     show_modes("Poles of the loop", done.modes)
 
 
@@ -91,7 +91,7 @@ def _on_conditions(done: Design) -> Iterator[str]:
     if report.alone:
         yield f"left alone: {report.alone.text}"
     if done.certified and not report.conditions_hold:
-        yield "the conditions in their printed form do not all hold: undertow gains shows which"
+        yield "not all conditions in their printed form hold: undertow gains shows which"
 
 
 def _rows(done: Design) -> list[tuple[str, ...]]:

@@ -219,7 +219,7 @@ def show(report: Report, singles: Sequence[SingleRepair] = (), repair: Repair | 
 def _headline(report: Report) -> str:
     if not report.conditions_hold and report.ok:
         by = "a quadratic V" if report.region.quadratic is not None else "bounds in time"
-        return f"certified by {by}; conditions that would be enough, but are not needed, fail"
+        return f"certified by {by}; sufficient conditions that are not necessary fail"
     if not report.conditions_hold:
         unproved = any(r.verdict == "not proved" for r in report.rows)
         refuted = any(r.verdict in ("fails", "no iota") for r in report.rows) or not unproved
@@ -234,7 +234,7 @@ def _headline(report: Report) -> str:
     elif report.region.kind == "none":
         but.append("no region is certified")
     if report.region.start_held is False:
-        but.append("the start box is not held")
+        but.append("the start box is not contained")
     for words, loop in (("the whole loop", report.whole), ("the loop with the observer", report.observed)):
         if loop is not None and not loop.stable:
             but.append(f"{words} is {loop.verdict}")
@@ -375,11 +375,13 @@ def _show_region(report: Report) -> None:
     say(f"  {found.text}", _RED if found.kind == "none" and not report.alone else "")
     if found.start_held is not None:
         word = (
-            "held: every motion that begins in it at rest comes to rest" if found.start_held else "NOT held"
+            "contained: every motion that begins in it at rest comes to rest"
+            if found.start_held
+            else "NOT held"
         )
         say(f"  start box {_with_units(found.start)}: {word}", "" if found.start_held else _RED)
     if found.quadratic is not None:
-        say(f"  V is at most {found.quadratic.start:.3g} on the box that it was searched for, the level is 1")
+        say(f"  V is at most {found.quadratic.start:.3g} on the start box; the level is 1")
     if found.errors:
         together = "together" if found.transient is not None else "one error at a time"
         say(f"  starts at rest: {_with_units(found.starts)}, {together}")
@@ -388,10 +390,11 @@ def _show_region(report: Report) -> None:
     for c in found.commands:
         say(f"  {c.name}: {c.steady:.4g} at the set-point, at most {c.largest:.4g} of {c.limit:.4g} in it")
     if found.commands:
-        say("  within it no command meets its limit, so that anti-windup never acts", "dim")
+        say("  within it no command reaches its limit, so anti-windup never acts", "dim")
     if report.left_out and found.kind != "none":
         say(
-            f"  that is the loop without {', '.join(report.left_out)}; the one with it is judged below", "dim"
+            f"  this is the loop without {', '.join(report.left_out)}; the loop with it is judged below",
+            "dim",
         )
 
 
@@ -464,7 +467,7 @@ def _show_repairs(singles: Sequence[SingleRepair], repair: Repair | None) -> Non
     if rows_of:
         console().print(table(("gain", "new value", "times the old one"), rows_of))
     else:
-        say("  nothing has to change for these conditions")
+        say("  no change is needed for these conditions")
     if repair.iota is not None:
         say(f"  with ι = {repair.iota:.6g} 1/s")
     say(f"  {repair.method}", "dim")
@@ -495,7 +498,7 @@ def _show_rest(report: Report) -> None:
     if report.observed is not None:
         section("With the observer")
         style = "" if report.observed.stable else _RED
-        say(f"  loop that gets its estimate, linearised at rest: {_whole(report.observed)}", style)
+        say(f"  loop with the observer, linearised at rest: {_whole(report.observed)}", style)
         say("  conditions and certified region are for true states, not for estimates", "dim")
 
 

@@ -151,7 +151,7 @@ def _period(text: str | None) -> float:
         return 0.0
     dt = in_si("--dt", text, "s")
     if dt <= 0:
-        raise UndertowError(f"--dt {text} cannot be a sampling time: give one above zero, such as 0.1")
+        raise UndertowError(f"--dt {text} is not a sampling time: give one above zero, such as 0.1")
     return dt
 
 
@@ -187,9 +187,9 @@ def _check_picture(plot: str | None, out: Path | None, *inputs: str | None) -> N
     from undertow.files import check_writable
 
     if plot and out is None:
-        raise UndertowError(f"--plot {plot} has nowhere to go: add --out FILE.png")
+        raise UndertowError(f"--plot {plot} needs a file: add --out FILE.png")
     if out and not plot:
-        raise UndertowError("--out has no picture to write: add --plot bode, nyquist, step, poles ...")
+        raise UndertowError("--out needs a picture: add --plot bode, nyquist, step, poles ...")
     check_writable(out, inputs=[i for i in inputs if i])
     if out and out.suffix.lower() != ".png":
         raise UndertowError(f"--out {out}: pictures are written as PNG; name it {out.with_suffix('.png')}")
@@ -209,7 +209,7 @@ def show(found: Analysis, channels: Sequence[Channel]) -> None:
     section(_MARGINS[bool(found.gains)], _margins(found.margins(channels)))
     if found.disk_of_all is not None:
         say(f"  all forces at once: disk {found.disk_of_all:.4g}")
-    section("What can be moved and seen")
+    section("Controllability and observability")
     for line in [*_reached(found.controllability, *_MOVED), *_reached(found.observability, *_SEEN)]:
         say(f"  {line}")
     if found.family:
@@ -220,8 +220,8 @@ _MARGINS = {
     True: "Margins of the loop of each force, the others closed",
     False: "Margins if closed with a gain of one (SI)",
 }
-_MOVED = ("commands move", "no command moves", "commands move only together")
-_SEEN = ("sensors show", "no sensor shows", "sensors show only together")
+_MOVED = ("commands move", "no command moves", "commands are linearly dependent")
+_SEEN = ("sensors show", "no sensor shows", "sensors are linearly dependent")
 
 
 def _trim(found: Analysis) -> object:
@@ -314,7 +314,7 @@ def _family(found: Family) -> object:
     rows = [
         ("as stated", _STABLE_WORDS[stated.stable]),
         ("draws", f"{len(draws)}, of which {len(unstable)} are unstable"),
-        ("redrawn", f"{found.refused} that no vehicle can have"),
+        ("redrawn", f"{found.refused} impossible ones redrawn"),
         ("corners", f"{len(corners)}, of which {len([m for m in corners if not m.stable])} are unstable"),
     ]
     rows += [(f"{_STABLE_WORDS[not stated.stable]} at", name) for name in other]

@@ -138,9 +138,7 @@ class ScenarioOptions:
         from undertow.control.guidance.mission import load_mission
 
         if (self.to is None) == (self.path is None):
-            raise UndertowError(
-                "a run has either a set-point or a mission: give --to X,Y,Z or --path MISSION.toml"
-            )
+            raise UndertowError("give either a set-point, --to X,Y,Z, or a mission, --path MISSION.toml")
         return load_mission(self.path) if self.path else None
 
     def scenario(self, lasts: float = 240.0) -> Scenario:
@@ -184,7 +182,7 @@ def simulate(
 
     if out is not None and len(gains) > 1:
         raise UndertowError(
-            f"--out {out} holds one run, and there are {len(gains)} gain files: give one of them"
+            f"--out {out} holds one run, but there are {len(gains)} gain files: give only one"
         )
     more = [str(p) for p in (plant, scenario_options.path, observer) if p]
     check_writable(out, json, inputs=[vehicle, *gains, *more, *(effects or [])])
@@ -222,7 +220,7 @@ _OF_COMMANDS = ("command", "effort", "rms", "peak", "changes per s", "at limit")
 def _values(text: str, option: str) -> tuple[str | float, ...]:
     parts = [part.strip() for part in text.split(",")]
     if not all(parts):
-        raise UndertowError(f"{option} {text} has an empty value: write numbers with commas between them")
+        raise UndertowError(f"{option} {text} has an empty value: write numbers separated by commas")
     return tuple(number_or_text(part) for part in parts)
 
 
@@ -298,17 +296,19 @@ def _facts(result: LoopResult) -> Iterator[str]:
     if result.followed is not None:
         yield _mission(result.followed, result.duration)
     if result.divergence is not None:
-        yield f"DIVERGED: {result.divergence.text}; the numbers are of the run up to there"
+        yield f"DIVERGED: {result.divergence.text}; the numbers are up to that time"
     if result.turned_thrusters:
         names = ", ".join(result.turned_thrusters)
-        yield f"REMARK: more than 45 deg from where the controller takes them to push: {names}"
+        yield (
+            f"REMARK: these push in a direction more than 45 deg from that in the controller's model: {names}"
+        )
     for c in () if result.followed else result.coordinates:
         if c.turns:
             yield f"{c.name}: errors are from the set-point {_turns(c.turns)}, the nearest one at the end"
     left = {c.name: c for c in result.coordinates if c.sampling_offset}
     if left:
         sizes = ", ".join(f"{c.sampling_offset:.3g} {c.unit} in {name}" for name, c in left.items())
-        yield f"the sign of the law, sampled, may leave up to {sizes} (an estimate)"
+        yield f"the sampled sign of the law may leave an error of up to {sizes} (an estimate)"
 
 
 def _mission(followed: FollowedResult, duration: float) -> str:
@@ -317,7 +317,7 @@ def _mission(followed: FollowedResult, duration: float) -> str:
     if arrived is not None:
         end = f"reached after {arrived:.4g} s"
         if followed.kind == "legs" and math.ceil(arrived) < duration:
-            end += f", and not held: --for {math.ceil(arrived)} leaves out what comes after"
+            end += f", but not held: --for {math.ceil(arrived)} leaves out what comes after"
     return f"mission '{followed.mission}' ({followed.kind}): its end is {end}"
 
 

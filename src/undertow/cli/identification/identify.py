@@ -85,7 +85,7 @@ def identify(
         if target is not None:
             done.save(vehicle, target)
     typer.echo(
-        "no vehicle file was written: --out NEW.toml or --in-place does that"
+        "no vehicle file was written: --out NEW.toml or --in-place writes it"
         if target is None
         else f"wrote {target}"
     )

@@ -132,7 +132,7 @@ class BodyOptions:
         from undertow.shape.first import with_added_mass, with_radiation
 
         if target is None:
-            typer.echo("no vehicle file was written: --out NEW.toml or --in-place does that", err=True)
+            typer.echo("no vehicle file was written: --out NEW.toml or --in-place writes it", err=True)
             return
         vehicle = with_added_mass(vehicle, added, floor=self.sigma)
         # Of several frequencies the first is taken: a linear damping has none.

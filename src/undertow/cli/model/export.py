@@ -227,7 +227,7 @@ def c(
     from undertow.observer.design import load_observer
 
     if path is not None and not controller:
-        raise UndertowError(f"--path {path} is followed by a controller: give --controller GAINS, too")
+        raise UndertowError(f"--path {path} is for a controller: also give --controller GAINS")
     with progress("writing C", None):
         model = load_vehicle(vehicle, effect_files=effects or [])
         library = library_of(

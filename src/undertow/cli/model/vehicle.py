@@ -302,11 +302,13 @@ def _tests(root: Path, spec: HullSpec, origin: str) -> list[EffectTable]:
     from undertow.tank.settings import read_tank
 
     if origin != "buoyancy":
-        raise UndertowError(f"--tank {root} is about the centre of buoyancy: leave out --origin {origin}")
+        raise UndertowError(
+            f"--tank {root} uses the centre of buoyancy as origin: leave out --origin {origin}"
+        )
     made = read_tank(root)
     if made.sha256 != spec.sha256:
         raise UndertowError(
-            f"--tank {root} was made of another hull ({made.hull}) than {spec.mesh}: name that"
+            f"--tank {root} was made of a different hull ({made.hull}) than {spec.mesh}: give that one"
         )
     found = coefficients(root, made)
     say(f"tested in the tank: {', '.join(dict.fromkeys(c.motion for c in found))}")
@@ -329,14 +331,16 @@ def _of_type(
     from undertow.shape.types import MainDimensions, typed_vehicle
 
     if kind is None or mesh is not None:
-        raise UndertowError("give the shape once: --mesh HULL, or --type with --length, --beam and --height")
+        raise UndertowError(
+            "give the shape only once: --mesh HULL, or --type with --length, --beam and --height"
+        )
     length, beam, height = sides
     if length is None or beam is None or height is None:
         raise UndertowError(f"--type {kind} lacks dimensions: give --length, --beam and --height in m")
     target = new_file(out or Path(f"{name or kind}.toml"), force, [])
     size = MainDimensions(length, beam, height, mass, density)
     write_whole(target, typed_vehicle(kind, size, name or kind, chosen))
-    say(f"wrote {target}; look at what is assumed: undertow vehicles show {target}")
+    say(f"wrote {target}; check what is assumed: undertow vehicles show {target}")
 
 
 def _by_panels(method: Method) -> bool:
@@ -372,8 +376,8 @@ def _summary(
     say(f"wrote {target}; state its thrusters, then: undertow vehicles show {target}")
     if abs(displaced / mass - 1) > 0.1:
         logging.getLogger("undertow").warning(
-            "mass %.4g kg and displacement %.4g kg are far apart: is the mass right, is the unit, or "
-            "does the hull flood (--volume)?",
+            "mass %.4g kg and displacement %.4g kg are far apart: is the mass right? The unit? Or does the "
+            "hull flood (--volume)?",
             mass,
             displaced,
         )

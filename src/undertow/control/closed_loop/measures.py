@@ -132,11 +132,9 @@ def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float)
     if not math.isfinite(value):
         why = f"{name} is no longer a finite number"
     elif place < pose:
-        why = (
-            f"{name} is {value:.4g} {unit} from where it began, and nothing in water gets beyond {limit:.4g}"
-        )
+        why = f"{name} is {value:.4g} {unit} from where it began, beyond the limit of {limit:.4g}"
     else:
-        why = f"{name} = {value:.4g} {unit}, and nothing in water is faster than {limit:g}"
+        why = f"{name} = {value:.4g} {unit}, above the limit of {limit:g}"
     return Divergence(t, name, unit, value, limit, f"diverged at t = {t:.6g} s: {why}")
 
 

@@ -47,7 +47,7 @@ class Parts:
         if missing:
             raise UndertowError(
                 f"vehicle '{self.vehicle.name}' lacks {what} '{missing[0]}', which the controller for "
-                f"'{self.controller.gains.plant.vehicle.name}' uses: take a vehicle that has it"
+                f"'{self.controller.gains.plant.vehicle.name}' uses: use a vehicle that has it"
             )
 
     @cached_property
@@ -301,27 +301,27 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
     name, order = parts.controller.gains.name, parts.controller.gains.law.offset_order
     if not loop.keeps_stability(dt):
         raise UndertowError(
-            f"dt = {dt:g} s is too long for '{name}' on '{parts.vehicle.name}': sampled so slowly, what is "
-            f"stable in continuous time becomes unstable; the limit is {loop.longest():.3g} s"
+            f"dt = {dt:g} s is too long for '{name}' on '{parts.vehicle.name}': the loop is stable in "
+            f"continuous time but unstable with this sampling; the limit is {loop.longest():.3g} s"
         )
     for coordinate, left in offsets(parts, dt).items():
         move = abs(moves[coordinate])
         if 0 < move <= left:
             raise UndertowError(
-                f"dt = {dt:g} s is too long for '{name}': the sign of its surface, sampled, by "
-                f"estimate may leave {left:.3g} in {coordinate}, where {move:.3g} is to be gone; it must be "
-                f"below {dt * (move / left) ** (1 / order):.3g} s"
+                f"dt = {dt:g} s is too long for '{name}': the sampled sign of its surface is estimated to "
+                f"leave {left:.3g} in {coordinate} on a way of {move:.3g}; it must be below "
+                f"{dt * (move / left) ** (1 / order):.3g} s"
             )
 
 
 def check_steps(loop: SampledLoop, parts: Parts, dt: float, samples: int) -> None:
     """Refuse a loop that cannot be integrated without sampling."""
     if any(parts.late[1]) or parts.late[0]:
-        raise UndertowError("dead times need a sampled law, but it is not sampled: leave --continuous out")
+        raise UndertowError("dead times need a sampled law: leave out --continuous")
     steps = float(samples) * loop.substeps(dt, continuous=True)
     if steps > MOST_SAMPLES:
         raise UndertowError(
             f"'{parts.controller.gains.name}' on '{parts.vehicle.name}' is as fast as "
-            f"{loop.fastest(continuous=True):.3g} 1/s: without sampling that takes {steps:.3g} steps, and "
-            f"{MOST_SAMPLES:.0e} are the most; shorten the run, or leave --continuous out"
+            f"{loop.fastest(continuous=True):.3g} 1/s: without sampling that takes {steps:.3g} steps, but "
+            f"{MOST_SAMPLES:.0e} is the limit; shorten the run, or leave out --continuous"
         )

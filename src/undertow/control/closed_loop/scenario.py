@@ -65,8 +65,8 @@ class Scenario:
             )
         if self.duration / self.dt > MOST_SAMPLES:
             raise UndertowError(
-                f"{self.duration:g} s at dt = {self.dt:g} s are {self.duration / self.dt:.3g} samples, and "
-                f"{MOST_SAMPLES:.0e} are the most: shorten the run or lengthen dt"
+                f"{self.duration:g} s at dt = {self.dt:g} s are {self.duration / self.dt:.3g} samples, but "
+                f"{MOST_SAMPLES:.0e} is the limit: shorten the run or lengthen dt"
             )
         if self.log_interval is not None and not self.dt <= self.log_interval <= self.duration:
             raise UndertowError(
@@ -74,7 +74,7 @@ class Scenario:
                 f"length of the run, {self.duration:g} s"
             )
         if self.continuous and any(self.noise.values()):
-            raise UndertowError("noise comes with every sample, but the law is not sampled: leave one out")
+            raise UndertowError("noise needs a sampled law: leave out one of the two")
         if self.seed < 0:
             raise UndertowError(f"seed {self.seed} is below zero: give a whole number from 0 on")
 
@@ -114,7 +114,7 @@ class Scenario:
         for name, value in self.moving.items():
             if not abs(value) <= FASTEST:
                 raise UndertowError(
-                    f"first {name} = {value:g} {MOTION_UNITS[name]}: nothing in water is as fast; stay "
+                    f"first {name} = {value:g} {MOTION_UNITS[name]}: that is impossible in water; stay "
                     f"within {FASTEST:g}"
                 )
         return np.array([self.moving.get(n, 0.0) for n in names])

@@ -43,12 +43,12 @@ class Differences:
     def __post_init__(self) -> None:
         sizes = {name: np.shape(v) for name, v in self._all().items()}
         if not sizes:
-            raise UndertowError("runs do not differ: give arrays of parameters, gains or starts")
+            raise UndertowError("the runs are all the same: give arrays of parameters, gains or starts")
         first, shape = next(iter(sizes.items()))
         odd = [n for n, s in sizes.items() if len(s) != 1 or s != shape or not s[0]]
         if odd:
             raise UndertowError(
-                f"'{odd[0]}' has shape {sizes[odd[0]]} where '{first}' has {shape}: give each one value for "
+                f"'{odd[0]}' has shape {sizes[odd[0]]} but '{first}' has {shape}: give each one value for "
                 "every run"
             )
         for name, values in self._all().items():
@@ -350,14 +350,14 @@ class ClosedLoop:
         """Runs of a scenario from the states `first` on, with parameters and gains of their own if given."""
         if self.parts.observer:
             if scenario.continuous:
-                raise UndertowError("an observer works on samples, but the law is not sampled: leave one out")
+                raise UndertowError("an observer needs a sampled law: leave out one of the two")
             require_stable_step(self.parts.observer.process, scenario.dt)
         desired = np.array([to[n] for n in self.gains.plant.vehicle.pose_names])
         substeps = self._substeps(scenario, start, to, desired)
         reference = self.parts.controller.reference
         if reference is not None:
             if scenario.continuous and not reference.continuous:
-                raise UndertowError("legs are guided sample by sample: leave --continuous out")
+                raise UndertowError("legs are guided sample by sample: leave out --continuous")
             desired = np.array(self.parts.controller.mission_numbers)
         return problem_of(self.parts, first, desired, scenario.dt, substeps, scenario.continuous, p, k)
 

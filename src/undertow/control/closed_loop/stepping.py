@@ -155,7 +155,7 @@ def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
     other = np.flatnonzero((samples != samples[0]).any(axis=1))
     if other.size:
         raise UndertowError(
-            f"run {other[0]} has other dead times than run 0, in samples of {dt:g} s: simulate runs with "
+            f"run {other[0]} has different dead times from run 0, in samples of {dt:g} s: simulate runs with "
             "equal dead times together"
         )
     return int(samples[0, 0]), np.ascontiguousarray(samples[0, 1:])

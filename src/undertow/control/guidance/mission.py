@@ -133,8 +133,8 @@ class Mission:
         idle = [n for n in ("x", "y", "z", "psi") if n in names and n not in pushed]
         if idle:
             raise UndertowError(
-                f"a mission of kind '{self.kind}' holds {idle[0]}, in which nothing pushes '{vehicle.name}': "
-                'write kind = "legs", which steers where it drives'
+                f"a mission of kind '{self.kind}' controls {idle[0]}, in which '{vehicle.name}' has no "
+                'actuator: write kind = "legs", which steers along the heading'
             )
         return TimedReference(self.profile(names))
 
@@ -181,8 +181,8 @@ class Mission:
         late = np.flatnonzero(np.diff(times) <= 0)
         if late.size:
             raise UndertowError(
-                f"way-point {late[0] + 2} has t = {times[late[0] + 1]:g} s, not after the one before it: let "
-                "times grow"
+                f"way-point {late[0] + 2} has t = {times[late[0] + 1]:g} s, not later than the one before: "
+                "times have to increase"
             )
         headings = self._along(times)
         found = spline(names, self._poses(names, self.points, headings), times)
@@ -202,8 +202,8 @@ def _keeps(profile: Profile, limits: Limits) -> None:
                 factor = (sizes[worst] / limit) ** (1 / order)
                 raise UndertowError(
                     f"{what} of the trajectory is {sizes[worst]:.4g} {by} near t = "
-                    f"{profile.knots[worst]:.4g} s, above {limit:.4g}: give it "
-                    f"{factor:.3g} times the time, or raise the limit"
+                    f"{profile.knots[worst]:.4g} s, above {limit:.4g}: allow {factor:.3g} times the time, "
+                    "or raise the limit"
                 )
 
 
@@ -222,14 +222,14 @@ def _require_steering(mission: Mission, pushed: set[str], vehicle: str) -> None:
     if missing:
         what = {"x": "surge", "psi": "yaw"}[missing[0]]
         raise UndertowError(
-            f"legs need a force in {what}, which nothing on '{vehicle}' gives; fins and rudders have one "
-            "where the gain file has [allocation] speed"
+            f"legs need a force in {what}, which '{vehicle}' does not have; fins and rudders give one if "
+            "the gain file has [allocation] speed"
         )
     flat = np.linalg.norm(np.diff(mission.points[:, :2], axis=0), axis=1)
     if (flat < LIMITS.closest).any():
         raise UndertowError(
-            f"way-points {int(np.argmin(flat)) + 1} and {int(np.argmin(flat)) + 2} stand above each other, "
-            'and legs lead somewhere in the plane: move one, or write kind = "setpoints"'
+            f"way-points {int(np.argmin(flat)) + 1} and {int(np.argmin(flat)) + 2} are above each other, "
+            'but legs need a horizontal direction: move one, or write kind = "setpoints"'
         )
 
 
@@ -290,14 +290,12 @@ def _check_keys(table: MissionTable) -> None:
     timed = [i for i, w in enumerate(table.waypoints, 1) if w.t is not None]
     if timed and table.kind != "trajectory":
         raise UndertowError(
-            f"way-point {timed[0]} has a time, which kind = '{table.kind}' does not keep: remove t, or write "
+            f"way-point {timed[0]} has a time, which kind = '{table.kind}' does not use: remove t, or write "
             'kind = "trajectory"'
         )
     turned = [i for i, w in enumerate(table.waypoints, 1) if w.psi is not None]
     if table.kind == "legs" and (turned or table.heading != "along"):
-        raise UndertowError(
-            "legs are driven with the heading that the line of sight asks for: remove psi and heading"
-        )
+        raise UndertowError("legs use the heading of the line of sight: remove psi and heading")
 
 
 def _guidance(table: GuidanceTable) -> Guidance:

@@ -286,7 +286,7 @@ def _checked(profile: Profile) -> Profile:
     pieces = len(profile.coefficients)
     if pieces > SETTINGS.most_pieces:
         raise UndertowError(
-            f"the mission has {pieces} pieces, and {SETTINGS.most_pieces} are the most: cut it in two"
+            f"the mission has {pieces} pieces, but {SETTINGS.most_pieces} is the limit: split it in two"
         )
     return profile
 

@@ -130,7 +130,7 @@ def lqr(
         vehicle, or no integral is slow enough for the conditions.
     """
     if law not in DESIGNED:
-        raise UndertowError(f"law '{law}' has no quadratic design: {' and '.join(DESIGNED)} do")
+        raise UndertowError(f"law '{law}' has no quadratic design: use {' or '.join(DESIGNED)}")
     found = trim or find_trim(vehicle)
     channels = _Channels(vehicle, found, error, force)
     for slowed in range(SETTINGS.rounds):
@@ -154,7 +154,7 @@ def _check_held(loop: LinearLoop) -> None:
     if growing:
         raise UndertowError(
             f"the diagonal law does not hold the vehicle: a mode in {', '.join(growing[0].states)} grows "
-            f"with {growing[0].pole.real:.3g} 1/s; its motions are too coupled for one gain each"
+            f"with {growing[0].pole.real:.3g} 1/s; its motions are too strongly coupled for one gain each"
         )
 
 
@@ -168,7 +168,7 @@ class _Channels:
         plant = with_forces(_ideal_plant(vehicle, trim), forces_of(vehicle))
         pushed = [name.removeprefix("force_") for name in plant.input_labels]
         if not pushed:
-            raise UndertowError(f"'{vehicle.name}' has no thruster: state one, there is nothing to design")
+            raise UndertowError(f"'{vehicle.name}' has no thruster, so there is nothing to design: add one")
         self.rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in pushed]
         self.coordinates = [vehicle.pose_names[i] for i in self.rows]
         dofs = [vehicle.degrees_of_freedom[i] for i in self.rows]
@@ -206,7 +206,7 @@ class _Channels:
             a = np.block([[a, np.zeros((2 * n, n))], [np.eye(n), np.zeros((n, 2 * n))]])
             b = np.vstack([b, np.zeros((n, n))])
             cost = np.r_[cost, (rate / self._error) ** 2]
-        remedy = "give errors and forces that are nearer to each other"
+        remedy = "give errors and forces of more similar size"
         with as_input_error("no design with these errors and forces", remedy, ValueError):
             gain, _, _ = ct.lqr(a, b, np.diag(cost), np.diag(1 / self._force**2))
         return np.asarray(gain, dtype=float)
@@ -236,7 +236,7 @@ def _coupling(part: Array) -> float:
 def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
     odd = [n for n in given if n not in names]
     if odd:
-        raise UndertowError(f"{what} of {odd[0]} is of no use: commands push in {', '.join(names)}")
+        raise UndertowError(f"{what} of {odd[0]} has no effect: commands push in {', '.join(names)}")
     for name in names:
         value = given.get(name)
         if value is None or not 0 < value < np.inf:
@@ -322,7 +322,7 @@ def _kept(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
     if np.any(poles.real > SETTINGS.decays):
         names = ", ".join(plant.state_labels[i] for i in left)
         raise UndertowError(
-            f"no LQG design: {names} cannot be moved by commands or seen by sensors, and do not settle by "
-            "themselves: take another trim or more sensors"
+            f"no LQG design: {names} are not controllable or not observable, and not stable by themselves: "
+            "use another trim or more sensors"
         )
     return [i for i in range(plant.nstates) if i not in left]

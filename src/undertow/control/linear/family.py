@@ -134,7 +134,7 @@ def family(
     factory, spread = _MemberFactory(vehicle, found, gains, observer, pade), spread_of(vehicle, source)
     stated = factory.member("stated", np.array([]), ())
     if stated is None:  # no parameter differs, so the trim holds
-        raise UndertowError(f"'{vehicle.name}' has no such trim as stated: find it again for this vehicle")
+        raise UndertowError(f"'{vehicle.name}' does not have the given trim: find it again for this vehicle")
     corners = [factory.member(name, shift, spread.names) for name, shift in _corners(spread, factory, stated)]
     made = [m for m in corners if m is not None and not _same(m, stated)]
     draws, refused = _draws(spread, factory, size, np.random.default_rng(seed))
@@ -156,7 +156,7 @@ def _draws(
         if refused > _MOST_REFUSED * size:
             raise UndertowError(
                 f"hardly any draw of the parameters of '{factory.vehicle.name}' is a vehicle: the standard "
-                "deviations are too large beside the values; fit them to logs, or state smaller ones"
+                "deviations are too large for the values; fit them to logs, or state smaller ones"
             )
     return draws, refused
 

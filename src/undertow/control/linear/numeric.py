@@ -161,7 +161,7 @@ def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
     return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
 
 
-_LOOK = "look for a value in the vehicle, the gains or the options that is off by powers of ten"
+_LOOK = "look for a value in the vehicle, the gains or the options that is wrong by powers of ten"
 
 
 @contextmanager

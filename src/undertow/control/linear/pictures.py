@@ -38,7 +38,9 @@ def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
     }[kind]
     alive = [c for c in channels if c.system.nstates]
     if not channels and kind != "poles":
-        raise UndertowError(f"'{found.vehicle.name}' has no thruster, so only --plot poles: state a thruster")
+        raise UndertowError(
+            f"'{found.vehicle.name}' has no thruster, so only --plot poles works: add a thruster"
+        )
     if not alive and kind != "poles":
         raise UndertowError(f"{channels[0].name} is not connected: choose another --input or --output")
     with look():

@@ -82,7 +82,7 @@ def linearize(
     numeric = Numeric(in_direction(vehicle, found.direction))
     if tuple(found.states) != numeric.states or tuple(found.commands) != numeric.commands:
         raise UndertowError(
-            f"the trim is of another vehicle than '{vehicle.name}': find it again for this one"
+            f"the trim is of a different vehicle from '{vehicle.name}': find it again for this one"
         )
     system = linear_with_delays(numeric, found, pade, dt)
     return with_units(system, numeric.units) if units else system
@@ -132,8 +132,8 @@ def _shift(seconds: float, dt: float) -> ct.StateSpace:
     k = whole_samples(seconds, dt)
     if k > SETTINGS.samples:
         raise UndertowError(
-            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, and {SETTINGS.samples} are the most: "
-            "lengthen dt"
+            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, but {SETTINGS.samples} is the "
+            "limit: lengthen dt"
         )
     if not k:
         return ct.ss([], [], [], 1.0, dt=dt)
@@ -146,7 +146,7 @@ def _check_sampling(dt: float, pade: int) -> None:
         raise UndertowError(f"sampling time dt = {dt:g} s is impossible: give a time above zero")
     if not 0 <= pade <= SETTINGS.pade:
         raise UndertowError(
-            f"pade = {pade} cannot be the order of the approximation of dead times: give 0 to {SETTINGS.pade}"
+            f"pade = {pade} is not an order of approximation for dead times: give 0 to {SETTINGS.pade}"
         )
     if dt and pade:
         raise UndertowError(
@@ -357,7 +357,7 @@ class LawSystem:
             )
         if trim.turning:
             raise UndertowError(
-                f"'{self.gains.name}' holds a pose and cannot keep a turn: take a trim without r"
+                f"'{self.gains.name}' holds a pose and cannot hold a turn: use a trim without r"
             )
 
 
@@ -556,8 +556,8 @@ class SettledObserver:
         except (ValueError, np.linalg.LinAlgError, ct.ControlArgument) as error:
             sensors = ", ".join(self.observer.sensors)
             raise UndertowError(
-                f"observer '{self.observer.name}' does not settle: its sensors ({sensors}) do not show "
-                "all that drifts; add one, or estimate less"
+                f"observer '{self.observer.name}' does not converge: its sensors ({sensors}) do not observe "
+                "everything that drifts; add one, or estimate less"
             ) from error
         return np.asarray(covariance @ self.c.T @ np.linalg.inv(r))
 

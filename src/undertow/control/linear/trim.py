@@ -41,9 +41,11 @@ def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection
         _check(vehicle, name, value, known)
     for name in free:
         if name not in _FREE or name not in known:
-            raise UndertowError(f"'{name}' cannot be left free: {', '.join(_FREE)} can, as far as there are")
+            raise UndertowError(
+                f"'{name}' cannot be left free: only {', '.join(_FREE)} can, as far as the vehicle has them"
+            )
         if name in given:
-            raise UndertowError(f"{name} is both held and free: name it once")
+            raise UndertowError(f"{name} is both held and free: name it only once")
     resting = {name: 0.0 for name in (*_PLACE, "z", "r") if name in known and name not in free}
     return Request(resting | given, tuple(given), climbs="w" in free)
 
@@ -57,10 +59,10 @@ def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) ->
     if name in _PLACE:
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
     if not isfinite(value):
-        raise UndertowError(f"{name} = {value} cannot be a value of a steady motion: give a finite one")
+        raise UndertowError(f"{name} = {value} is not a value of a steady motion: give a finite one")
     most = FASTEST if name in VELOCITY else _FARTHEST
     if abs(value) > most:
-        raise UndertowError(f"{name} = {value:g} (SI) is too much for a steady motion: stay within {most:g}")
+        raise UndertowError(f"{name} = {value:g} (SI) is too large for a steady motion: stay within {most:g}")
 
 
 @dataclass(frozen=True)
@@ -268,8 +270,8 @@ def _beyond(balance: Balance, y: Array) -> str:
     for i, value, (_, most) in zip(balance.unknown, y, balance.bounds(), strict=True):
         if most is not None and abs(value) > most * (1 + 1e-9):
             return (
-                f"this steady motion takes {balance.names[i]} = {value:.4g}, and its limit is {most:g}: ask "
-                "for less speed, or state a stronger thruster"
+                f"this steady motion needs {balance.names[i]} = {value:.4g}, but its limit is {most:g}: use "
+                "a lower speed or a stronger thruster"
             )
     return ""
 
@@ -355,7 +357,8 @@ def find_trim(
     if not assumed:
         return trim
     remark = (
-        f"at rest in the water the direction of motion is open: parameters for {', '.join(assumed)} are taken"
+        "at rest in the water the direction of motion is ambiguous: parameters for "
+        f"{', '.join(assumed)} are taken"
     )
     return replace(trim, remarks=(remark,))
 
@@ -368,8 +371,8 @@ def _search(
     one_way = numeric.vehicle
     if numeric.varies:
         raise UndertowError(
-            f"forces on '{vehicle.name}' depend on time (waves, a supply that fades): there is no steady "
-            "motion; take such effects out of a copy of the vehicle file"
+            f"forces on '{vehicle.name}' depend on time (waves, battery droop): there is no steady motion; "
+            "remove such effects in a copy of the vehicle file"
         )
     x, u = _solved(numeric, wanted)
     _check_steady(numeric, x, u)
@@ -421,6 +424,6 @@ def _check_steady(numeric: Numeric, x: Array, u: Array) -> None:
         felt = (abs(rate[:n]) > SETTINGS.at_rest) & np.any(slopes[n:, :n], axis=0)
         guilty = [numeric.states[i] for i in np.flatnonzero(felt)]
         raise UndertowError(
-            f"no steady motion: forces change with {', '.join(guilty)}, which moves on (a turn in a "
-            "current, a change of depth of a hull that is compressed): hold it still"
+            f"no steady motion: forces change with {', '.join(guilty)}, which keeps changing (a turn in a "
+            "current, a depth change of a compressible hull): hold it fixed"
         )

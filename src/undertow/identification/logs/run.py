@@ -69,30 +69,29 @@ class Run:
         NED and forward-starboard-down axes; NaN where a sample is missing. Arrays are read-only.
     reported : dict of (n,) bool arrays
         Rows in which a channel was measured, for channels that do not report in all of them. In the other
-        rows `channels` has what lies between two reports, which a regressor may be computed from and nothing
-        is judged by.
+        rows `channels` has interpolated values: regressors may use them, errors are never judged by them.
     source, sha256 : str
         The file the run was read from, and the hash of its bytes.
     notes : tuple of str
         What was converted, dropped or looked odd, one line each.
     reader_notes : tuple of str
-        What the reader of a vehicle's own log said, the name of its format first; empty for a table.
+        Notes of the reader of a vehicle log, beginning with the name of the format; empty for a table.
     sigma : dict of float
         Known standard deviations of the noise of a report, in the unit of the channel.
     derived : frozenset of str
         Names of channels computed from others (velocities from pose).
     resolution : float
-        Time constant in s of the smoother that those came through; changes faster than it are smoothed away.
+        Time constant in s of the smoother of the `derived` channels; faster changes are smoothed out.
     mapping : Mapping, optional
         How the columns of the file were read; None where the run was not read from a file.
     wrapped : dict of (n,) arrays
         Angles that jump by full turns in the log, as logged; in `channels` they are unwrapped.
     held : tuple of str
-        Motions that a rig held at rest, or moved as their channels say.
+        Motions held at rest, or moved as logged, by a rig.
     part_of : str
         Name of the run that this is a stretch of; empty for a whole run.
     dropped : int
-        Rows of the file that were left out because their time was not later than that of a row before.
+        Rows of the file that were left out because their time was not later than that of an earlier row.
     """
 
     name: str
