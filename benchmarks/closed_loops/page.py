@@ -112,7 +112,7 @@ def _gate(result: LoopResult) -> str:
 
 
 def _readings(readings: Sequence[Read]) -> str:
-    head = ("reading", *(f"{n}: overshoot, t2%" for n in _NAMES.values()), "as the paper says")
+    head = ("interpretation", *(f"{n}: overshoot, t2%" for n in _NAMES.values()), "as the paper says")
     rows = []
     for r in readings:
         cells = [f"{Read.overshoot(x):.2g} %, {_seconds(Read.settling(x))}" for x in r.results]

@@ -123,7 +123,7 @@ def test_radiation_damping_of_a_small_deep_sphere(monkeypatch: pytest.MonkeyPatc
     ("asked", "message"),
     [
         ({"finest": 100}, "100 panels are out of reach"),
-        ({"crease": float("nan")}, "crease = nan degrees is impossible: choose more than 0 and less than 180"),
+        ({"crease": float("nan")}, "crease = nan degrees is impossible: choose between 0 and 180"),
         ({"crease": 0.0}, "crease = 0 degrees is impossible"),
         ({"crease": 180.0}, "crease = 180 degrees is impossible"),
         ({"omegas": [1.0]}, "say how deep the hull is"),

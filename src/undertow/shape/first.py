@@ -88,7 +88,7 @@ def drag_of_hull(
     """
     for value in cd or ():
         if not (value >= 0 and np.isfinite(value)):
-            raise UndertowError(f"drag coefficient {value:g} is impossible: give a number from 0, such as 1.0")
+            raise UndertowError(f"drag coefficient {value:g} is impossible: give 0 or more, such as 1.0")
     areas = np.array([mesh.projected_area(i) for i in range(3)])
     mesh = bisected(mesh, float(mesh.extents.max()) / _RULES.strips)
     facing = np.abs(mesh.vector_areas) / mesh.areas[:, None]

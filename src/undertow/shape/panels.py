@@ -223,9 +223,9 @@ def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int
             f"{finest} panels are out of reach: choose {PANEL_RULES.fewest} to {PANEL_RULES.most}"
         )
     if not 0.0 < crease < 180.0:
-        raise UndertowError(f"crease = {crease:g} degrees is impossible: choose more than 0 and less than 180")
+        raise UndertowError(f"crease = {crease:g} degrees is impossible: choose between 0 and 180")
     if omegas and depth is None:
-        raise UndertowError("radiation damping is of waves: say how deep the hull is, with depth")
+        raise UndertowError("radiation damping needs a free surface: give the depth of the hull")
     wrong = [w for w in omegas if not (w > 0 and np.isfinite(w))]
     if wrong:
         raise UndertowError(f"omega = {wrong[0]:g} rad/s is impossible: give a positive number")
