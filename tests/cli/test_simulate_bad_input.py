@@ -55,7 +55,7 @@ BAD = {
     "noise of nothing": (["--noise", "x"], ["--noise x", "x=0.01"]),
     "noise of what is not reported": (["--noise", "phi=0.1"], ["'phi'", "x, y, z, psi"]),
     "negative noise": (["--noise", "x=-1"], ["noise of x = -1"]),
-    "noise without samples": (["--noise", "x=1", "--continuous"], ["noise", "not sampled"]),
+    "noise without samples": (["--noise", "x=1", "--continuous"], ["noise", "sampled law"]),
     "push of no axis": (["--push", "Q=1"], ["--push Q=1", "AXIS=VALUE"]),
     "push in a locked direction": (["--push", "K=1"], ["force K", "surge, sway, heave, yaw"]),
     "push backwards in time": (["--push", "X=1:5:2"], ["push X = 1 from 5 to 2 s", "ends before it begins"]),

@@ -24,8 +24,8 @@ K_I = [0.001, 0.001, 0.001, 0.0001]
 FAULTS = {
     "a gain missing": ("K_I = [0.001, 0.001, 0.001, 0.0001]", "", ["K_I", "missing", "[gains.K_I]"]),
     "one value missing": ('x = "0.2 N/m", ', "", ["K_P", "no value for x", "N/m"]),
-    "negative": ('z = "1 N/m"', 'z = "-1 N/m"', ["K_P for z", "-1 N/m", "not above zero"]),
-    "zero": ('z = "1 N/m"', "z = 0", ["K_P for z", "not above zero"]),
+    "negative": ('z = "1 N/m"', 'z = "-1 N/m"', ["K_P for z", "-1 N/m", "positive"]),
+    "zero": ('z = "1 N/m"', "z = 0", ["K_P for z", "positive"]),
     "infinite": ('z = "1 N/m"', "z = inf", ["K_P for z", "finite"]),
     "not a number": ('z = "1 N/m"', "z = nan", ["K_P for z", "finite"]),
     "too large a number": ('z = "1 N/m"', 'z = "1e999 N/m"', ["K_P for z", "finite"]),

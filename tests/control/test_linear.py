@@ -130,7 +130,7 @@ def test_a_turn_in_a_current_is_no_steady_motion(rov: Vehicle) -> None:
 def test_a_command_beyond_its_limit_is_named(auv: Vehicle) -> None:
     weak = replace(auv, thrusters=tuple(replace(t, limit=8.0) for t in auv.thrusters))
     assert find_trim(weak, {"u": 0.5}).commands["f2"] < 8.0
-    with pytest.raises(UndertowError, match=r"takes f2 = 10\.\d+, and its limit is 8"):
+    with pytest.raises(UndertowError, match=r"needs f2 = 10\.\d+, but its limit is 8"):
         find_trim(weak, {"u": 2.0})
 
 

@@ -144,13 +144,13 @@ def test_none_seen_is_said_of_what_would_have_shown() -> None:
     good: tuple[Kind, str, float, float] = ("thrust", "port", 0.001, 0.01)
     calm = reported(good, ("drag", "surge", 0.0, 0.02))
     assert calm.answer == "none seen"
-    assert "would have shown from, %: drag in surge 20, thrust of port 9.8" in calm.words
+    assert "smallest detectable changes, %: drag in surge 20, thrust of port 9.8" in calm.words
     likely = reported(good, ("drag", "surge", 0.41, 0.06))
     assert likely.answer == "cannot tell"
-    assert "drag in surge +41 ± 6 % may be a change, but is not sure enough" in likely.words
+    assert "drag in surge +41 ± 6 % may be a change, but is not significant" in likely.words
     blind = reported(good, ("drag", "surge", 0.0, 0.3))
     assert blind.answer == "cannot tell"
     assert "a change of drag in surge below" in blind.words
-    assert "otherwise no change seen; would have shown from, %: thrust of port" in blind.words
+    assert "otherwise no change seen; smallest detectable changes, %: thrust of port" in blind.words
     none = reported(good, ("drag", "surge", 0.0, np.inf))
     assert none.words.startswith("cannot tell: these days do not determine drag; otherwise no change seen")

@@ -129,6 +129,6 @@ def test_a_worker_with_another_vehicle_file_refuses(fleet: Path, tmp_path: Path)
     other = tmp_path / "craft.toml"
     other.write_text((fleet / "craft.toml").read_text().replace("20.0", "21.0"))
     elsewhere = Job(str(other), fingerprint="0" * 64)
-    with pytest.raises(UndertowError, match="reads another"):
+    with pytest.raises(UndertowError, match="reads a different"):
         reduce_log(elsewhere, str(next((fleet / "logs").rglob("*.parquet"))))
     assert with_fingerprint(Job(str(other)))[0].fingerprint != job.fingerprint

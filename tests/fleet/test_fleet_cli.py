@@ -44,15 +44,15 @@ def report() -> dict[str, object]:
 def test_a_second_run_does_what_is_missing_only(small: Path, capsys: Capture) -> None:
     assert main(DIAGNOSE) == 0
     out, first = capsys.readouterr().out, report()
-    assert "4 of 4 files count (4 worked out now, 0 known before)" in out
+    assert "4 of 4 files were used (4 computed now, 0 known before)" in out
     assert "X_uabsu" in out
-    assert "cannot tell: 3 days before and 1 in it, at least 3 are needed" in out
+    assert "cannot tell: 3 days before and 1 in this month, at least 3 are needed" in out
     days = sorted((small / "logs/vehicle=bravo").iterdir())
     days[0].rename(small / "logs/vehicle=bravo/day=2026-01-31")  # moved, but the same log
     table = pl.read_parquet(days[3] / "part.parquet")
     table.head(400).write_parquet(days[3] / "part.parquet")  # changed
     assert main(DIAGNOSE) == 0
-    assert "4 of 4 files count (1 worked out now, 3 known before)" in capsys.readouterr().out
+    assert "4 of 4 files were used (1 computed now, 3 known before)" in capsys.readouterr().out
     assert report() != first
     assert "## bravo" in Path("report/report.md").read_text()
 
@@ -64,7 +64,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_counts(small: Path, capsys: C
     (days[2] / "copy.parquet").write_bytes((days[3] / "part.parquet").read_bytes())
     assert main(DIAGNOSE) == 1
     out, found = capsys.readouterr().out, report()
-    assert "2 of 5 files count" in out
+    assert "2 of 5 files were used" in out
     assert "'port'" in out
     assert [Path(p).parent.name for p in found["failed"]] == [days[0].name, days[1].name]
     assert len(found["twins"]) == 1
@@ -96,7 +96,7 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
     words = ["fleet", "diagnose", "own/{vehicle}.toml", "logs", "--workers", "0", "--passes", "2"]
     assert main(words) == 0
     assert Path("fleet-results/report.md").exists()
-    assert "4 of 4 files count (4 worked out now, 0 known before)" in capsys.readouterr().out
+    assert "4 of 4 files were used (4 computed now, 0 known before)" in capsys.readouterr().out
     (small / "own/bravo.toml").unlink()
     assert main(words) == 2
     assert "neither a file nor a bundled vehicle" in capsys.readouterr().err
@@ -105,9 +105,9 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["craft.toml", "nothing/*.parquet"], "no file fits 'nothing/*.parquet'"),
+        (["craft.toml", "nothing/*.parquet"], "no file matches 'nothing/*.parquet'"),
         (["craft.tom", "logs"], "'craft.tom' is neither a file nor a bundled vehicle"),
-        (["craft.toml", "craft.toml"], "neither a Parquet file nor a vehicle's own log"),
+        (["craft.toml", "craft.toml"], "neither a Parquet file nor a vehicle log"),
         (["mini-auv", "logs"], "none of 4 files could be used"),
         (["craft.toml", "logs", "--daily", "lag"], "'lag' is not an effect"),
         (["craft.toml", "logs", "--out", "craft.toml"], "is not a folder"),

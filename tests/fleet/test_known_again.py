@@ -124,10 +124,10 @@ def test_a_living_worker_reads_changed_files_again(fleet: Path, tmp_path: Path) 
 def test_a_worker_with_other_files_refuses(fleet: Path, tmp_path: Path) -> None:
     log = next((fleet / "logs").rglob("*.parquet"))
     job = RolloutJob(str(fleet / "craft.toml"), horizon=10.0)
-    with pytest.raises(UndertowError, match="this worker reads another"):
+    with pytest.raises(UndertowError, match="this worker reads a different"):
         windows_of(replace(job, files="0" * 64), Source(str(log), sha256_of(log)))
     mine = replace(job, files=files_digest(job.vehicle, ()))
-    with pytest.raises(UndertowError, match="another file for this worker"):
+    with pytest.raises(UndertowError, match="is different for this worker"):
         windows_of(mine, Source(str(log), "0" * 64))
     assert windows_of(mine, Source(str(log), sha256_of(log))) == 5
 

@@ -74,7 +74,7 @@ def test_patterns_and_folders_find_each_file_once(tmp_path: Path) -> None:
     paths = [written(tmp_path / f"logs/v/2026-02-0{i}.parquet") for i in (2, 1)]
     patterns = [str(tmp_path / "logs"), str(tmp_path / "logs/**/*.parquet"), str(paths[0])]
     assert find(patterns) == sorted(paths)
-    with pytest.raises(UndertowError, match="no file fits"):
+    with pytest.raises(UndertowError, match="no file matches"):
         find([*patterns, str(tmp_path / "*.nothing")])
 
 

@@ -221,7 +221,7 @@ def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}&page=missing")
         said = _texts(user)
-        assert "These logs hardly tell it from constant_force." in said
+        assert "These logs hardly distinguish it from constant_force." in said
         assert "What would: turn on the spot for 40 s" in said
         assert "undertow plan " in said
         assert "--goal separate --between ocean_current,constant_force" in said

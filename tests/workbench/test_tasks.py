@@ -243,7 +243,7 @@ def test_work_is_done_in_another_process_and_can_be_cancelled(tmp_path: Path) ->
         process = bench.worker._process  # private: whether it is gone
         assert process.pid != 0
         bench.start("compare")
-        assert "is still going on" in bench.failure
+        assert "is still running" in bench.failure
         bench.cancel()
         assert bench.work is None
         assert not process.is_alive()

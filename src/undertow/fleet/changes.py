@@ -432,7 +432,9 @@ def _statement(asked: SpanTest, limit: float) -> Statement:
         return _nothing(asked, limit)
     causes = _causes(asked, limit)
     if not causes:
-        return Statement("cannot tell", (), "something changed, and no cause that was tried explains it all")
+        return Statement(
+            "cannot tell", (), "something changed, but no cause that was tried explains all of it"
+        )
     common = tuple(name for name in causes[0] if all(name in cause for cause in causes))
     if not common:
         return _open(causes)
@@ -440,7 +442,7 @@ def _statement(asked: SpanTest, limit: float) -> Statement:
     rest = [tuple(n for n in cause if n not in common) for cause in causes]
     if not all(rest):
         return text
-    return replace(text, words=f"{text.words}; beside it {_listed(rest)}: cannot tell which")
+    return replace(text, words=f"{text.words}; or {_listed(rest)}: cannot tell which")
 
 
 def _open(causes: Sequence[tuple[str, ...]]) -> Statement:
@@ -472,8 +474,8 @@ def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
 
 def _lacking(span: Span) -> str:
     first, last = span.groups
-    text = f"{first} days" if not last else f"{first} days before and {last} in it"
-    return f"{text}, at least {FEWEST_DAYS} are needed to know the scatter from day to day"
+    text = f"{first} days" if not last else f"{first} days before and {last} in this month"
+    return f"{text}, at least {FEWEST_DAYS} are needed to estimate the day-to-day scatter"
 
 
 def _nothing(asked: SpanTest, limit: float) -> Statement:
@@ -485,11 +487,11 @@ def _nothing(asked: SpanTest, limit: float) -> Statement:
     open_ = [_unseen(kind, own) for kind, own in halves.items() if min(own.values()) > CRITERIA.worth]
     likely = [c for c in asked.changes if min(c.p_value, c.alone) <= CRITERIA.alpha]
     if seen and not open_ and not likely:
-        return Statement("none seen", (), f"no change seen; would have shown from, %: {text}")
+        return Statement("none seen", (), f"no change seen; smallest detectable changes, %: {text}")
     words = _possible(likely) + open_
     if not words:
         return Statement("cannot tell", (), "cannot tell: these days determine neither drag nor thrust")
-    rest = f"; otherwise no change seen; would have shown from, %: {text}" if seen else ""
+    rest = f"; otherwise no change seen; smallest detectable changes, %: {text}" if seen else ""
     return Statement("cannot tell", (), f"cannot tell: {'; '.join(words)}{rest}")
 
 
@@ -497,9 +499,9 @@ def _possible(likely: Sequence[Change]) -> list[str]:
     """What may have changed: what stands out beside the other kinds, else what would if it were alone."""
     beside = [c for c in likely if c.p_value <= CRITERIA.alpha]
     if beside or not likely:
-        return [f"{_with_error(c)} may be a change, but is not sure enough" for c in beside]
+        return [f"{_with_error(c)} may be a change, but is not significant" for c in beside]
     names = " or ".join(c.direction.name for c in likely)
-    return [f"something may have changed ({names}), but is not sure enough"]
+    return [f"something may have changed ({names}), but it is not significant"]
 
 
 def _half_widths(asked: SpanTest, kind: str, limit: float) -> dict[str, float]:
@@ -526,7 +528,7 @@ def _named(cause: tuple[str, ...], asked: SpanTest, limit: float) -> Statement:
             names.append(name)
             words.append(f"a change of {name} explains all, and none of drag, thrust or added mass does")
         elif not sure:
-            text = f"something changed; {_CAUSES[name]} would explain it, but no single motion is sure"
+            text = f"something changed; {_CAUSES[name]} would explain it, but no single motion is significant"
             return Statement("cannot tell", (_CAUSES[name],), text)
         else:
             found, text = _WORDING[name](sure, every, limit)
@@ -538,11 +540,11 @@ def _named(cause: tuple[str, ...], asked: SpanTest, limit: float) -> Statement:
 def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
     text = ", ".join(map(_with_error, sure))
     if any(c.value < 0 for c in sure):
-        return "drag", f"drag changed: {text}; less drag is not fouling (cleaned? another trim?)"
+        return "drag", f"drag changed: {text}; less drag is not fouling (cleaned? different trim?)"
     least = CRITERIA.contradicts * min(c.value for c in sure)
     against = [c.direction.of for c in every if c.value + _half_width(c, limit) < least]
     if against:
-        return "drag", f"drag grew: {text}, not in {', '.join(against)}, which fouling would have raised, too"
+        return "drag", f"drag grew: {text}, not in {', '.join(against)}, which fouling would also have raised"
     if len(sure) == 1 and len(every) > 1:
         return "drag", f"drag grew: {text}; that of other motions is not known well enough to call it fouling"
     return "fouling", f"fouling: {text}"
@@ -553,7 +555,7 @@ def _thrust(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tu
     if any(c.value > 0 for c in sure):
         return (
             "thrust",
-            f"thrust changed: {text}; more thrust is not wear (another propeller, another supply?)",
+            f"thrust changed: {text}; more thrust is not wear (new propeller, new battery?)",
         )
     return "thruster wear", f"thruster wear: {text}"
 

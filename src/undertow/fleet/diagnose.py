@@ -165,10 +165,11 @@ def _remarks(draft: _Draft) -> list[str]:
     for i, name in enumerate(panel.free):
         stated, moved = panel.vehicle.value_of(name).value, float(solved.theta[i])
         if not low[i] <= stated + moved <= high[i]:
-            found.append(f"{name} comes out beyond what is physical: something else is missing in the model")
+            found.append(f"{name} has an unphysical value: something else is missing in the model")
         elif name in inertial and abs(moved) > _FAR * abs(stated):
             found.append(
-                f"{name} is {moved / stated:+.0%} from the file's value, far for one linear step: --passes 2"
+                f"{name} is {moved / stated:+.0%} from the file's value, too far for one linear step: "
+                "use --passes 2"
             )
     return [*found, *(f"no change of {what} can be estimated" for what in draft.changes.unseen)]
 
@@ -341,7 +342,9 @@ def _days(vehicle: str, job: Job, known: _Known, store: Store) -> list[Day]:
         if partition.vehicle == vehicle:
             reduced = store.get(job.fingerprint, sha256)
             if reduced is None:
-                raise UndertowError(f"'{store.folder}' loses what is written to it: choose another folder")
+                raise UndertowError(
+                    f"'{store.folder}' loses files that are written to it: choose another folder"
+                )
             parts.append((partition.day, reduced))
     return days_of(parts)
 

@@ -134,7 +134,7 @@ def _next(finished: SimpleQueue[Any]) -> Any:
 
 def _in_one_line(error: Exception) -> str:
     if type(error).__name__ == "KilledWorker":
-        return "workers died of it again and again (out of memory?)"
+        return "it killed several workers (out of memory?)"
     return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
 
 
@@ -147,14 +147,14 @@ def engine(
 ) -> Iterator[Engine]:
     """Something that does the work."""
     if listen is not None and (workers == 0 or scheduler is not None):
-        other = "--workers 0 starts none" if scheduler is None else "--scheduler names another one"
-        raise UndertowError(f"--listen {listen} is for a cluster of this machine, and {other}: leave one out")
+        other = "--workers 0 starts none" if scheduler is None else "--scheduler names a different one"
+        raise UndertowError(f"--listen {listen} is for a local cluster, but {other}: leave out one of them")
     if workers == 0 and scheduler is None:
         yield InProcess()
         return
     if find_spec("distributed") is None:
         raise UndertowError(
-            f"a fleet is worked through by Dask, which is not installed: {INSTALL}, or give --workers 0 to "
+            f"fleets need Dask, which is not installed: {INSTALL}, or give --workers 0 to "
             "work in this process"
         )
     with _client(scheduler, workers, LISTEN if listen is None else listen) as client:
@@ -202,7 +202,7 @@ def _local(workers: int | None, listen: str) -> Iterator[Any]:
     except (OSError, RuntimeError, TimeoutError) as error:
         raise UndertowError(
             f"no cluster of {count} processes can be started here ({' '.join(str(error).split())[:200]}): "
-            "take fewer (--workers), or --workers 0 for this process"
+            "use fewer (--workers), or --workers 0 for this process"
         ) from error
     with cluster:
         yield cluster
@@ -238,7 +238,7 @@ def _check_own(address: str) -> None:
         reason = getattr(error, "strerror", None) or str(error)
         raise UndertowError(
             f"this machine cannot listen on '{address}' ({reason.lower()}): give one of its own IPv4 "
-            f"addresses, or leave --listen out for {LISTEN}"
+            f"addresses, or leave out --listen for {LISTEN}"
         ) from error
 
 

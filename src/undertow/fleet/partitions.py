@@ -55,8 +55,8 @@ def find(patterns: Sequence[str]) -> list[Path]:
         files = [p for p in map(Path, glob(_pattern(pattern), recursive=True)) if p.is_file()]
         if not files:
             raise UndertowError(
-                f"no file fits '{pattern}': give Parquet files, such as 'logs/**/*.parquet' (quoted, so that "
-                "the shell leaves it alone)"
+                f"no file matches '{pattern}': give Parquet files, such as 'logs/**/*.parquet' (quoted, so "
+                "that the shell does not expand it)"
             )
         found += files
     return sorted({p.absolute() for p in found})
@@ -84,7 +84,7 @@ def partition_of(path: Path, mapping: LogMapping) -> Partition:
     with path.open("rb") as stream:
         if not own and not is_parquet(stream.read(4)):
             raise UndertowError(
-                f"{path} is neither a Parquet file nor a vehicle's own log: write the table as Parquet"
+                f"{path} is neither a Parquet file nor a vehicle log: write the table as Parquet"
             )
     keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
     head = {} if own or len(keys) == 2 else _said_inside(path, mapping)
@@ -143,8 +143,8 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     if stated is None and isinstance(time, int | float) and time > _EPOCH:
         return _date_of(path, time)
     raise UndertowError(
-        f"{path} does not say its day: name its folder day=2026-05-01, its file 2026-05-01{path.suffix}, or "
-        "give a table a column day"
+        f"{path} does not say its day: name the folder day=2026-05-01, the file 2026-05-01{path.suffix}, or "
+        "give the table a column day"
     )
 
 

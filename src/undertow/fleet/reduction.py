@@ -156,9 +156,8 @@ def _refuse_unknown(daily: Sequence[str], known: Catalogue, scored: Sequence[Can
             raise UndertowError(f"'{name}' is not an effect of the catalogue: undertow effects lists them")
         if name not in {c.id for c in scored} and name not in DAILY:
             raise UndertowError(
-                f"'{name}' cannot have a value for each day: the model has it already, its degrees of "
-                f"freedom do not show it, or it has to be searched for; possible are "
-                f"{', '.join(c.id for c in scored)}"
+                f"'{name}' cannot have a value for each day: it is in the model already, does not show in "
+                f"its degrees of freedom, or needs a search; possible are {', '.join(c.id for c in scored)}"
             )
 
 
@@ -218,8 +217,8 @@ def panel_of(job: Job) -> Panel:
         panel = _made(job)
         if fingerprint(job, panel) != key:
             raise UndertowError(
-                f"this worker reads another '{job.vehicle}' or has another version of undertow: give workers "
-                "the same files and versions"
+                f"this worker reads a different '{job.vehicle}' or has a different version of undertow: "
+                "give workers the same files and versions"
             )
         _keep(key, panel)
     return _PANELS[key]
@@ -285,7 +284,9 @@ def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
     runs = runs_of(job, path, panel.vehicle.command_names)
     reduced = reduce_runs(runs, panel, path, trust_log=job.trust_log)
     if sha256 and sha256_of(path) != sha256:  # after it was read: it may still be written to
-        raise UndertowError(f"{path} was changed while it was read, or is another for this worker: run again")
+        raise UndertowError(
+            f"{path} was changed while it was read, or is different for this worker: run again"
+        )
     return reduced
 
 

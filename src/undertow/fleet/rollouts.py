@@ -167,7 +167,7 @@ def _refuse_large(count: int, samples: int, states: int) -> None:
     if size > _LIMITS.bytes:
         raise UndertowError(
             f"{count} rollouts of {samples} samples take {size / 1e9:.1f} GB at a time, at most "
-            f"{_LIMITS.bytes / 1e9:g}: take fewer (--count) or shorter ones (--horizon)"
+            f"{_LIMITS.bytes / 1e9:g}: use fewer (--count) or shorter ones (--horizon)"
         )
 
 
@@ -176,8 +176,8 @@ def _predictor(vehicle: str, effects: tuple[str, ...], files: str) -> Predictor:
     predictor = Predictor(load_vehicle(vehicle, effect_files=[Path(f) for f in effects]))
     if files_digest(vehicle, effects) != files:
         raise UndertowError(
-            f"this worker reads another '{vehicle}' or other effects, or has another version of undertow: "
-            "give workers the same files and versions, and do not change files meanwhile"
+            f"this worker reads a different '{vehicle}' or different effects, or has a different version of "
+            "undertow: give workers the same files and versions, and do not change files during the run"
         )
     return predictor
 
@@ -188,7 +188,7 @@ def _cut(job: RolloutJob, source: Source) -> Windows:
     run = read_log(source.log, job.log_mapping, vehicle.command_names, missing_commands=job.fill)
     if run.sha256 != source.sha256:
         raise UndertowError(
-            f"{source.log} is another file for this worker, or was changed meanwhile: try again"
+            f"{source.log} is different for this worker, or was changed during the run: try again"
         )
     run = velocities_from_pose(run, vehicle.degrees_of_freedom)
     refuse_impossible(vehicle, [run], trust_log=job.trust_log)

@@ -33,7 +33,7 @@ Message = dict[str, Any]
 def require_nicegui() -> None:
     """Refuse to begin without the library."""
     if find_spec("nicegui") is None:
-        raise UndertowError(f"the workbench is drawn by NiceGUI, which is not installed: {INSTALL}")
+        raise UndertowError(f"the workbench needs NiceGUI, which is not installed: {INSTALL}")
 
 
 def require_port(port: int) -> None:
@@ -72,7 +72,7 @@ class Worker:
     def start(self, place: Workspace, task: str, args: Message) -> None:
         """Begin a task."""
         if self.work is not None:
-            raise UndertowError(f"'{TASKS[self.work.task][1]}' is still going on: wait, or cancel it")
+            raise UndertowError(f"'{TASKS[self.work.task][1]}' is still running: wait, or cancel it")
         pipe = self._connected()
         self.work = Work(task, place.key, words=TASKS[task][1])
         session = place.session.model_dump(by_alias=True)
@@ -107,7 +107,7 @@ class Worker:
 
     def _listen(self, pipe: Connection, work: Work) -> None:
         """Take messages until the task is over; those of a task that was cancelled are dropped."""
-        message: Message = {"failed": "the process that did the work has ended (out of memory?): try again"}
+        message: Message = {"failed": "the worker process has ended (out of memory?): try again"}
         with suppress(EOFError, OSError):
             while "progress" in (message := json.loads(pipe.recv_bytes())):
                 work.done, work.words = message["progress"], message["words"]
@@ -311,7 +311,7 @@ class Bench:
         if "written" in result:
             return f"wrote {', '.join(result['written'])}"
         if task == "add" and "step" not in result:
-            return f"{result['sentence']} It was not added; 'Add all the same' puts it in."
+            return f"{result['sentence']} It was not added; 'Add all the same' adds it anyway."
         return str(result.get("sentence", ""))
 
 

@@ -44,7 +44,7 @@ def log_page(view: View) -> None:
 
 def _logs(view: View) -> None:
     """What is done with each log."""
-    heading("Logs", "Choose what the model is fitted to, what it is judged by, and what is left out.")
+    heading("Logs", "Choose the data to fit, the data for validation, and what to leave out.")
     words = {role: figures.ROLE_WORDS[role] for role in ROLES}
     for i, (choice, run) in enumerate(zip(view.bench.session.logs, view.bench.runs, strict=True)):
         with ui.row().classes("items-center gap-3"):
@@ -276,7 +276,7 @@ def _remedies(view: View) -> None:
         for text in _mended(view).values():
             ui.label(text).classes("text-sm")
         ui.label("Grey lines are the channels before the last remedy.").classes("text-xs text-grey-8")
-        ui.button("Take the last one back", on_click=view.bench.undo_remedy).props(
+        ui.button("Undo the last one", on_click=view.bench.undo_remedy).props(
             "dense flat no-caps size=sm"
         ).mark("undo-remedy")
 
@@ -330,11 +330,13 @@ def _excitation(rows: Sequence[Mapping[str, Any]]) -> None:
 def fails_page(view: View) -> None:
     """The error map; a click on a cell marks its times and shows the residual force against a variable."""
     with ui.row().classes("w-full items-center gap-4"):
-        heading("Where it fails", f"The model {view.bench.session.steps[-1].what}, beside all logs in use.")
+        heading(
+            "Where it fails", f"The model {view.bench.session.steps[-1].what}, compared with all logs in use."
+        )
         action("Compare the model with the logs", view, "compare")
     found, current = view.bench.place.last_result("compare")
     if found is None:
-        ui.label("Nothing was compared so far.").classes("text-grey-8")
+        ui.label("Not compared yet.").classes("text-grey-8")
         return
     if not current:
         stale()
@@ -395,7 +397,7 @@ def _residual(view: View, found: Mapping[str, Any], again: Any) -> None:
                 on_change=lambda e: chosen("curve", e.value),
             ).classes("w-48").mark("curve")
         else:
-            ui.label("Candidates' curves appear here once 'What is missing' was asked.").classes(
+            ui.label("Curves of candidates appear here after 'What is missing' was run.").classes(
                 "text-xs text-grey-8"
             )
     curve = (view.curve, candidates[view.curve]) if view.curve else None

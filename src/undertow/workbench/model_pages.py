@@ -36,9 +36,9 @@ def missing_page(view: View) -> None:
     with ui.row().classes("w-full no-wrap items-start gap-4"):
         with ui.column().classes("w-1/2 gap-2").style("min-width: 0"):
             if found is None:
-                ui.label(
-                    "Nothing was looked for so far. It takes up to a minute for a few minutes of logs."
-                ).classes("text-grey-8")
+                ui.label("No search yet. It takes up to a minute for a few minutes of logs.").classes(
+                    "text-grey-8"
+                )
             else:
                 _verdict(found, current)
                 _measure(view, found)
@@ -90,14 +90,14 @@ def _candidates(view: View, found: Mapping[str, Any]) -> None:
     before = found["errors"].get(measure)
     ranked = sorted(found["candidates"], key=lambda c: c["errors"].get(measure, float("inf")))
     ui.label(
-        f"Refitted without any of them: {shown(measure, before)}. Point at one to see it simulate. "
+        f"Refitted without any of them: {shown(measure, before)}. Point at one to see its simulation. "
         "Values are ± one standard error."
     ).classes("text-sm text-grey-8")
     since = {step.effect for step in view.bench.session.steps[found["step"] + 1 :]}
     for candidate in ranked:
         _candidate(view, candidate, measure, before, since)
     if found["idle"]:
-        with ui.expansion(f"{len(found['idle'])} more were tried and do nothing").classes(
+        with ui.expansion(f"{len(found['idle'])} more were tried and do not help").classes(
             "text-sm text-grey-8"
         ):
             ui.label(", ".join(found["idle"])).classes("text-sm")
@@ -143,7 +143,7 @@ def _add(view: View, effect: str, there: Set[str]) -> None:
 
 
 def _details(view: View, c: Mapping[str, Any]) -> None:
-    details = ui.expansion("equation, what it is confused with").mark(f"details-{c['effect']}")
+    details = ui.expansion("equation, confused with").mark(f"details-{c['effect']}")
     with details.props("dense").classes("w-full text-sm"):
         ui.label(c["about"]).classes("text-sm")
         place = ui.column().classes("w-full gap-1")
@@ -158,7 +158,7 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
             if c["named"]:
                 ui.label("No other effect does as well on these logs.").classes("text-sm")
             return
-        ui.label(f"These logs hardly tell it from {', '.join(c['confused'])}.").classes("text-sm")
+        ui.label(f"These logs hardly distinguish it from {', '.join(c['confused'])}.").classes("text-sm")
         if c["tell"]:
             ui.label(f"What would: {c['tell']}").classes("text-sm")
         between = ",".join([c["effect"], *c["confused"]])
@@ -179,7 +179,7 @@ def _chance(p: float | None) -> str:
     if p is None:
         return ""
     rate = "fewer than 0.2 %" if p < 0.002 else f"{p:.1%}"  # as the command prints it
-    return f" Chance does as much in {rate} of cases."
+    return f" Chance does as well in {rate} of cases."
 
 
 def _remaining(view: View, found: Mapping[str, Any]) -> None:
@@ -222,7 +222,7 @@ def _waterfall(view: View) -> None:
     bars = list(falling(session.steps, measure))
     if sum(value is not None for _, value in bars) < 2:
         ui.label(
-            "The error from model to model is drawn here once an effect was added or the model was refitted."
+            "The error of each model is drawn here after an effect is added or the model is refitted."
         ).classes("text-sm text-grey-8")
         return
     scale = 1.0 if measure == FORCE else 100.0
@@ -356,7 +356,7 @@ def _row(view: View, row: Mapping[str, Any]) -> None:
 
 def _model(vehicle: Vehicle) -> None:
     """The effects of the model, each with the equations that its parameters stand in."""
-    ui.label("Where they stand: the forces are the sum of these").classes("font-medium pt-4")
+    ui.label("Their equations: the forces are the sum of these").classes("font-medium pt-4")
     for effect in vehicle.all_effects:
         details = ui.expansion(effect.id).mark(f"effect-{effect.id}")
         with details.props("dense").classes("w-full text-sm"):
@@ -388,14 +388,14 @@ def _fitted(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], current
     if not current:
         stale()
     ui.label(found["sentence"]).classes("text-sm").mark("fit-sentence")
-    ui.label("Estimates over what was stated").classes("font-medium")
+    ui.label("Estimates over stated values").classes("font-medium")
     ui.plotly(figures.against_priors(rows)).classes("w-full")
     for name, remarks in found["remarks"].items():
         ui.label(f"{parameter_text(name)}: {'; '.join(remarks)}").classes("text-sm text-amber-900")
     for note in found["notes"]:
         ui.label(note).classes("text-sm text-amber-900")
     if found["combinations"]:
-        ui.label(f"Only these combinations show in the logs: {'; '.join(found['combinations'])}.").classes(
+        ui.label(f"The logs determine only these combinations: {'; '.join(found['combinations'])}.").classes(
             "text-sm text-amber-900"
         )
     ui.label(
@@ -410,14 +410,14 @@ def out_page(view: View) -> None:
     """Vehicle file, report, C code, and the command lines that would do the same."""
     bench = view.bench
     stem = Path(bench.session.vehicle).stem
-    heading("Out", f"What is written is the model {bench.session.steps[-1].what}.")
+    heading("Out", f"The model that is written is {bench.session.steps[-1].what}.")
     with ui.grid(columns="12rem 28rem auto").classes("items-center gap-x-4 gap-y-1"):
         _output(view, "Vehicle file", "vehicle", f"{stem}-better.toml")
         _output(
             view, "Report (HTML)", "report", f"{stem}-report.html", key=bench.session.latest.get("diagnose")
         )
         _output(view, "C code (folder)", "code", "build")
-    heading("The same from a command line", "so that what was clicked can be repeated")
+    heading("The same from a command line", "to repeat what was clicked")
     if bench.place.in_pieces and not bench.session.written:
         ui.label(
             "Commands take whole logs: write the stretches that were chosen as logs of their own first."

@@ -156,8 +156,8 @@ def _progress(view: View) -> None:
 def _messages(bench: Bench) -> None:
     if bench.place.vehicle_changed:
         ui.label(
-            f"{bench.session.vehicle} was edited or moved after this session began: 'as given' is what it is "
-            "now, and models made before come from what it was. Another --session begins anew."
+            f"{bench.session.vehicle} was edited or moved after this session began: 'as given' is the "
+            "present file, but earlier models come from the old one. Start a new --session to begin again."
         ).classes("text-amber-900 bg-amber-1 px-3 py-1 rounded w-full")
     if bench.failure:
         ui.label(bench.failure).classes("text-red-900 bg-red-1 px-3 py-1 rounded w-full").mark("failure")

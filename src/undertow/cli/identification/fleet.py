@@ -243,8 +243,8 @@ def _show_bands(bands: Sequence[Band], count: int, horizon: float, coverage: flo
     low = [name for name, share in shares_within(bands).items() if share < 1 - 3 * (1 - coverage)]
     if low:
         say(
-            f"  {', '.join(low)}: the logs leave the band of {coverage:.0%} more than three times as "
-            "often as they should: the model lacks more than its parameters say (undertow diagnose)",
+            f"  {', '.join(low)}: the measurement leaves the {coverage:.0%} band more than three times as "
+            "often as it should: more is wrong than the parameter uncertainty (undertow diagnose)",
             "yellow",
         )
     return diverged
@@ -276,8 +276,8 @@ def show(found: FleetReport) -> None:
         for line in _lines(of):
             say(f"  {line}")
     out.print()
-    worked = f"{found.worked} worked out now, {found.done - found.worked} known before"
-    out.print(text(f"{found.done} of {found.found} files count ({worked})"))
+    worked = f"{found.worked} computed now, {found.done - found.worked} known before"
+    out.print(text(f"{found.done} of {found.found} files were used ({worked})"))
     for path, words in [*found.failed.items()][:_SHOWN]:
         say(f"left out: {_failed(path, words)}", "yellow")
     if len(found.failed) > _SHOWN:
@@ -327,22 +327,22 @@ def _lines(of: VehicleReport) -> Iterator[str]:
 
 def page(found: FleetReport) -> str:
     """The report as Markdown."""
-    parts = ["# Fleet\n", f"{found.done} of {found.found} files count.\n"]
+    parts = ["# Fleet\n", f"{found.done} of {found.found} files were used.\n"]
     parts += [_section(of) for of in found.vehicles]
     if found.failed:
         lines = [f"- {_failed(path, words)}" for path, words in found.failed.items()]
         parts.append("\n".join(["## Left out\n", *lines, ""]))
     if found.unscored:
-        parts.append(f"Not looked at, since they have to be searched for: {', '.join(found.unscored)}.\n")
+        parts.append(f"Not tested, because they need a search: {', '.join(found.unscored)}.\n")
     return "\n".join([*parts, _HOW])
 
 
 _HOW = """\
-A change is reported where it stands out of the scatter from day to day (jackknife over days, Student's t,
-Holm's rule over all vehicles, months and effects: 1 % for a single false one in this report), and is named
+A change is reported where it exceeds the day-to-day scatter (jackknife over days, Student's t,
+Holm's rule over all vehicles, months and effects: 1 % for a single false report), and a cause is named
 where no other cause that was tried explains all of it. Values are one linear step from those of the vehicle
-file, with thrust as the file states it: where a thruster wears, drag and added mass of a month make up for
-it. ± is one standard error by the scatter of the days, or by the noise where that is more; days count as
+file, with thrust as stated in the file: where a thruster wears, drag and added mass of a month compensate for
+it. ± is one standard error, from the scatter of the days, or from the noise if that is more; days count as
 independent.
 """
 

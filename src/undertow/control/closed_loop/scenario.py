@@ -74,7 +74,7 @@ class Scenario:
                 f"length of the run, {self.duration:g} s"
             )
         if self.continuous and any(self.noise.values()):
-            raise UndertowError("noise needs a sampled law: leave out one of the two")
+            raise UndertowError("noise needs a sampled law: leave out the noise or --continuous")
         if self.seed < 0:
             raise UndertowError(f"seed {self.seed} is below zero: give a whole number from 0 on")
 

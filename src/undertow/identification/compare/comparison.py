@@ -532,7 +532,7 @@ def headline(worst: Cell | None) -> str:
     share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {explained} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
     if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlated / worst.samples):
-        return f"nothing stands out from the noise; the most is {place}: {share}"
+        return f"nothing exceeds the noise clearly; the largest is {place}: {share}"
     return f"fails most {place}: {share}"
 
 

@@ -349,7 +349,9 @@ def _used_panel(axis: Any, log: FieldLog) -> None:
     for first, last in log.stretches:
         axis.axvspan(first, last, color=FLOOR, alpha=0.2, linewidth=0)
     axis.set_title(
-        f"{log.path.name}: used is what is shaded" if log.stretches else f"{log.path.name}: all is used"
+        f"{log.path.name}: the shaded part is used"
+        if log.stretches
+        else f"{log.path.name}: all of it is used"
     )
     axis.set_xlabel("time [s]")
     axis.set_ylabel("largest command")
