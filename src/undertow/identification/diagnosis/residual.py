@@ -23,6 +23,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .associations import (
+    STEP,
     Along,
     Association,
     Clock,
@@ -36,6 +37,7 @@ from .associations import (
     highest_peak,
     label_of,
     plain_of,
+    steps_of,
     terms_of,
     without_waves,
 )
@@ -491,6 +493,8 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
         return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
+    if STEP.fullmatch(column[0]):
+        return f"{coefficients[0]:+.2g} {unit} from then on"
     own = VELOCITY[DOFS.index(degree_of_freedom)]
     others = [f for f in column if f != own]
     even = all(f == "t" or f.startswith("|") for f in others)
@@ -546,7 +550,8 @@ class Characteriser:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
         self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
-        self._terms = tuple(terms_of(vehicle, measured_pose(validation)))
+        times = self._clocks[0].t
+        self._terms = (*terms_of(vehicle, measured_pose(validation)), *steps_of(times))
         self._prior = prior_of(fit.model)[1]
 
     @cached_property

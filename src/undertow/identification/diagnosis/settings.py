@@ -225,9 +225,12 @@ class Settings:
         one_case="roll decay of examples/kvlcc2.md",
     )
     size_change: float = _number(
-        0.25, "standard deviation of the size from which it changes", "an effect that begins in mid-run",
+        0.5,
+        "standard deviation of the size of an effect between parts of the logs, as a share of the size, from "
+        "which it is not the same effect everywhere; the same for its fall beside another effect",
+        "below it 97.5 % of the parts have the same sign",
         off=_NEVER,
-    )  # fmt: skip
+    )
 
     # --- where more than noise is left --------------------------------------------------------
     worth: float = _number(
