@@ -347,7 +347,7 @@ def test_every_number_is_switched_off_on_the_same_cases() -> None:
 
 
 def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
-    names = {"default": ["lift"], "named_share": ["lift"], "within_reach": []}
+    names = {"default": ["lift"], "named_share": ["lift"], "output_error_reach": []}
     records = [
         {
             "id": f"{LIFT}:{n}",
@@ -358,9 +358,9 @@ def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
     ]
     rows = {line.split("|")[1].strip(): line for line in ablation_page(records).splitlines() if "|" in line}
     assert [c.strip() for c in rows["`named_share`"].split("|")[-3:-1]] == ["1", "0"]
-    assert [c.strip() for c in rows["`within_reach`"].split("|")[-3:-1]] == ["1", "1"]
-    assert [c.strip() for c in rows["`excited`"].split("|")[-3:-1]] == ["–", "not run"]
-    assert f"- `within_reach` off, `{LIFT}`: missing_effect lift becomes unexplained" in ablation_page(
+    assert [c.strip() for c in rows["`output_error_reach`"].split("|")[-3:-1]] == ["1", "1"]
+    assert [c.strip() for c in rows["`excitation_ratio`"].split("|")[-3:-1]] == ["–", "not run"]
+    assert f"- `output_error_reach` off, `{LIFT}`: missing_effect lift becomes unexplained" in ablation_page(
         records
     )
 
@@ -465,4 +465,4 @@ def test_other_methods_get_straight_lines_where_a_channel_has_gaps() -> None:
 def test_what_no_catalogue_knows_does_not_get_the_name_of_what_goes_along_with_it(case: str) -> None:
     said = measured(Planned.read(case), peers=False)[0]
     assert said["answer"]["verdict"] == "helps_prediction"
-    assert "its size would be" in said["headline"]
+    assert "its size would drop to" in said["headline"]

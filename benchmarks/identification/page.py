@@ -19,35 +19,34 @@ from .variables import SQUARES, Bias
 BIASES = "identification-biases.png"
 PARAMETERS = ("m_x", "X_u", "X_u|u|")
 _INTRODUCTION = """\
-# Identification: the paper's chain, and what replaces it
+# Identification: the paper's method and the estimators of undertow
 
-The paper on the mini-AUV estimates added mass and damping from forced motion: velocity and acceleration
-are smoothed by Savitzky-Golay filters in eleven ways, and ordinary least squares does the rest
-(`undertow identify --method sg-ls`). undertow keeps that chain as a baseline. `undertow fit` estimates
-by a weak form (test functions, no derivative of noise, errors in the right units), by output error
-(simulation), and where it takes more by instrumental variables or prediction error. This page is made by
-a program (last section).
+The mini-AUV paper estimates added mass and damping from forced motion: velocity and acceleration are smoothed
+by Savitzky-Golay filters in eleven ways, followed by ordinary least squares (`undertow identify --method
+sg-ls`). undertow keeps that method as a baseline. `undertow fit` uses a weak form (test functions, no
+derivative of noise, errors in the right units), output error (simulation), and, where needed, instrumental
+variables or prediction error. This page is made by a program (last section).
 
 ## The paper's surge experiment with known truth
 
-Force profile P of the paper ({draws} draws, half of them mirrored), 30 s at 0.2 s; m_x = 9.130825 kg,
-X_u = 0.142306 kg/s, X_u|u| = 5.153776 kg/m. Noise of the velocity in shares of its rms; of the
-acceleration, which only the paper's chain uses, 0.025 m/s². Weak form and output error get the force as
-it is held, with a sample at each of its three jumps. Root mean square error in % of the truth:
+Force profile P of the paper ({draws} draws, half of them mirrored), 30 s at 0.2 s; m_x = 9.130825 kg, X_u =
+0.142306 kg/s, X_u|u| = 5.153776 kg/m. Noise of the velocity as a share of its rms; of the acceleration, which
+only the paper's method uses, 0.025 m/s². Weak form and output error get the force as it is held, with a
+sample at each of its three jumps. Root mean square error in % of the truth:
 """
 _WHY = """\
-Why the chain is off: it filters the motion and not the force, so that acceleration and force no longer
-belong to the same instant wherever the force jumps; and with noise in them, regressors draw estimates
-towards zero. Without any noise its cases give m_x 1 to 8 % too large (case 2 to case 8). Its own
-standard errors take smoothed samples as independent, and know nothing of either. X_u is not determined
-by this experiment at realistic noise, whatever the estimator: output error calls it so.
+Why the paper's method is biased: it filters the motion but not the force, so acceleration and force no longer
+belong to the same instant where the force jumps; and noise in the regressors biases estimates towards zero.
+Without any noise its cases give m_x 1 to 8 % too large (case 2 to case 8). Its own standard errors take
+smoothed samples as independent and include neither error. At realistic noise, this experiment does not
+determine X_u, whatever the estimator; output error reports that.
 """
 _CFD = """\
 ## A box pushed through water, by CFD
 
-The box hull (60.48 kg; potential theory: 20.6 kg of added mass, m_x = 81.1 kg) on two force profiles at
-0.2 s, all three parameters free and no stated values. There is no noise, so all that differs is what
-the model lacks: a memory of the wake ([its page](examples/cfd-surge.md)), which each method hides in other
+The box hull (60.48 kg; potential theory: 20.6 kg of added mass, m_x = 81.1 kg) on two force profiles at 0.2
+s, all three parameters free and no stated values. There is no noise, so all differences come from what the
+model lacks: a memory of the wake ([its page](examples/cfd-surge.md)), which each method absorbs in different
 parameters. Standard errors are those that each method states.
 """
 
@@ -55,43 +54,44 @@ parameters. Standard errors are those that each method states.
 _TOWING = """\
 ## Towing tests of a model ship
 
-C/S Enterprise I (NTNU; its free runs: [examples](examples/cse1.md)) towed at {runs} constant speeds up to
-0.6 m/s, each for half a minute, and one of its free runs under joystick. Where nothing accelerates, least
-squares is all that is left of the paper's chain, and the added mass is **{mass}** from these
-tests; a free run determines it, and hardly the drag. Magnitudes:
+C/S Enterprise I (NTNU; its free runs: [examples](examples/cse1.md)) was towed at {runs} constant speeds up to
+0.6 m/s, each for half a minute; one of its free runs under joystick is used as well. Without acceleration,
+only the least squares of the paper's method remains, and the added mass is **{mass}** from these tests; a
+free run determines it, but hardly the drag. Magnitudes:
 """
 _TOWED = """\
-Measured: {measured}. The sum of both terms is known far better than either.
-Samples of one towing run are correlated (waves of the basin, a 5-Hz filter), and stated errors follow from
-what each method takes for independent. A free run knows the drag of speeds that it has, as a sum with all
-that its model lacks: its thrusters have a dead band and a delay.
+Measured: {measured}. The sum of both terms is known far better than either. Samples of one towing run are
+correlated (waves in the basin, a 5-Hz filter), and the stated errors depend on what each method takes as
+independent. A free run gives the drag at its own speeds, as a sum with all that its model lacks: its
+thrusters have a dead band and a delay.
 """
 _VARIABLES = """\
 ## Noise and an unknown current in the regressors
 
-Least squares takes its regressors for exact. A noisy velocity is not: its square is too large by the
-variance of the noise, and what multiplies noise is drawn towards zero. An unknown current is an error of the
-same kind that no averaging removes. Five minutes in surge at 10 Hz under forces up to 0.6 N that jump every
-four seconds, {draws} draws; noise of the velocity in shares of its rms; no acceleration is logged. Bias in %
-of the truth ± its standard error by the number of draws:
+Least squares takes its regressors as exact. A noisy velocity is not: its square is too large by the variance
+of the noise, and coefficients of noisy regressors are biased towards zero. An unknown current is a similar
+error that no averaging removes. Five minutes in surge at 10 Hz under forces up to 0.6 N that jump every four
+seconds, {draws} draws; noise of the velocity as a share of its rms; no acceleration is logged. Bias in % of
+the truth ± its standard error over the draws:
 """
 _CURRENT = """\
-Integrals over test functions leave little of the bias of least squares; what is left shows at noise that is
-large beside the motion, and goes with instrumental variables (regressors and weights by the simulated motion)
-or output error. None of them helps against water that moves by 0.1 or 0.2 m/s while the model takes the
-velocity over ground for that through the water (2 % noise): that takes the effect `ocean_current` in the
-model. (A bias of -100 % of X_u is its bound.)
+Integrals over test functions remove most of the bias of least squares. The rest shows where the noise is
+large compared with the motion, and is removed by instrumental variables (regressors and weights from the
+simulated motion) or output error. None of them helps against water that moves at 0.1 or 0.2 m/s while the
+model takes the velocity over ground as that through the water (2 % noise): that needs the effect
+`ocean_current` in the model. (A bias of -100 % of X_u is its bound.)
 """
 _HARDSHIPS = """\
 ## Outliers, and forces that nobody logs
 
-One minute in surge at 10 Hz under forces up to 2 N, 0.005 m/s of noise, {draws} draws. Root mean square error
-in % of the truth; last, errors in units of the standard errors that the method states (1 is right, more
-is too sure of itself):
+One minute in surge at 10 Hz under forces up to 2 N, 0.005 m/s of noise, {draws} draws. Root mean square
+error in % of the truth; last column: errors over the standard errors that the method states (1 is right, more
+is overconfident):
 """
 _HARD = """\
-A robust loss costs little where all is well. Prediction error is output error with a disturbance whose
-strength, white and wandering, is estimated along with the parameters; without one it is output error.
+A robust loss costs little without outliers. Prediction error is output error with a disturbance whose
+strength, white and wandering, is estimated along with the parameters; without a disturbance it is output
+error.
 """
 
 

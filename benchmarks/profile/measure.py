@@ -37,7 +37,7 @@ class Profile:
     Attributes
     ----------
     modules : dict
-        Seconds of the processor by module of undertow and stage.
+        CPU seconds by module of undertow and stage.
     named : list of str
         What was found missing.
     """
@@ -47,7 +47,7 @@ class Profile:
 
     @property
     def stages(self) -> dict[str, float]:
-        """Seconds of the processor by stage, the longest first."""
+        """CPU seconds by stage, the longest first."""
         found: dict[str, float] = defaultdict(float)
         for (_, stage), seconds in self.modules.items():
             found[stage] += seconds

@@ -18,14 +18,14 @@ _TEXT = """\
 
 Made by `python -m benchmarks.profile` ({machine}).
 
-`undertow diagnose` over the whole catalogue: vehicle `{vehicle}` of `benchmarks.hidden_effects` with
-`{hidden}` hidden (seed {seed}), six degrees of freedom, three runs of 100 s to fit to and one to judge by,
-20 Hz. It answers: {named}. Compiled code is in the cache, files are read; what is timed is the diagnosis. A
-timer that counts processor time looks every {interval:.0f} ms which module is at work; what NumPy, SciPy and
-compiled code do counts for the module that called them. All in one process (`UNDERTOW_JOBS=1`); on several
-cores the candidates, their fits and the doctor run beside each other.
+`undertow diagnose` with the whole catalogue: vehicle `{vehicle}` of `benchmarks.hidden_effects` with
+`{hidden}` hidden (seed {seed}), six degrees of freedom, three runs of 100 s to fit and one for validation, 20
+Hz. Its answer: {named}. Compiled code is cached and files are read before; only the diagnosis is timed. A
+sampling profiler on CPU time records every {interval:.0f} ms which module is running; NumPy, SciPy and
+compiled code count for the module that called them. Everything runs in one process (`UNDERTOW_JOBS=1`); on
+several cores the candidates, their fits and the doctor run in parallel.
 
-![Seconds of the processor by module, stacked by stage]({picture})
+![CPU seconds by module, stacked by stage]({picture})
 
 ## Stages
 
@@ -39,8 +39,7 @@ cores the candidates, their fits and the doctor run beside each other.
 
 ## Against the number of effects
 
-The same data and model; only the number of effects that may be missing differs (without the profiler).
-Processor time, as it is less shaken by other programs.
+The same data and model with different numbers of candidate effects (without the profiler), in CPU time.
 
 {growth}
 {slope}

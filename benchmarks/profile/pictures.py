@@ -1,4 +1,4 @@
-"""Seconds of the processor by module, stacked by stage."""
+"""CPU seconds by module, stacked by stage."""
 
 from __future__ import annotations
 

@@ -248,16 +248,16 @@ def seconds(records: Iterable[Record]) -> str:
 INTRODUCTION = """\
 # Real logs
 
-What the diagnosis says of real logs, and how good its models predict. Nobody knows what is missing in a model
-of a real vehicle. So two things are done of which the answer is known: a term that the model has is taken out
-of its vehicle file, and a known effect is put into the log, exactly, by working out what would have been
-logged with it. Beside each stands the answer for the log as it is.
+What the diagnosis says about real logs, and how well its models predict. Nobody knows what is missing in a
+model of a real vehicle. So two experiments with a known answer are made: a term of the model is removed from
+its vehicle file, and a known effect is put exactly into the log, by computing what would have been logged
+with it. The answer for the original log is shown for comparison.
 """
 AS_LOGGED = """\
-Errors here and below: simulated velocities of the validation runs, in % of the motion (geometric
-mean over the degrees of freedom), from the measured state every so many seconds. The first third of these
-runs judges nothing, so that what belongs to a run may be estimated from it. A dash: it diverged, or there is
-none. Before: the answers before the changes of this version.
+Errors here and below are of simulated velocities on the validation runs, in % of the motion (geometric mean
+over the degrees of freedom), from the measured state at regular intervals. The first third of these runs is
+not judged, so that values that belong to a run can be estimated from it. A dash: it diverged, or there is
+none. Before: answers of the previous version.
 
 """
 REMOVAL = f"""\
@@ -266,13 +266,13 @@ the error of the longest simulation falls by {100 * WORTH:g} % or more. Where an
 equation for this vehicle, both names are right.
 """
 INJECTION = f"""\
-Each at three sizes, on every log whose channels can show it. A current is a ground that moves: nothing in the
-water changes, so that it is exact; and so are the others, but for what is read off noisy channels (a lever
-arm with the logged turning rate). Cases (in brackets those that count: adding the right effect lowers the
-error of the longest simulation by {100 * WORTH:g} % or more), and of those that count, how often the effect
-is ranked first and named alone or in a set of two; of all, a wrong cause, and anything that was not named for
-the log as it is. Where velocities are derived from the pose, a wrong pose is a wrong velocity as well, and
-both names are right.
+Each at three sizes, on every log whose channels can show it. A current is a moving ground: nothing in the
+water changes, so it is exact. So are the others, except for values read from noisy channels (a lever arm with
+the logged turning rate). The table counts cases (in brackets those that count: adding the right effect lowers
+the error of the longest simulation by {100 * WORTH:g} % or more); of those that count, how often the effect
+is ranked first, and named alone or in a set of two; of all, a wrong cause, and anything named that was not
+named for the original log. If velocities are derived from the pose, a wrong pose is also a wrong velocity,
+and both names are right.
 """
 PREDICTION = """\
 The same windows of the same runs for all, fitted to the same training runs. Ours in the last columns is the
@@ -284,8 +284,8 @@ a linear state-space model (N4SID of nfoursid, on the longest training stretch o
 marks where ours is not below 0.95 of the best grey box.
 """
 FAILURES = """\
-Every case that counts and is not first and named, and every name that is not right and not that of the log as
-it is. One command repeats a case with all that is known of it:
+Every case that counts and is not first and named, and every name that is neither right nor that of the
+original log. One command repeats a case with everything known about it:
 
     python -m benchmarks.real one CASE
 """

@@ -103,15 +103,15 @@ def _closed(words: str) -> str:
 INTRODUCTION = """\
 # What it could not say, and why
 
-Every set of real logs at hand, as it is, with nothing put in or taken out: what the diagnosis says first,
-what its last model leaves, why what was tried has no name, and what would tell. The answers and numbers
-are those of the program; what is known of a vehicle from elsewhere, and what would tell more, is written by
-hand. How good the models predict beside other methods: [Real logs](real.md). Each data set at length:
+For every set of real logs, unmodified: what the diagnosis says first, what its last model leaves, why the
+effects that were tried are not named, and which data would tell. The answers and numbers are those of the
+program; what is known about a vehicle from other sources, and which data would tell, is written by hand. How
+well the models predict compared with other methods: [Real logs](real.md). Each data set in detail:
 [Examples](examples/README.md).
 
-Errors are those of simulated velocities of the validation runs, in % of the motion (geometric mean
-over the degrees of freedom). `helps_prediction` means that an effect lowers the error by more than chance
-while something speaks against it as the cause; the reason stands with it.
+Errors are those of simulated velocities on the validation runs, in % of the motion (geometric mean over the
+degrees of freedom). `helps_prediction` means that an effect lowers the error by more than chance, but
+something speaks against it as the cause; the reason is given.
 """
 MAKING = """\
 ## How this page was made

@@ -40,7 +40,7 @@ def _timing(stored: dict[str, Any]) -> Timing:
     reported = stored["extra_info"]
     more = {k: v for k, v in reported.items() if k not in _OWN}
     if "seconds" not in reported and stored["options"]["timer"] == "process_time":
-        more["clock"] = "of the processor"
+        more["clock"] = "CPU time"
     seconds = reported.get("seconds", stored["stats"]["min"] / reported.get("calls", 1))
     return Timing(
         reported["what"],

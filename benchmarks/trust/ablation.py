@@ -24,13 +24,13 @@ EVERY = 3
 INTRODUCTION = """\
 # The numbers that decide a verdict
 
-All of them stand in `undertow.identification.diagnosis.settings.Settings`. The command below switches each of
-them off in turn, where that is possible, and diagnoses a fixed sample of the cases of the
-[trust benchmark](trust.md) again, and one of the [real logs](real.md) with one degree of freedom. The table
-counts the answers (verdict, effects named, sets) that differ from those of the default settings. A number
-that makes no difference on the whole sample is to be removed; where fewer cases were run than the sample has,
-no difference is no evidence. Where it says "not run" there is no ablation yet, and the number rests on what
-stands under "chosen by" alone. A number with * was added for a single case of a benchmark.
+All of them are in `undertow.identification.diagnosis.settings.Settings`. The command below switches each of
+them off in turn, if possible, and repeats the diagnosis of a fixed sample of cases of the [trust
+benchmark](trust.md), and of the [real logs](real.md) with one degree of freedom. The table counts the answers
+(verdict, effects named, sets) that differ from those of the default settings. A number that makes no
+difference on the whole sample should be removed; if fewer cases were run, no difference is no evidence. "not
+run": there is no ablation yet, and the number rests only on "chosen by". A number with * was added for a
+single case of a benchmark.
 
 """
 HOW = """

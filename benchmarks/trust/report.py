@@ -15,7 +15,7 @@ from .measure import Record
 from .tally import OURS, VISIBLE, Scored, expressible, methods, of_kind, scored, share
 from .words import DEFINITIONS, EXPRESSIBLE, FAILURES, HARDER, INTRODUCTION, NO_PEERS, PEERS
 
-_SECONDS = ("degrees of freedom", "cases", "median s", "longest s", "median s of processor time")
+_SECONDS = ("degrees of freedom", "cases", "median s", "longest s", "median CPU time, s")
 _SINGLE: tuple[tuple[str, Callable[[Scored], bool]], ...] = (
     ("truth ranked first", lambda c: c.first),
     ("in the top three", lambda c: c.in_three),

@@ -86,9 +86,7 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
     assert add("dry_friction", "--out", "new.toml") == 1
     out, err = capsys.readouterr()
     assert re.search(r"Adding dry_friction .* the 5-s error.*worth adding", out)
-    assert err.splitlines() == [
-        "dry_friction is not put into the vehicle file; --force writes it all the same"
-    ]
+    assert err.splitlines() == ["dry_friction is not added to the vehicle file; --force writes it anyway"]
     assert contents(case) == before
 
 

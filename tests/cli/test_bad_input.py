@@ -54,7 +54,7 @@ VEHICLES = {
     "wrong effect": ("[effects.rigid_body]", "[effects.rigid_bdy]", ["'rigid_bdy'", "'rigid_body'"]),
     "wrong key of a thruster": ("limit = 2.0", "limits = 2.0", ["limits", "'limit'"]),
     "missing mass": (_M, "", ["rigid_body", "m"]),
-    "negative mass": (_M, "m = -23.8", ["m = -23.8", "cannot be"]),
+    "negative mass": (_M, "m = -23.8", ["m = -23.8", "is impossible"]),
     "infinite": (_M, "m = inf", ["m", "inf"]),
     "not a number": (_M, "m = nan", ["m", "nan"]),
     "true is no quantity": (_M, "m = true", ["m", "True", "quantity"]),
@@ -148,7 +148,7 @@ def _without(*names: str) -> Change:
 LOGS: dict[str, tuple[Change, list[str]]] = {
     "one sample": (_rows(slice(0, 1)), ["one sample", "at least 2"]),
     "a header only": (_rows(slice(0, 0)), ["no sample", "at least 2"]),
-    "ten samples": (_rows(slice(0, 10)), ["21 samples are needed"]),
+    "ten samples": (_rows(slice(0, 10)), ["21 samples without a gap are needed"]),
     "no time": (_without("t"), ["'t'"]),
     "time is missing somewhere": (_at("t", 7, np.nan), ["'t'", "row 8"]),
     "time is infinite somewhere": (_at("t", 7, np.inf), ["'t'", "row 8"]),

@@ -245,7 +245,7 @@ def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
     reported = tomllib.loads(Path("new.toml").read_text())["history"][0]
     assert reported["command"] == "undertow fit --method output-error --loss huber"
     assert main([*words, "--method", "prediction-error"]) == 2
-    assert "'huber' is none of --method prediction-error" in capsys.readouterr().err
+    assert "'huber' does not apply to --method prediction-error" in capsys.readouterr().err
 
 
 def test_a_fit_that_predicts_worse_is_not_written_without_force(

@@ -285,7 +285,7 @@ def test_a_vehicle_as_json(run: Run) -> None:
 def test_the_sway_values_that_the_paper_lacks_are_found(run: Run, tmp_path: Path) -> None:
     """Without the two assumed values the file holds what the paper prints, and the gap is named."""
     text = bundled_vehicles()["mini-auv"].read_text(encoding="utf-8")
-    assumed = "assumed, without a source of their own: Y_vdot, Y_v"
+    assumed = "assumed, without a source: Y_vdot, Y_v"
     assert assumed in shown(run, "mini-auv")["hints"]
     paper = tmp_path / "paper.toml"
     paper.write_text(re.sub(r"(?m)^Y_v(dot)? = .*\n", "", text), encoding="utf-8")
@@ -302,8 +302,8 @@ def test_the_sway_values_that_the_paper_lacks_are_found(run: Run, tmp_path: Path
     [
         ("rigid_body_coriolis", "rigid_body_coriolis is absent although the vehicle turns"),
         ("added_mass_coriolis", "added_mass_coriolis is absent although the vehicle turns"),
-        ("restoring", "restoring is absent: nothing brings roll and pitch back to level"),
-        ("restoring", "weight and buoyancy count as equal"),
+        ("restoring", "restoring is absent: nothing returns roll and pitch back to level"),
+        ("restoring", "weight and buoyancy are taken as equal"),
         ("linear_damping", None),
     ],
 )
@@ -322,7 +322,7 @@ def test_a_value_without_influence_is_named(run: Run, tmp_path: Path) -> None:
     file.write_text(
         text.replace("[effects.added_mass]", "[effects.added_mass]\nN_rdot = -1.0"), encoding="utf-8"
     )
-    assert shown(run, file)["hints"] == ["without influence in these degrees of freedom: N_rdot"]
+    assert shown(run, file)["hints"] == ["has no influence in these degrees of freedom: N_rdot"]
 
 
 def test_names_out_of_files_do_not_steer_the_terminal(run: Run, tmp_path: Path) -> None:

@@ -326,7 +326,7 @@ def test_audit_of_the_paper(capsys: Capture) -> None:
 
 def test_audit_of_vehicles(sled: Path, capsys: Capture) -> None:
     assert main(["audit", "mini-auv"]) == 0
-    assert "assumed, without a source of their own: Y_vdot, Y_v" in capsys.readouterr().out
+    assert "assumed, without a source: Y_vdot, Y_v" in capsys.readouterr().out
     assert main(["audit", "cybership2"]) == 1
     assert "feeds energy into a motion" in capsys.readouterr().out
     assert "bundled are" in refusal(["audit", "nothing.toml"], capsys, sled)

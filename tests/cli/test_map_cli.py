@@ -288,7 +288,7 @@ def test_what_a_vehicle_has_is_looked_for_and_nothing_else(
     assert guesses["propeller"].entry.get("scale") == pytest.approx(scale), "turns a second in its own unit"
     assert "unit" not in guesses["propeller"].entry, "a unit would make rad/s of it"
     assert guesses["propeller"].doubt == "is it command 'propeller'?"
-    assert "where the wind seems to come from" in guesses["apparent_wind_angle"].doubt
+    assert "apparent wind direction" in guesses["apparent_wind_angle"].doubt
 
 
 def test_a_quaternion_and_numbered_thrusters_of_another_name_are_read(case: Path) -> None:

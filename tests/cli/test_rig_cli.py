@@ -33,7 +33,7 @@ def test_fit_takes_logs_of_one_motion_each(folder: Path, capsys: Capture) -> Non
     words = ["fit", "small.toml", *logs, "--held", "unlogged", "--method", "weak"]
     assert main([*words, "--json", "o.json", "--out", "new.toml"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "heave free; surge, sway and yaw held at rest; driven by forces from outside (heave)" in out
+    assert "heave free; surge, sway and yaw held at rest; driven by external forces (heave)" in out
     fitted = load_vehicle("new.toml")
     assert fitted.degrees_of_freedom == AXES
     for name, value in TRUTH.items():

@@ -60,7 +60,7 @@ def test_every_value_has_a_source_and_what_is_uncertain_a_sigma(no_extra: None, 
     assert {"X_udot", "X_u", "X_uabsu", "B"} <= free
     assert not {"m", "I_x", "I_z", "W"} & free
     (only,) = hints(vehicle)
-    assert only.startswith("assumed, without a source of their own: I_x")
+    assert only.startswith("assumed, without a source: I_x")
 
 
 def test_the_first_vehicle_is_shown_generated_and_simulated(
@@ -139,14 +139,14 @@ def test_with_the_extra_the_hull_itself_is_computed(hulls: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--mass", "0"], "mass = 0 kg cannot be"),
-        (["--mass", "nan"], "mass = nan kg cannot be"),
+        (["--mass", "0"], "mass = 0 kg is impossible"),
+        (["--mass", "nan"], "mass = nan kg is impossible"),
         (["--density", "-1"], "density = -1"),
-        (["--volume", "1"], "volume = 1 m^3 cannot be: the hull encloses 0.06048 m^3"),
+        (["--volume", "1"], "volume = 1 m^3 is impossible: the hull encloses 0.06048 m^3"),
         (["--dof", "surge,jaw"], "degrees of freedom: found 'jaw'"),
         (["--cg", "1"], "--cg '1' is not three numbers"),
         (["--cd", "a,b,c"], "--cd 'a,b,c' is not three numbers"),
-        (["--cd", "1,-1,1"], "drag coefficient -1 cannot be"),
+        (["--cd", "1,-1,1"], "drag coefficient -1 is impossible"),
         (["--frame", "FLD"], "is not a right-handed set of axes"),
         (["--out", "box.stl"], "output 'box.stl' is the input"),
         (["--out", "spheroid.stl"], "'spheroid.stl' exists already"),

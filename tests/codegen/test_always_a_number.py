@@ -127,7 +127,7 @@ def test_values_beyond_their_bounds_do_not_load(effect_id: str, tmp_path: Path) 
         for value in outside:
             tables = _tables(effect_id)
             tables[effect_id] = tables[effect_id] | {p.name: value}
-            with pytest.raises(UndertowError, match=rf"{p.name} = .* cannot be"):
+            with pytest.raises(UndertowError, match=rf"{p.name} = .* is impossible"):
                 _load(tables, tmp_path)
 
 

@@ -405,9 +405,9 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
     )
     assert sentence(left, loud=True) == (
-        "surge: 0.81 N rms is left beyond the noise; 71 % of it correlates with |r| u or |v| u or u u (slows "
-        "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of it, another "
-        "phase in every run); the mean force differs from run to run (-1 to 2 N)"
+        "surge: 0.81 N rms is left beyond the noise; 71 % of it correlates with |r| u or |v| u or u u "
+        "(slows surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of "
+        "it, with a different phase in every run); the mean force differs from run to run (-1 to 2 N)"
     )
     assert sentence(left, loud=False) == "surge: 0.9 N rms is left, which is noise"
 

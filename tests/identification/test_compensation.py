@@ -105,7 +105,7 @@ def test_drag_that_absorbs_buoyancy_is_reported_with_what_brings_it_back() -> No
 
 def test_no_effect_is_named_where_none_is_held_to_be_there() -> None:
     lines = absorbing(_float(), _bench().base, [])
-    doubt = "either the prior is wrong, or it makes up for something that is missing"
+    doubt = "either the prior is wrong, or it compensates for something that is missing"
     assert lines
     assert all(line.endswith(doubt) and "absorbing" not in line for line in lines)
 
@@ -149,7 +149,7 @@ def test_a_value_stated_without_a_deviation_is_reported_from_three_times_on(
 def test_what_the_data_cannot_tell_from_a_changed_parameter_is_said_beside_it() -> None:
     box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
     (line,) = absorbing(box, _fit(box, X_u=-15.0), [], {"X_u": ["tether_drag"]})
-    assert line.endswith("either the prior is wrong, or it makes up for tether_drag")
+    assert line.endswith("either the prior is wrong, or it compensates for tether_drag")
 
 
 def test_only_leading_effects_can_be_what_is_absorbed() -> None:
@@ -178,14 +178,14 @@ def test_a_bound_within_the_error_is_no_alarm() -> None:
 def test_a_prior_of_zero_has_no_ratio() -> None:
     box = _box(X_u=Value(0.0, estimate=True, sigma=0.5))
     (line,) = absorbing(box, _fit(box, X_u=-4.0), [Relief(("lift",), {"X_u": -0.1}, 1.0)])
-    assert "X_u is -4 against a prior of 0 (8.0 standard deviations)" in line
+    assert "X_u is -4 with a prior of 0 (8.0 standard deviations)" in line
     assert line.endswith("with lift it returns to -0.1")
 
 
 def test_a_refit_that_no_vehicle_can_be_is_reported() -> None:
     auv = load_vehicle("mini-auv")
     impossible = _fit(auv, m=-40.0)
-    assert any("the refitted vehicle cannot be" in line for line in absorbing(auv, impossible, []))
+    assert any("the refitted vehicle is impossible" in line for line in absorbing(auv, impossible, []))
 
 
 @pytest.mark.parametrize("helper", [Relief(("lift",), {}, 1.0), Relief(("lift",), {"X_u": -11.0}, 1.0)])

@@ -316,7 +316,7 @@ def test_equalities_are_read_in_the_signs_of_the_file() -> None:
     for equal in ({"X_u": ("X_u", 1.0)}, {"X_u": ("X_udot", 0.0)}, {"X_u": ("X_udot", np.inf)}):
         with pytest.raises(UndertowError, match="to itself or to nothing"):
             fit_output_error(vehicle, [run], constraints=Constraints(equal=equal))
-    with pytest.raises(UndertowError, match="no value that is physical for both"):
+    with pytest.raises(UndertowError, match="no physical value for both"):
         fit_output_error(vehicle, [run], constraints=Constraints(equal={"X_u": ("X_uabsu", -1.0)}))
 
 
@@ -325,9 +325,9 @@ def test_what_follows_a_known_parameter_stays_physical() -> None:
     surge, two = surge_vehicle(), sway_yaw(10.0, 2.0, 0.5)
     wrong_sign, negative = (Constraints(equal=e) for e in ({"X_udot": ("m", 1.5)}, {"Y_rdot": ("m", 1.0)}))
     run = surge_run(0.02)
-    with pytest.raises(UndertowError, match=r"X_udot = 1.5 m makes X_udot .* has to lie between"):
+    with pytest.raises(UndertowError, match=r"X_udot = 1.5 m makes X_udot .* must lie between"):
         fit_weak(surge, prepare([run], surge), constraints=wrong_sign)
-    with pytest.raises(UndertowError, match=r"X_udot = 1.5 m makes X_udot .* has to lie between"):
+    with pytest.raises(UndertowError, match=r"X_udot = 1.5 m makes X_udot .* must lie between"):
         fit_output_error(surge, [run], constraints=wrong_sign)
     with pytest.raises(UndertowError, match=r"Y_rdot = 1 m .* leaves no mass matrix M > 0"):
         negative.model(two, ("Y_rdot", "Y_v", "N_r"))

@@ -59,7 +59,7 @@ def _tried(hidden: tuple[str, ...], effect: str, of: str = "usv") -> _Tried:
 
 
 def test_an_effect_that_leaves_the_force_as_large_is_in_doubt() -> None:
-    assert _tried(("periodic_side_force",), "lift").doubt.startswith("only simulations get better by it")
+    assert _tried(("periodic_side_force",), "lift").doubt.startswith("it improves only the simulations")
 
 
 def test_what_makes_up_for_a_part_of_a_periodic_force_is_not_there_beside_it() -> None:
@@ -76,7 +76,7 @@ def test_buoyancy_does_not_fall_with_depth_where_a_weight_was_dropped() -> None:
     """A vehicle that sinks from then on is deeper, the later it is."""
     doubt = _tried(("dropped_weight",), "hull_compressibility", "float").doubt
     assert doubt.startswith("beside a force that goes with a step at 3")
-    assert "its size would be" in doubt
+    assert "its size would drop to" in doubt
 
 
 def test_nothing_speaks_against_an_effect_that_is_there() -> None:
@@ -90,4 +90,4 @@ def test_a_rudder_is_not_blamed_for_a_periodic_force() -> None:
     runs, known = runs_of(case), {"rudder_force": catalogue()["rudder_force"]}
     found = diagnose(vehicle_of(case), runs[:3], runs[3:], known=known).diagnosis
     assert found.effects == []
-    assert any("a period of 11.6 s its size would be" in added.doubt for added in found.added)
+    assert any("a period of 11.6 s its size would drop to" in added.doubt for added in found.added)

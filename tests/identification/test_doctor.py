@@ -156,7 +156,7 @@ def test_a_mapping_that_is_itself_the_mistake(usv: Case, read: Callable[..., Run
 
 def test_height_for_depth(auv: Case, read: Callable[..., Run]) -> None:
     (mistake,) = _doctored(auv, broken.scaled("z", by=-1), read).result.mistakes
-    assert "z counts upwards" in mistake.text
+    assert "z is positive upwards" in mistake.text
     assert mistake.mapping == '[columns]\nz = { channel = "z", scale = -1.0 }'
 
 
@@ -178,7 +178,7 @@ def test_an_angle_that_was_averaged_across_its_jump() -> None:
     psi[jumps] = 0.1
     (found,) = angles_across_jumps([Run("yaw", t, {"psi": psi})])
     assert found.severity == "warning"
-    assert f"psi takes a whole turn in two samples, {len(jumps)} times" in found.text
+    assert f"psi makes a full turn within two samples, {len(jumps)} times" in found.text
 
 
 # --- mistakes seen in the fit of the model ---------------------------------------------------------------

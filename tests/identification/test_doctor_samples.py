@@ -153,7 +153,7 @@ def test_one_speed_in_one_direction_leaves_drag_open() -> None:
     towed = replace(run, channels={**run.channels, **steady})
     text = "\n".join(f.text for f in excitation_findings(excitation(vehicle, [towed]), vehicle, [towed]))
     assert "added mass (the velocity hardly changes); drag in the other direction" in text
-    assert "linear and quadratic drag apart" in text
+    assert "linear and quadratic drag separately" in text
     assert "a current cannot be distinguished from a constant force" in text
 
 

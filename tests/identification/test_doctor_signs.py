@@ -71,7 +71,7 @@ def test_wrong_damping_and_added_mass_reverse_no_command(name: str, factor: floa
     ("wrong", "clause"),
     [
         (broken.scaled("f1", by=-1), "command f1 is reversed"),
-        (broken.swapped("f2", "f3"), "commands f2 and f3 are in each other's place"),
+        (broken.swapped("f2", "f3"), "commands f2 and f3 are swapped"),
     ],
     ids=["reversed", "swapped"],
 )
@@ -111,7 +111,7 @@ def test_two_propellers_that_only_turn_the_vehicle_leave_open_which_mistake_it_i
     found = by_signs(Signs(vehicle, [run(0.0)]), None, lambda: _known(vehicle))
     assert found is not None
     clauses = [m.clause for m in (found.mistake, *found.rivals)]
-    assert f"commands {port} and {starboard} are in each other's place" in clauses
+    assert f"commands {port} and {starboard} are swapped" in clauses
     assert f"commands {port}, {starboard} are reversed" in clauses
     assert all(c in found.text for c in clauses)
     wrong = next(m for m in _known(vehicle) if m.count == 2)
@@ -119,7 +119,7 @@ def test_two_propellers_that_only_turn_the_vehicle_leave_open_which_mistake_it_i
     for given in (None, named):  # whatever a fit found, surge excludes that both are reversed
         sure = by_signs(Signs(vehicle, [run(0.0), run(1.0)]), given, lambda: _known(vehicle))
         assert sure is not None
-        assert sure.mistake.clause == f"commands {port} and {starboard} are in each other's place"
+        assert sure.mistake.clause == f"commands {port} and {starboard} are swapped"
         assert not sure.rivals
 
 
@@ -138,7 +138,7 @@ def test_without_a_position_a_mirrored_heading_may_be_exchanged_commands() -> No
     result = examine(vehicle, [velocities_from_pose(run, ("surge", "yaw"))]).result
     (mistake,) = result.mistakes
     said = " ".join([mistake.text, *mistake.alternatives])
-    assert "commands port and starboard are in each other's place" in said
+    assert "commands port and starboard are swapped" in said
     assert "psi has the opposite sign" in said
 
 
@@ -194,7 +194,7 @@ def test_commands_say_which_of_two_clocks_is_wrong(early: bool, names: set[str])
     named = {n for n in ("x", "y", "psi", "u", "v", "r") for f in found if f"\n{n} = " in f.mapping}
     assert named == names, [f.text for f in found]
     assert all(abs(f.evidence["delay"] - seconds) < 0.1 for f in found)
-    assert not any("before the commands, which" in f.text for f in result.findings)
+    assert not any("precedes the commands" in f.text for f in result.findings)
 
 
 @pytest.mark.parametrize("seed", [1, 3])
@@ -208,6 +208,6 @@ def test_a_wiring_that_signs_contradict_short_of_certain_is_doubted(seed: int) -
     assert by_signs(Signs(vehicle, [wrong]), None, lambda: known) is None
     doubt = suspected(Signs(vehicle, [wrong]), lambda: known)
     assert doubt is not None
-    assert doubt.mistake.clause == "commands f2 and f3 are in each other's place"
+    assert doubt.mistake.clause == "commands f2 and f3 are swapped"
     assert all(abs(error) < 1.0 for name, error in doubt.evidence.items() if name.endswith("_error"))
     assert suspected(Signs(vehicle, [right]), lambda: known) is None

@@ -246,7 +246,7 @@ def test_commands_that_stand_still_are_reported(auv: Case) -> None:
     assert (one.severity, one.text[:16]) == ("note", "f4 never changes")
     assert all_ is not None
     assert all_.severity == "warning"
-    assert "what acts on surge, heave, yaw stands still while the vehicle moves there" in all_.text
+    assert "nothing that acts on surge, heave, yaw changes although the vehicle moves there" in all_.text
 
 
 def test_what_could_not_be_compared_is_said(auv: Case, examined: Callable[..., Examined]) -> None:

@@ -78,5 +78,5 @@ def test_results_are_those_of_every_estimator() -> None:
 
 
 def test_a_method_without_robust_losses_says_so() -> None:
-    with pytest.raises(UndertowError, match="'huber' is none of --method instrumental"):
+    with pytest.raises(UndertowError, match="'huber' does not apply to --method instrumental"):
         Estimator("instrumental", loss="huber").fit(surge_vehicle(), [surge_run(0.02)])

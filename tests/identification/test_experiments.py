@@ -106,7 +106,7 @@ def test_all_axes_come_back_from_logs_of_one_motion_each(tmp_path: Path, vehicle
     parts = experiments(start, runs)
     assert [part.vehicle.degrees_of_freedom for part in parts] == [(axis,) for axis in AXES]
     assert str(parts[0]) == (
-        "surge free; sway, heave and yaw held at rest; driven by forces from outside (surge)"
+        "surge free; sway, heave and yaw held at rest; driven by external forces (surge)"
     )
     together = refitted(start, [ut.fit(part.vehicle, part.train) for part in parts])
     assert set(together.names) == set(TRUTH)
@@ -131,9 +131,11 @@ def test_a_log_that_says_nothing_of_a_motion_is_refused_unless_it_is_held(
     bare = replace(run, channels={n: v for n, v in run.channels.items() if n != "tau_X"})
     with pytest.raises(UndertowError, match=r"run 'surge' has neither the forces tau_X of what is free"):
         experiments(vehicle, [bare])
-    with pytest.raises(UndertowError, match="no motion of 'small' that is free"):
+    with pytest.raises(UndertowError, match="no free motion of 'small'"):
         experiments(vehicle, [replace(run, held=AXES)])
-    with pytest.raises(UndertowError, match="no log to fit to has what this one for validation has: surge"):
+    with pytest.raises(
+        UndertowError, match="no log to fit to has the free motions of this validation log: surge"
+    ):
         experiments(vehicle, [replace(run, held=())], [run])
 
 

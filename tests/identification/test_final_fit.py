@@ -175,7 +175,9 @@ def test_a_scale_that_no_force_fixes_is_said_and_stays() -> None:
     vehicle = stated.with_values({"X_uabsu": replace(stated.value_of("X_uabsu"), value=0.0, estimate=False)})
     fit = fit_weak(vehicle, prepare([_coasting()], vehicle))
     assert unknown_scales(fit) == {"surge": ["X_udot", "X_u"]}
-    assert "fixes the scale of the forces in surge: X_udot, X_u are known up to a" in " ".join(notes(fit))
+    assert "determines the scale of the forces in surge: X_udot, X_u are known up to a" in " ".join(
+        notes(fit)
+    )
     inertia = MASS - fit.values["X_udot"]
     assert -fit.values["X_u"] / inertia == pytest.approx(TRUTH["X_u"] / M_X, rel=0.02)
     assert fit.values["X_udot"] == pytest.approx(vehicle.value_of("X_udot").value, abs=0.5)

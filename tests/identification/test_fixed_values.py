@@ -75,7 +75,7 @@ def test_a_wrong_fixed_value_is_no_missing_effect(name: str) -> None:
     assert value.standard_error is not None
     assert value.value == pytest.approx(true, abs=4 * value.standard_error + 0.02 * abs(true))
     assert value.prior == pytest.approx(2.0 * true)
-    assert "No effect is missing, but values that the vehicle file holds fixed do not fit" in found.headline
+    assert "No effect is missing, but fixed values in the vehicle file do not fit" in found.headline
     assert not [f for f in found.doctor if f.severity == "mistake"]
 
 
@@ -91,7 +91,7 @@ def test_the_error_falls_from_the_model_as_given_to_noise() -> None:
 def test_the_report_says_what_it_does_and_does_not_mean() -> None:
     found = _diagnosed((), (("N_r", 2.0),)).diagnosis
     page = " ".join(render_report(found).split())
-    assert "No effect is missing, but values that are held fixed do not fit" in page
+    assert "No effect is missing, but fixed values do not fit" in page
     assert "Nothing is missing" not in page
     assert "other values of <code>N_r</code>" in page
 
@@ -110,7 +110,7 @@ def test_what_is_handed_on_has_the_other_value() -> None:
 def test_a_wrong_fixed_value_beside_a_missing_effect() -> None:
     found = _diagnosed(("thruster_lag",), (("N_r", 2.0),)).diagnosis
     assert (found.effects, found.freed) == (["thruster_lag"], ["N_r"])
-    assert "Beside it, values that the vehicle file holds fixed do not fit: N_r" in found.headline
+    assert "Besides, fixed values in the vehicle file do not fit: N_r" in found.headline
 
 
 @pytest.mark.slow

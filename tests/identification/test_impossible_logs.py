@@ -108,7 +108,7 @@ REFUSED: list[tuple[str, str, Break, tuple[str, ...], str, str]] = [
     ("psi in deg", "usv", broken.in_degrees("psi"), ALL, "psi is in degrees", 'unit = "deg" }'),
     ("r in deg", "usv", broken.in_degrees("r"), ALL, "r is in degrees", 'unit = "deg/s" }'),
     ("psi, r in deg", "mini-auv", broken.in_degrees("psi", "r"), ALL, "psi, r are in degrees", '"deg/s"'),
-    ("z up", "mini-auv", scaled("z", by=-1.0), ALL, "z counts upwards", "scale = -1.0"),
+    ("z up", "mini-auv", scaled("z", by=-1.0), ALL, "z is positive upwards", "scale = -1.0"),
     ("world", "mini-auv", broken.north_east_velocity, ALL, "north, east, down", 'velocity = "NED"'),
     ("t in ms", "usv", scaled("t", by=1e3), ALL, "the times are in ms", '[time] unit = "ms"'),
     ("t in min", "rov", scaled("t", by=1 / 60), ALL, "the times are in min", '[time] unit = "min"'),
@@ -175,7 +175,7 @@ def test_a_refusal_tells_sizes_and_limit() -> None:
     message = _refusal(_vehicle("usv"), _log("usv", _speeds(MMPS)))
     assert "x, y change by 0.1" in message
     assert "and the velocities say 1" in message
-    assert "sensors explain at most 12 %" in message
+    assert "sensor errors explain at most 12 %" in message
     message = _refusal(_vehicle("usv"), _log("usv", scaled("f1", by=1e3)))
     assert "the surge of the log needs 0.00" in message
     assert "at least 0.025 can be" in message
@@ -219,7 +219,7 @@ def test_one_bad_log_among_good_ones_is_named() -> None:
     runs = [good, Run("second", bad.t, bad.channels), Run("third", good.t, good.channels)]
     assert _refusal(_vehicle("usv"), *runs).startswith("log 'second' is impossible: u, v are in mm/s")
     (mistake, *_) = examine(_vehicle("usv"), runs).result.mistakes
-    assert mistake.text.startswith("second, and not all of the logs: u, v are in mm/s")
+    assert mistake.text.startswith("second, but not all of the logs: u, v are in mm/s")
 
 
 def test_the_line_mends_a_mapping_that_is_itself_the_mistake(tmp_path: Path) -> None:
@@ -271,7 +271,7 @@ def test_the_doctor_tells_how_late_commands_are(seconds: float) -> None:
     (found,) = [f for f in findings if f.id == "late_commands"]
     assert found.evidence["delay"] == pytest.approx(-seconds, abs=0.15)
     assert ("actuation_delay" in found.text) is (seconds < 0)
-    assert ("before the commands" in found.text) is (seconds > 0)
+    assert ("precedes the commands" in found.text) is (seconds > 0)
 
 
 DOCTORED = [

@@ -269,7 +269,7 @@ def test_what_cannot_be_estimated_is_refused(runs: dict[float, Run]) -> None:
         (vehicle, constant, "holds no velocity"),
         (vehicle, uneven, "sampled unevenly .* resample it"),
         (vehicle, run.slice(0.0, 2.0), "no stretch without gaps in u, tau_X has the 11 samples that case 11"),
-        (moving, two, "moves in surge and heave, but the paper's chain takes one motion at a time"),
+        (moving, two, "moves in surge and heave, but the paper's method takes one motion at a time"),
     ]
     for model, log, words in refused:
         with pytest.raises(UndertowError, match=words):

@@ -118,7 +118,7 @@ def test_what_a_log_holds_is_an_input_and_no_parameter(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("inputs", "complaint"),
     [
-        ('["wind_sped"]', "inputs names 'wind_sped', which no effect takes from a log (did you mean"),
+        ('["wind_sped"]', "inputs names 'wind_sped', which no effect reads from a log (did you mean"),
         ('["apparent_wind_speed"]', "names 'apparent_wind_speed' without 'apparent_wind_angle'"),
     ],
 )

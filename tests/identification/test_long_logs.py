@@ -240,7 +240,7 @@ def test_of_several_logs_one_is_kept_as_a_whole(vehicle: Vehicle, tmp_path: Path
     assert {run.origin for run in chosen.runs} == {"5", "6"}
     assert [log.holdout for log in chosen.result.logs] == [False, False, True]
     text = "\n".join(chosen.result.sentences())
-    assert "kept for validation as a whole: 7" in text
+    assert "used only for validation: 7" in text
     assert "of the information on the parameters" in text
 
 

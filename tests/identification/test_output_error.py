@@ -162,7 +162,7 @@ def test_a_physical_bound_holds() -> None:
 def test_a_simulation_that_diverges_at_the_start_is_reported() -> None:
     vehicle = surge_vehicle()
     wild = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=5e4, estimate=False)})
-    with pytest.raises(UndertowError, match="diverges with the starting values"):
+    with pytest.raises(UndertowError, match="diverges with the initial parameter values"):
         fit_output_error(wild, [surge_run(0.02)], horizon=None, start={})
 
 

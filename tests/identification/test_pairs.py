@@ -74,7 +74,7 @@ def test_an_antenna_off_the_origin_is_named_where_slow_forces_act() -> None:
     runs = runs_of(case)
     found = diagnose(vehicle_of(case), runs[:-1], runs[-1:]).diagnosis
     assert found.effects == ["position_lever_arm"]
-    assert "the position over" in found.headline
+    assert "the position error over" in found.headline
 
 
 @pytest.mark.slow

@@ -76,7 +76,7 @@ def test_a_killed_process_costs_no_result(two: None, caplog: pytest.LogCaptureFi
         return 10 * i
 
     assert list(mapped(work, 6)) == [0, 10, 20, 30, 40, 50]
-    assert "a helper process was killed" in caplog.text
+    assert "a worker process was killed" in caplog.text
 
 
 @shared_memory

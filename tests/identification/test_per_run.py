@@ -149,7 +149,7 @@ def test_a_run_that_was_not_fitted_teaches_its_own_current_by_its_first_third(tm
     assert done.errors[1] < 0.3 * done.errors[0]
     beside = compare(done.vehicle, runs[3:]).result
     assert beside.prediction_error == pytest.approx(done.errors[1], rel=0.1)
-    assert "V_N, V_E by the run until 19.98 s" in beside.runs[0].notes[-1]
+    assert "V_N, V_E from the run up to 19.98 s" in beside.runs[0].notes[-1]
     assert adapted(vehicle, runs[3]) == (vehicle, runs[3])
 
 

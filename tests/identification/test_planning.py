@@ -166,7 +166,7 @@ def test_errors_of_a_fit_to_the_same_log_do_not_count_twice(surge_plan: Planned)
     plan = plan_parameters(fit.vehicle.with_values(values), [log], replace(SHORT, noise={}, tries=8)).plan
     for known in plan.parameters:
         assert known.error_now == pytest.approx(fit.standard_errors[known.name], rel=0.05)
-    assert any("do not count again" in line for line in plan.remarks)
+    assert any("are not counted twice" in line for line in plan.remarks)
 
 
 def test_what_matters_more_gets_better_known() -> None:
@@ -352,7 +352,7 @@ def test_typical_sizes_are_physical(drag_plan: Planned) -> None:
         (["cubic_damping", "none", "none"], "named twice"),
         (["cubic_dampin", "none"], "did you mean 'cubic_damping'"),
         (["quadratic_damping", "none"], "adds no parameter"),
-        (["thrusters", "none"], "comes with the actuators"),
+        (["thrusters", "none"], "belongs to the actuators"),
     ],
 )
 def test_rivals_that_make_no_sense_are_refused(names: list[str], words: str) -> None:
@@ -386,7 +386,7 @@ def test_a_model_that_misses_the_logs_is_planned_with_as_stated(surge_plan: Plan
     noise = SIGMA * np.random.default_rng(0).standard_normal(len(manoeuvre.t))
     log = Run("pushed", manoeuvre.t, pushed | {"u": pushed["u"] + noise}, sha256="0")
     plan = plan_parameters(vehicle, [log], replace(SHORT, noise={}, tries=8)).plan
-    assert "planned with the values of its file" in plan.remarks[0]
+    assert "planned with the values in its file" in plan.remarks[0]
     assert [p.value for p in plan.parameters] == [1.0, 0.3, 4.0]
     fit = fit_weak(vehicle, prepare([log], vehicle))
     for known in plan.parameters:

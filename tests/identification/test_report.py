@@ -490,7 +490,7 @@ def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
 
     mistake = Found(id="reversed_thruster", severity="mistake", text="thruster 'f1' pushes backwards")
     late = Found(id="late_velocity", severity="warning", text="velocity 0.2 s late")
-    first = "First mend what the logs or the vehicle file have wrong: reversed_thruster."
+    first = "First correct the mistakes in the logs or the vehicle file: reversed_thruster."
     assert reported(late, mistake).headline == f"{first} headline of mini-auv"
     assert reported(mistake).warnings[0] == "mistake: thruster 'f1' pushes backwards"
     assert reported(late).headline == "headline of mini-auv"
@@ -500,18 +500,18 @@ def test_what_a_written_vehicle_file_has_is_said() -> None:
     """That nothing was added, and that one of a set stands for others, must not be silent."""
     one_of_two = _diagnosis("indistinguishable")
     assert _content(one_of_two) == (
-        "mini-auv added, values refitted; mini-auv stands for a set: it may as well be lift"
+        "mini-auv added, values refitted; mini-auv stands for a set: it could equally be lift"
     )
     alone = one_of_two.model_copy(update={"indistinguishable": []})
     assert _content(alone) == "mini-auv added, values refitted"
-    assert "none was added, for none is named" in _content(alone.model_copy(update={"effects": []}))
+    assert "none was added, because none is named" in _content(alone.model_copy(update={"effects": []}))
 
 
 def test_an_error_that_rises_is_no_plain_yes() -> None:
     risen = _diagnosis().model_copy(update={"ranking": [_ranked("lift", 3.0, error_after=7.5)]})
     page = render_report(risen)
     assert ">in part" in page
-    assert "In part: more than chance where a disturbance is allowed for" in page
+    assert "In part: better than chance with a disturbance in the noise model" in page
     assert ">in part" not in render_report(_diagnosis())
 
 

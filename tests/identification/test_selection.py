@@ -127,7 +127,7 @@ def test_spread_between_parts_is_recovered(spread: float) -> None:
     value = 1.0 + spread * rng.standard_normal(2000) + error * rng.standard_normal(2000)
     found = Agreement("runs", value, error)
     assert found.spread == pytest.approx(spread, abs=0.02)
-    assert bool(found.doubt()) is (spread > DEFAULT.size_change)
+    assert bool(found.doubt()) is (spread > DEFAULT.size_spread)
 
 
 def test_parts_that_are_hardly_known_do_not_speak_against_an_effect() -> None:
@@ -180,7 +180,7 @@ def test_an_effect_that_is_worth_adding_beside_the_inertia_does_not_replace_it(a
     words = without_inertia(
         ["Y_vdot"], Worth(falls={1.0: alone, 8.0: alone}, largest={1.0: alone, 8.0: alone}, worse=())
     )
-    assert words == ("" if alone > 0.1 else "beside it Y_vdot would be zero, and water has inertia")
+    assert words == ("" if alone > 0.1 else "with it, Y_vdot would be zero, although water has inertia")
 
 
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
@@ -193,9 +193,9 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
 @pytest.mark.parametrize(
     ("frequency", "error", "said"),
     [
-        (0.1, 0.01, "lies on its bound"),
+        (0.1, 0.01, "is at its bound"),
         (0.3, 0.2, "frequency"),
-        (30.0, 0.1, "lies on its bound"),
+        (30.0, 0.1, "is at its bound"),
         (2.0, 0.1, ""),
     ],
 )

@@ -45,8 +45,8 @@ def test_a_steady_force_has_one_size(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", first_quick(range(4)))
 def test_a_force_that_begins_later_has_none_before(seed: int) -> None:
-    said = _doubts(BEGIN, seed)["times within a run"]
-    assert said.startswith("its size would have to go from ")
+    said = _doubts(BEGIN, seed)["parts of a run"]
+    assert said.startswith("its size would have to vary from ")
 
 
 @pytest.mark.parametrize(("rate", "words"), [(0.01, ""), (0.039, "friction_rate = 0.039 rad/s is more than")])

@@ -40,12 +40,12 @@ def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
     alike = [Indistinguishable(effects=["actuation_delay", "thruster_lag"], reason="")]
     both = _named(winners, alike, 0.99, True)
     assert both.startswith(
-        "Missing: lift. Beside it these data cannot tell: actuation_delay or thruster_lag."
+        "Missing: lift. Besides, these data cannot tell which is missing: actuation_delay or thruster_lag."
     )
     alone = _named(winners[1:], alike, 0.99, True)
-    assert alone.startswith("These data cannot tell: actuation_delay or thruster_lag.")
+    assert alone.startswith("These data cannot tell which is missing: actuation_delay or thruster_lag.")
     assert _named(winners, [], 0.93, False) == (
-        "Missing: lift and actuation_delay; together they explain 93% of what exceeds the noise."
+        "Missing: lift and actuation_delay; together they explain 93% of the excess over noise."
     )
 
 
@@ -61,7 +61,7 @@ def test_an_effect_with_which_the_error_rises_helps_in_part_at_the_most(
 
 def test_no_share_below_zero_is_reported() -> None:
     doubt = _doubt(-0.21, Remainder(residual_is_noise=False, confirmed=True, nearly=True), DEFAULT)
-    assert doubt == "explains none of what exceeds the noise, too little to be named as what is missing"
+    assert doubt == "explains none of the excess over noise, too little to be named as the missing effect"
 
 
 @pytest.mark.parametrize(
@@ -83,4 +83,4 @@ def test_no_disturbance_acts_between_pose_and_velocity(
     assert (judgement is not None) == said
     if judgement is not None:
         assert judgement.verdict == "unexplained"
-        assert "water_speed_log takes away 57% of what exceeds the noise" in judgement.headline
+        assert "water_speed_log removes 57% of the excess over noise" in judgement.headline

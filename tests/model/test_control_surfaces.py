@@ -182,8 +182,8 @@ def test_a_gear_that_the_file_lacks_can_be_added(build: Build, tmp_path: Path) -
             "needs both 'slipstream_of' and 'propeller_diameter'",
         ),
         ('"rudder"', LIFT + '\nslipstream_of = "x"\npropeller_diameter = 1', "the thrusters are prop"),
-        ('"rudder"', LIFT + "\nlimit = -1", "surface 'fin' limit = -1 cannot be"),
-        ('"rudder"', "lift_coefficient = -2", "surface 'fin' C_N_fin = -2 cannot be"),
+        ('"rudder"', LIFT + "\nlimit = -1", "surface 'fin' limit = -1 is impossible"),
+        ('"rudder"', "lift_coefficient = -2", "surface 'fin' C_N_fin = -2 is impossible"),
     ],
 )
 def test_what_cannot_be_is_refused(build: Build, axis: str, more: str, complaint: str) -> None:

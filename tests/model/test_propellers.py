@@ -173,11 +173,11 @@ def test_a_table_of_two_hundred_rows_keeps_few_points(tmp_path: Path) -> None:
     ("text", "complaint"),
     [
         ('curve = "none.csv"\n', "cannot be read"),
-        ("curve = [1.0]\n", "a curve of coefficients needs a 'limit'"),
+        ("curve = [1.0]\n", "a polynomial curve needs a 'limit'"),
         ('curve = "bad.csv"\n', "do not rise from row to row"),
         (
             "thrust_per_command = 2\n" + PROPELLER,
-            "says twice how it pushes, by propeller and thrust_per_command",
+            "states its push in several ways, propeller and thrust_per_command",
         ),
         (PROPELLER.replace('"20 cm"', '"20 kg"'), "diameter"),
     ],

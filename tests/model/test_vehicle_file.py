@@ -179,7 +179,7 @@ REFUSED = [
     ('"10 kg"', "2024-01-01", "'effects.rigid_body.m' = datetime.* is not a quantity"),
     ('"10 kg"', "0x" + "f" * 6000, r"rigid_body.m is an integer of 24000 bits \(limit 64\)"),
     ('"10 kg"', "9" * 6000, "not valid TOML: Exceeds the limit"),
-    ('"200 g"', '"-200 g"', r"added_mass\] X_udot sigma = -0.2 cannot be"),
+    ('"200 g"', '"-200 g"', r"added_mass\] X_udot sigma = -0.2 is impossible"),
     ('"200 g"', '"1 m"', r"added_mass\] X_udot sigma: '1 m' has the dimension"),
     (
         "deadband_width = 0.1",
@@ -187,11 +187,11 @@ REFUSED = [
         r"deadband_width: '0.1 kg' has the dimension \[mass\]",
     ),
     # signs and bounds
-    ('"-1 kg"', '"1 kg"', r'X_udot = 1 cannot be under signs = "sname".*signs = "magnitudes".*allow_sign'),
-    ('"sname"', '"magnitudes"', r'X_udot = -1 cannot be under signs = "magnitudes".*signs = "sname"'),
-    ('"-2 kg/s"', '"2 kg/s"', r"linear_damping\] X_u_backward = 2 cannot be"),
-    ('"10 kg"', '"-10 kg"', r"rigid_body\] m = -10 cannot be"),
-    ("deadband_width = 0.1", "deadband_width = -0.1", "deadband_width = -0.1 cannot be"),
+    ('"-1 kg"', '"1 kg"', r'X_udot = 1 is impossible under signs = "sname".*signs = "magnitudes".*allow_sign'),
+    ('"sname"', '"magnitudes"', r'X_udot = -1 is impossible under signs = "magnitudes".*signs = "sname"'),
+    ('"-2 kg/s"', '"2 kg/s"', r"linear_damping\] X_u_backward = 2 is impossible"),
+    ('"10 kg"', '"-10 kg"', r"rigid_body\] m = -10 is impossible"),
+    ("deadband_width = 0.1", "deadband_width = -0.1", "deadband_width = -0.1 is impossible"),
     # forward and backward
     (
         ', backward = "-2 kg/s"',
@@ -207,7 +207,7 @@ REFUSED = [
     ('x_g = "5 cm"', "x_g = { forward = 1, backward = 2 }", r"rigid_body\] x_g needs one 'value'"),
     ('x_g = "5 cm"', "x_g = { value = 1, estimate = true }", r"x_g cannot be estimated.*mx_g = \{ value"),
     ('x_g = "5 cm"', 'x_g = "5 kg"', r"rigid_body\] x_g: '5 kg' has the dimension"),
-    ('x_g = "5 cm"', "x_g = 0.05\nmx_g = 2.0", "says the same thing twice, by mx_g and x_g"),
+    ('x_g = "5 cm"', "x_g = 0.05\nmx_g = 2.0", "states the same quantity twice, mx_g and x_g"),
     # the vehicle as a whole
     ('m = "10 kg"\nx_g = "5 cm"\n', "", r"\[effects.rigid_body\] lacks m \(mass\): give it in kg"),
     ('m = "10 kg"\n', "", "x_g, y_g, z_g need the mass m"),
@@ -225,7 +225,7 @@ REFUSED = [
     ),
     ('["tau_X"]', '["tau_Z"]', "generalised_forces has tau_Z, but heave is not a degree of freedom"),
     ('["tau_X"]', '["tau_Q"]', "'generalised_forces.#1'.*found 'tau_Q'"),
-    ("signs =", "water_density = -1\nsigns =", r"water_density = -1 kg/m\^3 cannot be"),
+    ("signs =", "water_density = -1\nsigns =", r"water_density = -1 kg/m\^3 is impossible"),
     ("signs =", 'gravity = "9.81 m/s"\nsigns =', r"gravity: '9.81 m/s' has the dimension"),
     # thrusters
     ('"main"', '"bow"', "two thrusters are called 'bow': rename one"),
@@ -243,10 +243,10 @@ REFUSED = [
     ("0, 0, 0.25]", "0, 0.25]", "'thrusters.#2.wrench': List should have at least 6"),
     ("0, 0, 0.25]", "0, 0, inf]", "thruster 'main' wrench: 'inf' is not a finite quantity"),
     ("[1, 0, 0, 0, 0, 0.25]", "[0, 0, 0, 0, 0, 0]", "thruster 'main' wrench is zero"),
-    ('"2.5 N"', '"-2.5 N"', "thruster 'bow' thrust_per_command = -2.5 N cannot be.*turn the direction"),
+    ('"2.5 N"', '"-2.5 N"', "thruster 'bow' thrust_per_command = -2.5 N is not a thrust.*reverse the direction"),
     ('"2.5 N"', '"2.5 kg"', "thruster 'bow' thrust_per_command: '2.5 kg' has the dimension"),
     ('value = "2.5 N"', "forward = 1, backward = 2", "thruster 'bow' thrust_per_command needs a 'value'"),
-    ("limit = 1.0", "limit = -1", "thruster 'bow' limit = -1 cannot be"),
+    ("limit = 1.0", "limit = -1", "thruster 'bow' limit = -1 is impossible"),
 ]
 
 

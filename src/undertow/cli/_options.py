@@ -32,7 +32,8 @@ VehicleArgument = Annotated[
     str, typer.Argument(metavar="VEHICLE", help="Vehicle file (TOML), or the name of a bundled vehicle.")
 ]
 LogsArgument = Annotated[
-    list[Path], typer.Argument(metavar="LOG", help="Logs: tables, or as a vehicle wrote them.")
+    list[Path],
+    typer.Argument(metavar="LOG", help="Logs: tables (CSV, Parquet), or vehicle logs in their own format."),
 ]
 HoldoutOption = Annotated[
     list[Path] | None,
@@ -49,13 +50,13 @@ EffectsOption = Annotated[
 FillOption = Annotated[
     Fill | None,
     typer.Option(
-        help="Where a command has no sample: refuse the log, hold the last value, or leave a gap.",
-        show_default="refuse, or what the mapping file says",
+        help="If a command has no sample: refuse the log, hold the last value, or leave a gap.",
+        show_default="as in the mapping file, else refuse",
     ),
 ]
 TrustOption = Annotated[
     bool,
-    typer.Option("--trust-log", help="Use logs that would be refused: wrong units, contradicting channels."),
+    typer.Option("--trust-log", help="Use logs that would be refused (wrong units, contradictory channels)."),
 ]
 OutOption = Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write a new vehicle file.")]
 InPlaceOption = Annotated[bool, typer.Option("--in-place", help="Change the vehicle file itself.")]
@@ -116,10 +117,10 @@ class ReadOptions:
     map: MapOption = None
     effects: EffectsOption = None
     since: Annotated[
-        float | None, typer.Option("--from", metavar="SECONDS", help="Leave out what is earlier in the logs.")
+        float | None, typer.Option("--from", metavar="SECONDS", help="Ignore everything before this time.")
     ] = None
     until: Annotated[
-        float | None, typer.Option("--to", metavar="SECONDS", help="Leave out what is later in the logs.")
+        float | None, typer.Option("--to", metavar="SECONDS", help="Ignore everything after this time.")
     ] = None
     fill: FillOption = None
 
@@ -307,9 +308,9 @@ class RigOptions(LogOptions):
         str | None,
         typer.Option(
             metavar="unlogged|NAME,NAME",
-            help="Motions that a rig (towing carriage) holds at rest, or moves as their columns say; "
-            "unlogged: all without a column.",
-            show_default="what the mapping file says",
+            help="Motions held at rest by a rig (towing carriage), or moved as logged; unlogged: all "
+            "without a column.",
+            show_default="as in the mapping file",
         ),
     ] = None
 

@@ -1,8 +1,7 @@
 """Work through shipped examples: where models fail, what is missing, and how the error falls.
 
 First an AUV whose model lacks something, then a box hull in a flow solver that no simple model explains, then
-an AUV in a virtual towing tank.
-Pictures, reports and vehicle files go into a folder; index.html there shows it all.
+an AUV in a virtual towing tank. Pictures, reports and vehicle files go into a folder; open its index.html.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import typer
 
 from ._terminal import progress
 
-_OUT = typer.Option(metavar="FOLDER", help="Folder for what is written; it is made.")
+_OUT = typer.Option(metavar="FOLDER", help="Output folder; it is created.")
 
 
 def demo(out: Annotated[Path, _OUT] = Path("demo-output")) -> None:

@@ -123,8 +123,8 @@ class Estimator:
         """Methods that have no other loss."""
         if self.loss != "gaussian":
             raise UndertowError(
-                f"loss '{self.loss}' is none of --method {self.method}, which would take outliers for "
-                "something else: use output-error, or weak"
+                f"loss '{self.loss}' does not apply to --method {self.method}, which would mistake outliers "
+                "for a disturbance: use output-error, or weak"
             )
         if self.method == "instrumental":
             return fit_instrumental(vehicle, runs, free, self.horizon, constraints=self.constraints)
@@ -508,7 +508,7 @@ def add_effect(
     if not (done.helps or force):
         raise UndertowError(
             f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "
-            f"without, {done.after.error:.3g} with it): force=True puts it in all the same"
+            f"without, {done.after.error:.3g} with it): force=True adds it anyway"
         )
     return done.fit.vehicle
 

@@ -62,9 +62,9 @@ def _hardly_there(
     effect = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
     other = try_all(bench, {effect.id: effect}, lambda done, words: None).findings[0]
     size = size_beside(found, other, bench, validator) if other.trial.kept else 1.0
-    if size >= 1.0 - bench.settings.size_change:
+    if size >= 1.0 - bench.settings.size_spread:
         return ""
     return (
-        f"beside {effect.about().rstrip('.')} its size would be {max(size, 0.0):.0%} of the fitted one "
+        f"beside {effect.about().rstrip('.')} its size would drop to {max(size, 0.0):.0%} of the fitted one "
         "(undertow effects new makes an effect of that force)"
     )

@@ -242,12 +242,12 @@ class ResultBuilder:
         nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
         if not nothing_found or any(r.excess_rms > 0.0 for r in left):
             return []
-        return ["It stands out in the force of no degree of freedom by itself."]
+        return ["In no single degree of freedom does the residual force exceed its noise."]
 
     def _repeated_commands(self) -> list[str]:
         return [
-            f"But {kept} repeats the commands of {fitted}, so that an effect which only knows this manoeuvre "
-            "by heart would look as good: judge by another one."
+            f"But {kept} repeats the commands of {fitted}, so that an effect fitted to this manoeuvre alone "
+            "would look as good: validate on another one."
             for kept, fitted in repeats(
                 self.vehicle, self.validator.train, self.validator.test, self.settings
             )
@@ -403,7 +403,7 @@ def _builder(
 
 def _far_from_noise(found: Search, validator: SimulationValidator) -> bool:
     """Whether neither what was found nor what does as well in its place could be fitted down to the noise."""
-    limit = validator.settings.within_reach
+    limit = validator.settings.output_error_reach
     sets = [found.effect_set, *(s for rivals in found.rivals for s in rivals)]
 
     def far(fit: WeakFit) -> bool:
@@ -555,7 +555,7 @@ class DiagnosisResult:
         return f"{self.verdict}: {self.diagnosis.headline}"
 
     def _repr_html_(self) -> str:
-        head = ("model", "error on validation data (1: noise of the sensors)")
+        head = ("model", "error on validation data (1: sensor noise)")
         rows = ((" and ".join(s.changes) or "refitted", s.error) for s in self.diagnosis.steps)
         return html(repr(self), head, rows)
 
@@ -658,7 +658,7 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool
         examined = without_refuted(examined)
     mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
     ids = ", ".join(f.id for f in examined.mistakes)
-    first = [f"First mend what the logs or the vehicle file have wrong: {ids}."] if mistakes else []
+    first = [f"First correct the mistakes in the logs or the vehicle file: {ids}."] if mistakes else []
     return diagnosis.model_copy(
         update={
             "doctor": examined.findings,

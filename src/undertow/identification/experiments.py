@@ -49,7 +49,7 @@ class Experiment:
         parts = [f"{listed(self.vehicle.degrees_of_freedom)} free"]
         parts += [f"{listed(self.held)} held at rest"] if self.held else []
         parts += [f"{listed(self.moved)} as logged"] if self.moved else []
-        parts += ["driven by forces from outside"] if self.pushed else []
+        parts += ["driven by external forces"] if self.pushed else []
         return f"{'; '.join(parts)} ({logs})"
 
 
@@ -68,7 +68,9 @@ def experiments(vehicle: Vehicle, runs: Sequence[Run], validation: Sequence[Run]
             getattr(found.setdefault(key, one), role).append(run)
     for one in found.values():
         if not one.train:
-            raise UndertowError(f"no log to fit to has what this one for validation has: {one}: leave it out")
+            raise UndertowError(
+                f"no log to fit to has the free motions of this validation log: {one}: leave it out"
+            )
     return list(found.values())
 
 
@@ -77,7 +79,7 @@ def _experiment(vehicle: Vehicle, run: Run) -> Experiment:
     free = [d for d in vehicle.degrees_of_freedom if d not in run.held]
     if not free:
         raise UndertowError(
-            f"run '{run.name}' has no motion of '{vehicle.name}' that is free: held are {', '.join(held)}: "
+            f"run '{run.name}' has no free motion of '{vehicle.name}': held are {', '.join(held)}: "
             "leave the log out, or add its motion to the vehicle"
         )
     moved = {d: [n for n in _FELT[d] if n and run.has(n)] for d in held}

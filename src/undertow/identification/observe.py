@@ -262,8 +262,8 @@ def reports_of(run: Run, process: Process) -> tuple[Reports, Index]:
     count = int(np.isfinite(y).sum())
     if count < SETTINGS.fewest:
         raise UndertowError(
-            f"run {run.name!r} has {count} reports of {', '.join(process.channels)}; {SETTINGS.fewest} are "
-            "needed: map its columns (--map)"
+            f"run {run.name!r} has {count} reports of {', '.join(process.channels)}, but {SETTINGS.fewest} "
+            "are needed: map its columns (--map)"
         )
     variance = np.array([_noise(run, name, y[:, i], t) ** 2 for i, name in enumerate(process.channels)])
     return Reports(t, _commands(run, process, t), y, variance), _nearest(t, run.t)
@@ -336,7 +336,8 @@ def _first_densities(process: Process, stated: Mapping[str, float]) -> tuple[Arr
     alien = [n for n in stated if n not in process.driven_names]
     if alien:
         raise UndertowError(
-            f"disturbance of '{alien[0]}' is stated, but noise drives {', '.join(process.driven_names)}"
+            f"a disturbance of '{alien[0]}' is stated, but process noise drives "
+            f"{', '.join(process.driven_names)}"
         )
     known = walk | dict(stated)
     roots = [known.get(n, first) for n in process.driven_names]

@@ -43,7 +43,9 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
     """How the command becomes thrust, and the command's unit."""
     stated = {"curve", "propeller", "thrust_per_command"} & table.model_fields_set
     if "propeller" in stated and len(stated) > 1:
-        raise UndertowError(f"{place} says twice how it pushes, by {' and '.join(sorted(stated))}: keep one")
+        raise UndertowError(
+            f"{place} states its push in several ways, {' and '.join(sorted(stated))}: keep one"
+        )
     if table.propeller is not None:
         unit = table.propeller.revolutions
         return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]), unit
@@ -54,7 +56,7 @@ def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:
-            raise UndertowError(f"{place}: a curve of coefficients needs a 'limit' up to which it holds")
+            raise UndertowError(f"{place}: a polynomial curve needs a 'limit' up to which it is valid")
         return Curve.polynomial([float(c) for c in table.curve], limit), "command"
     return None, "command"
 
@@ -90,7 +92,7 @@ def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
     except (OSError, UnicodeDecodeError) as error:
         ours = ", ".join(bundled_curves())
         raise UndertowError(
-            f"{place}: curve '{path}' cannot be read: {error}; curves that come with undertow: {ours}"
+            f"{place}: curve '{path}' cannot be read: {error}; bundled curves: {ours}"
         ) from error
     rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
     found = [(float(r[0]), float(r[1])) for r in rows if len(r) > 1 and _is_number(r[0]) and _is_number(r[1])]
@@ -150,7 +152,9 @@ def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
         raise UndertowError(f"{place} needs a 'value'")
     value = si_of(place, spec.value, "N/command")
     if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
-        raise UndertowError(f"{place} = {value:g} N cannot be: give a positive thrust and turn the direction")
+        raise UndertowError(
+            f"{place} = {value:g} N is not a thrust: give a positive one and reverse the direction"
+        )
     sigma = None if spec.sigma is None else positive(f"{place} sigma", spec.sigma, "N/command")
     return Value(value, spec.estimate, sigma, spec.source, spec.assumed, spec.per_run)
 

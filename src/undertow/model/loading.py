@@ -196,7 +196,9 @@ class Statements:
         meant = bool(field_of(entry, "override"))
         if taken is None or taken.only_where_silent:
             if meant:
-                raise UndertowError(f"{place} overrides nothing, no other table states it: remove 'override'")
+                raise UndertowError(
+                    f"{place} overrides nothing, since no other table states it: remove 'override'"
+                )
             return
         elsewhere, raw = self._from_owner(taken), field_of(entry, "value")
         if meant or elsewhere is None or raw is None:
@@ -220,9 +222,13 @@ def _in_symbols(values: Mapping[str, float]) -> dict[sm.Symbol, sm.Float]:
 def _differs(place: str, value: float, elsewhere: float, taken: Taken, most: float) -> str:
     other = f"{taken.words or taken.key} = {elsewhere:g} {taken.unit} by [effects.{taken.owner}]"
     line = f"{place} = {value:g} {taken.unit}, but {other}"
-    how = "remove it to use the latter, or write { value = ..., override = true } if both are meant"
+    how = (
+        "remove it to use the latter, or write { value = ..., override = true } if the difference is intended"
+    )
     if max(abs(value), abs(elsewhere)) > most * min(abs(value), abs(elsewhere)):
-        raise UndertowError(f"{line}: no vehicle has both (limit: a factor of {most:g}); {how}")
+        raise UndertowError(
+            f"{line}: that is impossible for one vehicle (limit: a factor of {most:g}); {how}"
+        )
     return f"{line}: {how}"
 
 
@@ -315,8 +321,8 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
     wanted = [path.parent / name for name in table.effects_from]
     if wanted and not (named or trust):
         raise UndertowError(
-            f"{path}: effects_from names {', '.join(table.effects_from)}, Python code that is not run "
-            f"by itself: pass --effects {wanted[0]} if you trust it"
+            f"{path}: effects_from names {', '.join(table.effects_from)}, Python code, which undertow does "
+            f"not run unasked: pass --effects {wanted[0]} if you trust it"
         )
     # The same file under two paths is one file.
     chosen = {file.resolve(): file for file in [*named, *(wanted if trust else [])]}.values()
@@ -383,7 +389,7 @@ def _inputs(
             )
         if name not in units:
             raise UndertowError(
-                f"inputs names '{name}', which no effect takes from a log{nearest(name, units)}; "
+                f"inputs names '{name}', which no effect reads from a log{nearest(name, units)}; "
                 f"known are {', '.join(units)}"
             )
     for name, companion in companions(known).items():
@@ -474,7 +480,9 @@ def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str,
     twice = [n for n, v in converted.items() if n in values and v != values[n].value]
     if twice:
         given = f"{twice[0]} and {', '.join(aliases)}"
-        raise UndertowError(f"[effects.{effect.id}] says the same thing twice, by {given}: keep one of them")
+        raise UndertowError(
+            f"[effects.{effect.id}] states the same quantity twice, {given}: keep one of them"
+        )
     return new
 
 
@@ -518,7 +526,7 @@ def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
         shown = ", ".join(f"{p.name} ({p.about})" for p in effect.parameters if p.name in base)
         lines = ", ".join(f"{name} = {{ value = ..., estimate = true }}" for name in base)
         raise UndertowError(
-            f"{place} cannot be estimated by itself: motion shows {shown}; state {lines} in its place"
+            f"{place} cannot be estimated by itself: motion only shows {shown}; state {lines} instead"
         )
     if entry.value is None:
         raise UndertowError(f"{place} needs one 'value'")

@@ -56,8 +56,8 @@ def _check_environment(vehicle: Vehicle) -> None:
         value, (low, high) = vehicle.environment[name], getattr(_LIMITS, key)
         if not low <= value <= high:
             raise UndertowError(
-                f"{key} = {value:g} {unit} cannot be (possible: {low:g} to {high:g}): correct the number or "
-                f"its unit; {_HINTS[key]}"
+                f"{key} = {value:g} {unit} is impossible (possible: {low:g} to {high:g}): correct the "
+                f"number or its unit; {_HINTS[key]}"
             )
 
 
@@ -82,8 +82,8 @@ def _out_of(place: str, value: float, limits: Range, unit: str = "") -> Iterator
     low, high = limits
     if not (isfinite(value) and low <= abs(value) <= high):
         yield (
-            f"{place} = {f'{value:g} {unit}'.strip()} cannot be (possible: {low:g} to {high:g} in size): "
-            f"correct the number or its unit"
+            f"{place} = {f'{value:g} {unit}'.strip()} is impossible (possible: {low:g} to {high:g} in "
+            "size): correct the number or its unit"
         )
 
 
@@ -196,8 +196,8 @@ def _check_defined(vehicle: Vehicle) -> None:
             if not all(isfinite(_number(row, creeping[speed])) for row in part):
                 moving = f"with all velocities at {speed:g}" if speed else "at rest"
                 raise UndertowError(
-                    f"{what} of vehicle '{vehicle.name}' has no finite value {moving}: look for a parameter "
-                    f"of zero that is divided by, or try 'undertow effects check' on an effect of your own"
+                    f"{what} of vehicle '{vehicle.name}' has no finite value {moving}: look for a division "
+                    "by a parameter of zero, or run 'undertow effects check' on an effect of your own"
                 )
 
 
@@ -205,7 +205,7 @@ def _stated(vehicle: Vehicle) -> Iterator[tuple[str, sm.Matrix]]:
     c = vehicle.composition
     output, rates, _ = c.chain
     yield from ((f"the force of {effect.id}", wrench) for effect, wrench in c.wrenches.items())
-    yield "what reaches thrusters and surfaces", output
+    yield "the commands that reach thrusters and surfaces", output
     states = {**rates, **c.wrench_states}
     yield from ((f"the rate of {state}", sm.Matrix([rate])) for state, rate in states.items())
     yield from ((f"the reported {what}", m) for what, m in zip(("pose", "velocity"), c.reported, strict=True))
@@ -233,7 +233,7 @@ def _check_inertia(vehicle: Vehicle) -> None:
                 )
             raise UndertowError(
                 f"the mass matrix is not positive definite in {way} motion: its entry for {dof}, {value:g}, "
-                f"is too little for its couplings; check centre of gravity, inertias and added mass"
+                "is too small for its couplings; check centre of gravity, inertias and added mass"
             )
 
 
@@ -304,18 +304,18 @@ def _absent_companions(vehicle: Vehicle) -> Iterator[str]:
     turns = bool({3, 4, 5} & set(vehicle.dof_indices)) and len(vehicle.dof_indices) > 1
     for inertia in ("rigid_body", "added_mass"):
         if turns and inertia in present and f"{inertia}_coriolis" not in present:
-            yield f"{inertia}_coriolis is absent although the vehicle turns: forces in turns are left out"
+            yield f"{inertia}_coriolis is absent although the vehicle turns: Coriolis forces are missing"
     tilts = [DOFS[i] for i in (3, 4) if i in vehicle.dof_indices]
     if tilts and "restoring" not in present:
-        yield f"restoring is absent: nothing brings {' and '.join(tilts)} back to level"
+        yield f"restoring is absent: nothing returns {' and '.join(tilts)} back to level"
     if 2 in vehicle.dof_indices and not present & {"restoring", "net_buoyancy"}:
-        yield "neither restoring nor net_buoyancy is there: weight and buoyancy count as equal"
+        yield "neither restoring nor net_buoyancy is present: weight and buoyancy are taken as equal"
 
 
 def _without_influence(vehicle: Vehicle) -> Iterator[str]:
     silent = [n for n, v in vehicle.values.items() if n not in vehicle.parameter_names and v.value]
     if silent:
-        yield f"without influence in these degrees of freedom: {', '.join(silent)}"
+        yield f"has no influence in these degrees of freedom: {', '.join(silent)}"
 
 
 def _unused_inputs(vehicle: Vehicle) -> Iterator[str]:
@@ -323,10 +323,10 @@ def _unused_inputs(vehicle: Vehicle) -> Iterator[str]:
     for name in (n for n in vehicle.inputs if n not in taken):
         takers = [e for e, cls in catalogue().items() if name in {d.name for d in logged(cls)}]
         would = f" ({' or '.join(takers)} would)" if takers else ""
-        yield f"input {name} is taken by no effect of the vehicle{would}; logs have to hold it all the same"
+        yield f"input {name} is used by no effect of the vehicle{would}; logs still have to contain it"
 
 
 def _assumed(vehicle: Vehicle) -> Iterator[str]:
     names = [n for n, v in vehicle.values.items() if v.assumed]
     if names:
-        yield f"assumed, without a source of their own: {', '.join(names)}"
+        yield f"assumed, without a source: {', '.join(names)}"

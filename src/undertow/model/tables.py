@@ -204,12 +204,12 @@ def _check_bounds(
             f'correct the sign, write signs = "{other}" if the whole file is meant so, or allow_sign = true'
         )
     raise UndertowError(
-        f'{place} = {stated:g} cannot be under signs = "{signs}" (possible: {limit}); {remedy}'
+        f'{place} = {stated:g} is impossible under signs = "{signs}" (possible: {limit}); {remedy}'
     )
 
 
 def positive(place: str, raw: Any, unit: str) -> float:
     value = si_of(place, raw, unit)
     if value <= 0:
-        raise UndertowError(f"{place} = {value:g} cannot be: give a positive number")
+        raise UndertowError(f"{place} = {value:g} is impossible: give a positive number")
     return value

@@ -105,7 +105,7 @@ def _motion(vehicle: Vehicle, run: Run) -> str:
             "mapping file (--map)"
         )
     raise UndertowError(
-        f"run '{run.name}' moves in {' and '.join(motions)}, but the paper's chain takes one motion at a "
+        f"run '{run.name}' moves in {' and '.join(motions)}, but the paper's method takes one motion at a "
         "time: give logs of forced motion in one of them, or use undertow fit"
     )
 

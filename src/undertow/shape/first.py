@@ -88,7 +88,7 @@ def drag_of_hull(
     """
     for value in cd or ():
         if not (value >= 0 and np.isfinite(value)):
-            raise UndertowError(f"drag coefficient {value:g} cannot be: give a number from 0, such as 1.0")
+            raise UndertowError(f"drag coefficient {value:g} is impossible: give a number from 0, such as 1.0")
     areas = np.array([mesh.projected_area(i) for i in range(3)])
     mesh = bisected(mesh, float(mesh.extents.max()) / _RULES.strips)
     facing = np.abs(mesh.vector_areas) / mesh.areas[:, None]
@@ -330,10 +330,10 @@ def _template() -> Template:
 def _check(hull: Mesh, spec: HullSpec) -> None:
     for what, value, unit in (("mass", spec.mass, "kg"), ("density", spec.density, "kg/m^3")):
         if not (value > 0 and np.isfinite(value)):
-            raise UndertowError(f"{what} = {value:g} {unit} cannot be: give a positive number")
+            raise UndertowError(f"{what} = {value:g} {unit} is impossible: give a positive number")
     if spec.volume is not None and not 0 < spec.volume <= hull.volume * 1.001:
         raise UndertowError(
-            f"volume = {spec.volume:g} m^3 cannot be: the hull encloses {hull.volume:.4g} m^3, and water "
+            f"volume = {spec.volume:g} m^3 is impossible: the hull encloses {hull.volume:.4g} m^3, and water "
             "that gets in leaves less"
         )
 

@@ -223,12 +223,12 @@ def _check(mesh: Mesh, depth: float | None, omegas: Sequence[float], finest: int
             f"{finest} panels are out of reach: choose {PANEL_RULES.fewest} to {PANEL_RULES.most}"
         )
     if not 0.0 < crease < 180.0:
-        raise UndertowError(f"crease = {crease:g} degrees cannot be: choose more than 0 and less than 180")
+        raise UndertowError(f"crease = {crease:g} degrees is impossible: choose more than 0 and less than 180")
     if omegas and depth is None:
         raise UndertowError("radiation damping is of waves: say how deep the hull is, with depth")
     wrong = [w for w in omegas if not (w > 0 and np.isfinite(w))]
     if wrong:
-        raise UndertowError(f"omega = {wrong[0]:g} rad/s cannot be: give a positive number")
+        raise UndertowError(f"omega = {wrong[0]:g} rad/s is impossible: give a positive number")
     above = 0.0 if depth is None else float(mesh.centroid[2] - mesh.bounds[0, 2])
     if depth is not None and not depth > above:
         raise UndertowError(

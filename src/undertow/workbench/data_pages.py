@@ -272,7 +272,7 @@ def _remedies(view: View) -> None:
     if not taken:
         return
     with ui.card().classes("w-full gap-1 p-2 bg-green-1").props("flat bordered").mark("remedies"):
-        ui.label(f"Mended: {', '.join(r.id for r in taken)}").classes("font-medium")
+        ui.label(f"Corrected: {', '.join(r.id for r in taken)}").classes("font-medium")
         for text in _mended(view).values():
             ui.label(text).classes("text-sm")
         ui.label("Grey lines are the channels before the last remedy.").classes("text-xs text-grey-8")

@@ -151,9 +151,9 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
         details.on_value_change(lambda: _equations(place, written))
         if c["not_named"]:
             ui.label(f"not named: {c['effect']} {c['not_named']}").classes("text-sm")
-        ui.label(
-            f"It explains {c['explained']:.0%} of what exceeds the noise.{_chance(c['chance'])}"
-        ).classes("text-sm")
+        ui.label(f"It explains {c['explained']:.0%} of the excess over noise.{_chance(c['chance'])}").classes(
+            "text-sm"
+        )
         if not c["confused"]:
             if c["named"]:
                 ui.label("No other effect does as well on these logs.").classes("text-sm")

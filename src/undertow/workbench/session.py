@@ -356,5 +356,5 @@ def _read(path: Path) -> Session:
         fault = error.errors(include_url=False)[0]
         place = ".".join(map(str, fault["loc"]))
         raise UndertowError(
-            f"{path}: {place}: {fault['msg'].lower()}: mend it, or name another folder with --session"
+            f"{path}: {place}: {fault['msg'].lower()}: correct it, or name another folder with --session"
         ) from error

@@ -323,12 +323,12 @@ def test_an_import_without_a_motion_says_what_is_left_out_and_how_to_read_it(
     table = tmp_path / "own.parquet"
     assert main(["import", str(path), "--out", str(table)]) == 0
     said = capsys.readouterr().out
-    assert "no column is known to be a motion" in said
+    assert "no column is recognised as a motion" in said
     assert "/imu/list has layout.data_offset, data[0-3]" in said
     line = next(part for part in said.split("`") if "channel =" in part)
     (tmp_path / "log.toml").write_text(f'schema = "undertow/mapping/1"\n[columns]\n{line}\n')
     words = ["import", str(path), "--map", str(tmp_path / "log.toml"), "--out", str(table), "--force"]
     assert main(words) == 0
-    assert "no column is known" not in capsys.readouterr().out
+    assert "no column is recognised" not in capsys.readouterr().out
     run = read_log(table, read_mapping(tmp_path / "own.toml"))
     np.testing.assert_allclose(run.channels["r"], np.radians(3.0))

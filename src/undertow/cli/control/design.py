@@ -1,9 +1,8 @@
 """Design gains by linear-quadratic control at hover, check them, and write a gain file.
 
-An error as large as --error counts as much as a force as large as --force (Bryson's rule); each coordinate
-that thrusters push in needs both. The law of a gain file is diagonal, so the diagonal of the optimal gain is
-taken and the loop that it closes is checked. With --law pid an integral is given as much time as the
-conditions on gains ask for.
+--error and --force state errors and forces of equal cost (Bryson's rule); each actuated coordinate needs
+both. The law of a gain file is diagonal, so only the diagonal of the optimal gain is used, and the loop with
+it is checked. With --law pid, the integral is as slow as the conditions on the gains require.
 
     undertow design mini-auv --error x=0.5,z=0.2,psi=0.2 --force surge=1,heave=2,yaw=0.1 --out gains.toml
 
@@ -35,7 +34,7 @@ def design(
     force: Annotated[list[str], _FORCE],
     law: Annotated[Literal["pd", "pid"], typer.Option(help="Law of the gain file.")] = "pd",
     direction: Annotated[list[str] | None, DIRECTION] = None,
-    name: Annotated[str, typer.Option(metavar="NAME", help="Of the gain set.")] = "lqr",
+    name: Annotated[str, typer.Option(metavar="NAME", help="Name of the gain set.")] = "lqr",
     out: Annotated[Path | None, typer.Option(metavar="NEW.toml", help="Write the gain file.")] = None,
     effects: EffectsOption = None,
 ) -> None:

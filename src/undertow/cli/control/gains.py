@@ -1,40 +1,40 @@
 """Check the gains of a control law against every condition for stability, on the model of the vehicle.
 
-Conditions come in three forms: as the mini-AUV paper prints them, with units that fit, and derived anew from
-the model; as matrices and channel by channel; for the forward and the backward set of parameters; over all
-headings and attitudes with a proof; over the uncertainty that the vehicle file states. Every linearised
-channel is judged by Routh-Hurwitz, the Lyapunov function is compared with the model.
+Conditions come in three forms: as the mini-AUV paper prints them, with consistent units, and derived from the
+model. They are checked as matrices and channel by channel; for the forward and the backward set of
+parameters; over all headings and attitudes, by proof; and over the uncertainty stated in the vehicle file.
+Every linearised channel is judged by Routh-Hurwitz, and the Lyapunov function is compared with the model.
 
     undertow gains mini-auv paper-pid
     undertow gains rov.toml my-gains.toml --form derived --repair lyapunov
     undertow gains rov.toml my-gains.toml --form derived --start "x=0.5 m, y=0.5 m, psi=20 deg"
 
 The first line shows why the published PID gains do not work: their surge loop is unstable. In a pipeline,
---form derived leaves the printed conditions out, which ask for far more than stability needs, and --json
-prints everything for a program. --repair proposes the smallest change of the gains after which the literal
-(printed) conditions, the lyapunov (derived) conditions or only routh (linear stability) hold.
+--form derived leaves out the printed conditions, which ask for far more than stability needs, and --json
+prints everything for a program. --repair proposes the smallest change of the gains that meets the literal
+(printed) conditions, the lyapunov (derived) conditions, or only routh (linear stability).
 
---start states a box of errors, at rest, that the certified region has to hold. For PID laws, and for PD laws
-whose own conditions are not enough, a quadratic V is searched for by a semidefinite program (Clarabel,
-pip install 'undertow[certificates]') and proved by interval arithmetic, so that the solver need not be
-trusted; a V that is found stands for the conditions derived from the model, which are more than is needed.
-With six degrees of freedom bounds in time are searched for as well, on motions that begin in the box.
+--start states a box of initial errors, at rest, that the certified region has to contain. For PID laws, and
+for PD laws whose own conditions are not enough, a quadratic V is searched for by a semidefinite program
+(Clarabel, pip install 'undertow[certificates]') and proved by interval arithmetic, so that the solver need
+not be trusted. If a V is found, it replaces the derived conditions, which are sufficient but not necessary.
+With six degrees of freedom, bounds in time are also searched for, on motions that begin in the box.
 
-Then comes what the answer depends on: the region from which every motion comes to rest with no command beyond
-the limit of its thruster, in errors and speeds; what becomes of axes that nothing pushes; and, where effects,
-sensors or such axes are outside the conditions, the whole loop, linearised at all headings and simulated.
+The output then gives the region from which every motion comes to rest with no command beyond its thruster
+limit, in errors and speeds; the behaviour of unactuated axes; and, where effects, sensors or such axes are
+outside the conditions, the whole loop, linearised at all headings and simulated.
 
-With --path the conditions for the error on a mission are checked instead: the law on a reference that moves
-and the commands that this asks for, or the poles of vehicle, autopilot and line of sight on every leg.
+With --path, the conditions for the tracking error on a mission are checked instead: the law on a moving
+reference and the commands that it needs, or the poles of vehicle, autopilot and line of sight on every leg.
 
     undertow gains remus100 remus100-gains.toml --path remus100-survey.toml
 
-With --observer the loop in which the law gets the estimate of a Kalman filter is linearised as well, and has
-to be stable; conditions and region stay those of true states.
+With --observer, the loop with a Kalman filter is linearised as well and has to be stable; conditions and
+region still assume true states.
 
-The exit code is 0 where all conditions hold, a region is certified (or the axes left alone come to rest) and
-the whole loop is stable; 1 where something fails, is not proved or could not be judged; 2 for a mistake in
-the input.
+The exit code is 0 if all conditions hold, a region is certified (or the unactuated axes come to rest) and the
+whole loop is stable; 1 if something fails, is not proved or could not be judged; 2 for a mistake in the
+input.
 """
 
 from __future__ import annotations
@@ -64,27 +64,27 @@ _GAINS = typer.Argument(
     metavar="GAINS", help="Gain file (TOML), or a bundled set: paper-pd, paper-pid, paper-smc."
 )
 _PATH = typer.Option(
-    metavar="MISSION.toml", help="Check the conditions for the error on this mission instead."
+    metavar="MISSION.toml", help="Check the conditions for the tracking error on this mission instead."
 )
-_FORM = typer.Option(help="Check conditions of this form only.", show_default="all")
+_FORM = typer.Option(help="Check only conditions of this form.", show_default="all")
 _IOTA = typer.Option(
     metavar="PER_SECOND", help="The constant of the PID conditions.", show_default="searched for"
 )
 _CONFIDENCE = typer.Option(
-    min=0.5, max=0.9999, help="Probability of intervals and ellipsoid of the parameters."
+    min=0.5, max=0.9999, help="Confidence level of the parameter intervals and ellipsoid."
 )
 _TILT = typer.Option(
     metavar="DEGREES", min=1.0, max=85.0, help="Largest roll and pitch that the check covers."
 )
 _START = typer.Option(
     metavar="NAME=SIZE,...",
-    help='Largest errors that the region has to hold, as "x=0.5 m, psi=20 deg".',
-    show_default="the largest of some usual ones",
+    help='Largest initial errors that the region has to contain, as "x=0.5 m, psi=20 deg".',
+    show_default="the largest of a few standard boxes",
 )
 _OBSERVER = typer.Option(
-    metavar="FILE", help="Also judge the loop that gets the estimate of this observer file."
+    metavar="FILE", help="Also judge the loop with the Kalman filter of this observer file."
 )
-_REPAIR = typer.Option(help="Propose the smallest change of the gains that satisfies these.")
+_REPAIR = typer.Option(help="Propose the smallest change of the gains that satisfies these conditions.")
 
 
 def gains(

@@ -1,8 +1,8 @@
 """Linearise a vehicle at a steady motion: poles, zeros, margins, controllability, observability, pictures.
 
-The steady motion (trim) is found first: what is not stated with --at is found, with as little drift, tilt
-and command as can be. Without --at the vehicle hovers, with --current in moving water. Values are in SI, or
-have a unit: --at "psi=30 deg".
+The steady motion (trim) is found first: --at states part of it, and the rest is chosen with as little drift,
+tilt and command as possible. Without --at the vehicle hovers, with --current in moving water. Values are in
+SI, or have a unit: --at "psi=30 deg".
 
     undertow linearize mini-auv --at u=0.5 --plot bode --out bode.png
 
@@ -10,18 +10,18 @@ have a unit: --at "psi=30 deg".
 
     undertow linearize bluerov2 --current 0.3,0.1
 
-With --gains the poles are those of the closed loop, and the margins those of each force with the others
-closed. With --observer the Kalman filter is in that loop, as it settles. Where forward and backward motion
-have parameters of their own and the vehicle is at rest, --direction says which to take.
+With --gains, the poles are those of the closed loop, and the margins those of each force with the others
+closed. With --observer, the steady-state Kalman filter is in that loop. If forward and backward motion have
+different parameters and the vehicle is at rest, --direction says which to use.
 
     undertow linearize mini-auv --gains paper-pid --direction u=-1 --plot root-locus --out locus.png
 
 --family 200 draws vehicles from the standard deviations of the vehicle file and the covariance of its last
 fit, adds the corners, and says how many are unstable; pictures show them all. An unstable trim is pointed
-out, and with --require-stable refused.
+out; --require-stable refuses it.
 
---dt gives the sampled form: commands are held (zero-order hold), the law runs as its C code does, dead times
-are whole samples, poles and zeros are those in z.
+--dt gives the sampled system: commands are held (zero-order hold), the law runs as its C code does, dead
+times are whole samples, poles and zeros are in z.
 
     undertow linearize mini-auv --gains paper-pd --dt 0.1
 """
@@ -57,25 +57,28 @@ if TYPE_CHECKING:
     from undertow.model.vehicle import Vehicle
 
 Plot = Literal["bode", "nyquist", "nichols", "singular-values", "disk-margins", "step", "poles", "root-locus"]
-_AT = typer.Option(metavar="NAME=VALUE", help="Velocity, attitude, depth or command that is held.")
+_AT = typer.Option(metavar="NAME=VALUE", help="Velocity, attitude, depth or command to hold fixed.")
 _FREE = typer.Option(
-    metavar="NAME", help="u, v: need not hover; r: may turn; w: may rise or sink; z: depth is found."
+    metavar="NAME",
+    help="Let it vary: u, v (need not hover), r (may turn), w (may rise or sink), z (depth is found).",
 )
 DIRECTION = typer.Option(
     "--direction",
     metavar="NAME=1|-1",
-    help="Whose parameters hold where the vehicle is at rest.",
+    help="Direction whose parameters are used at rest.",
     show_default="1",
 )
-_GAINS = typer.Option(metavar="GAINS", help="Gain file, or name of a bundled one: closed loop.")
-_OBSERVER = typer.Option(metavar="FILE", help="Observer file: the law gets its estimate.")
-_INPUT = typer.Option(metavar="NAME", help="Command, force (surge ...) or, with gains, set-point.")
-_SENSORS = typer.Option(metavar="NAME,NAME", help="What is measured, for observability.", show_default="all")
-_FAMILY = typer.Option(metavar="N", help="Draw N vehicles as uncertain as this one.", min=1, max=10_000)
+_GAINS = typer.Option(metavar="GAINS", help="Gain file, or name of a bundled one; closes the loop.")
+_OBSERVER = typer.Option(metavar="FILE", help="Observer file; the control law uses its estimate.")
+_INPUT = typer.Option(
+    metavar="NAME", help="Input: a command, a force (surge ...) or, with --gains, a set-point."
+)
+_SENSORS = typer.Option(metavar="NAME,NAME", help="Measured channels, for observability.", show_default="all")
+_FAMILY = typer.Option(metavar="N", help="Draw N vehicles from the parameter uncertainty.", min=1, max=10_000)
 _PADE = typer.Option(metavar="ORDER", help="Approximate dead time to this order.", min=0, max=8)
-_DT = typer.Option(metavar="TIME", help="Sampled: commands are held for this time, s.")
-_TOGETHER = typer.Option("--together", help="Disk margin of all forces at once (extra slycot).")
-_STABLE = typer.Option("--require-stable", help="Refuse a trim, or a closed loop, that is unstable.")
+_DT = typer.Option(metavar="TIME", help="Sampling interval for the sampled system, s; commands are held.")
+_TOGETHER = typer.Option("--together", help="Disk margin of all forces together (extra slycot).")
+_STABLE = typer.Option("--require-stable", help="Refuse an unstable trim or closed loop.")
 
 
 def linearize(
@@ -87,10 +90,12 @@ def linearize(
     gains: Annotated[str | None, _GAINS] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
     input: Annotated[str | None, _INPUT] = None,
-    output: Annotated[str | None, typer.Option(metavar="NAME", help="Reported pose or velocity.")] = None,
+    output: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Output: a reported pose or velocity.")
+    ] = None,
     sensors: Annotated[str | None, _SENSORS] = None,
     family: Annotated[int | None, _FAMILY] = None,
-    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.", min=0)] = 0,
     pade: Annotated[int, _PADE] = 0,
     dt: Annotated[str | None, _DT] = None,
     together: Annotated[bool, _TOGETHER] = False,

@@ -1,9 +1,9 @@
 """Simulate a vehicle under a controller on its way to a goal.
 
-Model, sensors, control law, schedule, thrust allocation and integrator (Runge-Kutta of fourth order) are
+Model, sensors, control law, schedule, thrust allocation and integrator (fourth-order Runge-Kutta) are
 compiled into one call. The controller is sampled every --dt and its commands are held in between; with
---continuous it acts without sampling. Shown are settling time (2 %), overshoot, what is left at the end,
-effort, and oscillations that last (amplitude and period). Several gain files are compared with each other.
+--continuous it is not sampled. The output gives settling time (2 %), overshoot, final error, control effort,
+and sustained oscillations (amplitude and period). Several gain files are compared with each other.
 
     undertow simulate mini-auv paper-pd paper-pid paper-smc --to -1,1,1 --for 240 --figures figures
 
@@ -13,22 +13,22 @@ effort, and oscillations that last (amplitude and period). Several gain files ar
 
     undertow simulate remus100 remus100-gains.toml --path remus100-survey.toml
 
-With --path a mission is followed instead: set-points, a spline or a trajectory with feed-forward from the
-model, or straight legs by line of sight (docs/missions.md). It says how far the vehicle was off.
+With --path, the vehicle follows a mission: set-points, a spline or a trajectory with feed-forward from the
+model, or straight legs by line of sight (docs/missions.md). The output gives the tracking error.
 
-The vehicle moves as VEHICLE says, unless --plant names another file: then the controller knows VEHICLE and
-moves the other one. A set-point has x, y, z as far as the vehicle has them, and the heading if you wish;
-without one it is taken from the direction of the set-point (--heading). Numbers are in SI unless they have a
-unit: 135deg. A current, noise and pushes are not known to the controller.
+VEHICLE is both the true vehicle and the controller's model, unless --plant names another true vehicle. A
+set-point has x, y, z as far as the vehicle has them, and optionally a heading; without one, the heading is
+taken from the direction of the set-point (--heading). Numbers are in SI unless they have a unit: 135deg. The
+controller does not know of current, noise and disturbances.
 
-With --observer the controller gets the estimate of a Kalman filter; its sensors report with the noise and at
-the times that the file states (undertow observe --save writes one from a log).
+With --observer, the controller uses the estimate of a Kalman filter; its sensors have the noise and report at
+the times stated in the file (undertow observe --save writes one from a log).
 
---out writes a log that undertow itself reads: what the sensors report, and the mean of every command from one
-row to the next. An interval --dt that is too long for the law is refused, and the limit is named. The exit
-code is 1 if a run diverges: if the state is not finite, a speed is beyond 100 m/s or 100 rad/s, which nothing
-in water reaches, or the pose is farther from the start than twice that can lead. The tables, the log
-and the pictures are of the run up to there. A run that has not settled yet has not diverged.
+--out writes a log that undertow can read: the sensor readings, and the mean of every command from one row to
+the next. A --dt that is too long for the law is refused, and the limit is named. The exit code is 1 if a run
+diverges: the state is not finite, a speed exceeds 100 m/s or 100 rad/s, or the pose is farther from the start
+than twice the distance that such speeds allow. Tables, log and pictures end there. A run that has not settled
+yet has not diverged.
 """
 
 from __future__ import annotations
@@ -65,29 +65,32 @@ if TYPE_CHECKING:
 
 _GAINS = typer.Argument(metavar="GAINS", help="Gain files (TOML), or names of bundled ones (paper-pd ...).")
 _FOR = typer.Option(
-    "--for", metavar="SECONDS", help="Length of the run.", show_default="240, or the mission's"
+    "--for", metavar="SECONDS", help="Duration of the run.", show_default="240, or that of the mission"
 )
-_START = typer.Option("--from", metavar="X,Y,Z[,PSI]", help="Where the vehicle begins.", show_default="0")
-_MOVING = typer.Option(metavar="NAME=VALUE", help="A velocity that it begins with, as u=0.2.")
-_WITHOUT = typer.Option(metavar="EFFECT", help="Leave an effect of the vehicle out.")
-_PLANT = typer.Option(metavar="OTHER.toml", help="The vehicle that moves, if it is another one.")
-_OBSERVER = typer.Option(
-    metavar="FILE", help="The controller gets the estimate of this observer file (TOML)."
-)
+_START = typer.Option("--from", metavar="X,Y,Z[,PSI]", help="Initial pose.", show_default="0")
+_MOVING = typer.Option(metavar="NAME=VALUE", help="Initial velocity, as u=0.2.")
+_WITHOUT = typer.Option(metavar="EFFECT", help="Remove an effect from the vehicle.")
+_PLANT = typer.Option(metavar="OTHER.toml", help="True vehicle, if it differs from the controller's model.")
+_OBSERVER = typer.Option(metavar="FILE", help="Observer file (TOML); the controller uses its estimate.")
 _FILE = "gain file"
-_ORDER = typer.Option(help="Heading first, or all at once.", show_default=_FILE)
-_HEADING = typer.Option(help="Heading to a set-point without one.", show_default=_FILE)
-_GATE = typer.Option(metavar="ANGLE", help="Error of the heading at which x and y begin.", show_default=_FILE)
-_INTEGRATORS = typer.Option(help="When the integrals of x and y begin.", show_default=_FILE)
-_SWAY = typer.Option(help="Add an ideal sway force, or leave that force out.", show_default=_FILE)
+_ORDER = typer.Option(
+    help="Turn to the heading first, or move in all directions at once.", show_default=_FILE
+)
+_HEADING = typer.Option(help="Heading for a set-point that states none.", show_default=_FILE)
+_GATE = typer.Option(
+    metavar="ANGLE", help="Heading error below which control of x and y begins.", show_default=_FILE
+)
+_INTEGRATORS = typer.Option(help="When the integrators of x and y start.", show_default=_FILE)
+_SWAY = typer.Option(help="Add an ideal sway force, or remove the sway force.", show_default=_FILE)
 _PUSH = typer.Option(
-    metavar="AXIS=VALUE[:FROM:TO]", help="A force (X, Y, Z) or moment (K, M, N), for all the time or a part."
+    metavar="AXIS=VALUE[:FROM:TO]",
+    help="Disturbance force (X, Y, Z) or moment (K, M, N), all the time or for an interval.",
 )
 _NOISE = typer.Option(metavar="NAME=VALUE", help="Standard deviation of a sensor (x=0.01, psi=0.5deg).")
 _CONTINUOUS = typer.Option(
-    "--continuous", help="The law acts without sampling, in Runge-Kutta steps of at most --dt."
+    "--continuous", help="Continuous controller: no sampling, Runge-Kutta steps of at most --dt."
 )
-_LOG = typer.Option(metavar="SECONDS", help="Interval of the rows of --out.", show_default="~5000 rows")
+_LOG = typer.Option(metavar="SECONDS", help="Interval between the rows of --out.", show_default="~5000 rows")
 _FIGURES = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
 
 
@@ -126,7 +129,7 @@ class ScenarioOptions:
     moving: Annotated[list[str] | None, _MOVING] = None
     push: Annotated[list[str] | None, _PUSH] = None
     noise: Annotated[list[str] | None, _NOISE] = None
-    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0
     continuous: Annotated[bool, _CONTINUOUS] = False
     log: Annotated[float | None, _LOG] = None
 

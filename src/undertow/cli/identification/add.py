@@ -1,13 +1,13 @@
 """Put an effect into a vehicle file, refit, regenerate the code, and show the error before and after.
 
-The effect is added to the model, everything that is marked as estimated is refitted with it, and both models
-are judged on validation data: the logs given with --holdout, or stretches of the logs where none is given.
-Parameters of the effect that prove to be zero are left out (--all keeps them).
+The effect is added to the model, all parameters marked as estimated are refitted with it, and both models are
+judged on validation data: the logs given with --holdout, or stretches of the logs where none is given.
+Parameters of the effect that turn out to be zero are left out (--all keeps them).
 
     undertow add ocean_current rov.toml run1.csv run2.csv --holdout run3.csv --out better.toml
 
-Without --out and --in-place nothing is written. The exit code is 1, and nothing is written either, where the
-effect does not lower the error on validation data; --force writes it all the same.
+Without --out or --in-place, nothing is written. If the effect does not lower the error on validation data,
+nothing is written either and the exit code is 1; --force writes the file anyway.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from undertow.identification.diagnosis.addition import Addition
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
-_FORCE = typer.Option("--force", help="Write the effect even where it does not help.")
+_FORCE = typer.Option("--force", help="Add the effect even if it does not help.")
 _CODEGEN = typer.Option("--codegen/--no-codegen", help="Regenerate the C code of the new vehicle.")
-_BUILD = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME with the code.")
+_BUILD = typer.Option(metavar="FOLDER", help="Folder for the code; it goes into a subfolder NAME.")
 _PICTURE = typer.Option(metavar="FILE.png", help="Draw the error before and after.")
 
 
@@ -52,7 +52,9 @@ def add(
     holdout: HoldoutOption = None,
     out: OutOption = None,
     in_place: InPlaceOption = False,
-    all: Annotated[bool, typer.Option("--all", help="Keep parameters that prove to be zero, too.")] = False,
+    all: Annotated[
+        bool, typer.Option("--all", help="Also keep parameters that turn out to be zero.")
+    ] = False,
     force: Annotated[bool, _FORCE] = False,
     codegen: Annotated[bool, _CODEGEN] = True,
     build: Annotated[Path, _BUILD] = Path("build"),
@@ -91,8 +93,8 @@ def add(
             code = _code_of(files.place_of(taken), options, build) if codegen else None
     _show_written([picture, json, taken], code)
     if not addition.helps and not force:
-        written = "--force puts it in all the same" if target is None else "--force writes it all the same"
-        typer.echo(f"{effect} is not put into the vehicle file; {written}", err=True)
+        written = "--force adds it anyway" if target is None else "--force writes it anyway"
+        typer.echo(f"{effect} is not added to the vehicle file; {written}", err=True)
         return 1
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
@@ -119,7 +121,7 @@ def show(addition: Addition) -> None:
         spread = f"± {errors[name]:.1g} " if errors[name] < NOTHING_SAID else ""
         say(f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}".rstrip())
     if addition.dropped:
-        say(f"left out, zero within their error: {', '.join(addition.dropped)}")
+        say(f"left out (zero within their error): {', '.join(addition.dropped)}")
 
 
 def _draw(addition: Addition, out: Path) -> None:

@@ -1,11 +1,11 @@
 """Show where a model fails on logs: in which motion, in which regime, and how much of it is noise.
 
-The model is taken as it is. It is simulated from the measured motion, driven by the logged commands: once
-without any correction (the free run), and over short windows (the prediction ahead). What the motion needs
-and the model lacks is shown as a force, by the weak form, without differentiating any signal.
+The model is not fitted. It is simulated from the measured motion, driven by the logged commands: once without
+any correction (the free run), and over short windows (the prediction ahead). What the motion needs and the
+model lacks is shown as a force, which the weak form finds without differentiating any signal.
 
---plots writes pictures (PNG) into a folder: measured against simulated, the error map of degrees of freedom
-and regimes, the force budget, and the residual force against every variable.
+--plots writes pictures (PNG) into a folder: measured against simulated motion, the error map by degree of
+freedom and regime, the force budget, and the residual force against every variable.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .._terminal import progress, say, section, table
 if TYPE_CHECKING:
     from undertow.identification.compare.comparison import ComparisonResult
 
-_HORIZON = typer.Option(metavar="SECONDS", help="How far ahead is predicted.", min=0.001)
+_HORIZON = typer.Option(metavar="SECONDS", help="How far ahead to predict.", min=0.001)
 _PLOTS = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
 
 

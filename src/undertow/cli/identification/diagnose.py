@@ -1,24 +1,27 @@
 """Find out which physical effect a model lacks, and write it into a new vehicle file.
 
-Every effect of the catalogue is added to the model in turn and refitted with it; what counts is the error on
+Every effect of the catalogue is added to the model in turn and refitted with it. What counts is the error on
 validation data: the logs given with --holdout, or stretches of the logs where none is given. The answer is
-one of: nothing is missing (adequate), a missing effect with its parameters, a set of effects that these data
-cannot tell apart, an effect that helps to predict without being established as the cause (helps_prediction),
-or unexplained. No model of a real vehicle leaves only the noise of its sensors: where more is left, an effect
-has to lower the error of simulation over the vehicle's own time constants by --worth, to be the best one in
-nine of ten resamples, and to be of one size in all runs and at all speeds.
+one of: nothing is missing (adequate), a missing effect with its parameters (missing_effect), a set of effects
+that these data cannot tell apart (indistinguishable, or not_identifiable if there are many), an effect that
+improves predictions without being established as the cause (helps_prediction), or unexplained.
 
-Values that the vehicle file holds fixed (all that are not marked estimate = true) are tried as well: where
-others explain more than any effect, the answer names them, and what is written has them fitted. What is
-weighed and drawn (mass, inertia, weight, buoyancy and their centres) is taken as known; where that is wrong,
-an effect says so: entrained_water, net_buoyancy, trim_offset.
+No model of a real vehicle leaves only sensor noise. Where more is left, an effect has to lower the error of
+simulation over the vehicle's own time constants by --worth, to be the best one in nine of ten resamples, and
+to have the same size in all runs and at all speeds.
 
-Logs in which a towing carriage or a planar motion mechanism holds some motions (--held, or held in their
-mapping files) are sorted by what is free, and each set has a diagnosis of its own; --apply writes what all of
-them found, --json and --report a file for each, with the free motions in its name.
+Values that are fixed in the vehicle file (all without estimate = true) are tried as well: if others explain
+more than any effect, the answer names them, and the file that is written has them fitted. Mass, inertia,
+weight, buoyancy and their centres are taken as known; errors in them show as an effect: entrained_water,
+net_buoyancy, trim_offset.
 
-On Linux all cores share the work, which changes no result; UNDERTOW_JOBS=1 in the environment keeps it to
-one.
+Logs in which a towing carriage or a planar motion mechanism holds some motions (--held, or `held` in the
+mapping files) are grouped by their free motions, and each group is diagnosed by itself. --apply writes one
+file with what all of them found; --json and --report write a file for each group, with the free motions in
+its name.
+
+On Linux all cores share the work, which does not change the result; UNDERTOW_JOBS=1 in the environment uses
+one core.
 
     undertow diagnose rov.toml run1.csv run2.csv --holdout run3.csv --report report.html --apply better.toml
 """
@@ -57,16 +60,16 @@ if TYPE_CHECKING:
     from .._options import Loaded
 
 _FALSE_ALARMS = typer.Option(
-    metavar="CHANCE", help="Chance of naming an effect where nothing is missing, 0.005 to 0.2."
+    metavar="CHANCE", help="Probability of naming an effect when nothing is missing, 0.005 to 0.2."
 )
 _WORTH = typer.Option(
     metavar="SHARE",
-    help="Where more than noise is left: by how much an effect has to lower the error of long predictions.",
+    help="If more than noise is left: how much an effect has to lower the error of long predictions.",
 )
 _REPORT = typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all pictures.")
 _APPLY = typer.Option(
     metavar="OUT.toml",
-    help="Write a vehicle file with the effects that were found, or with refitted values only.",
+    help="Write a vehicle file with the effects that were found, or only refitted.",
 )
 
 
@@ -196,18 +199,18 @@ def show(outcome: DiagnosisResult) -> None:
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
-        say("an effect made of it: undertow effects new ID --from (the file of --json)", "dim")
+        say("to make an effect of it: undertow effects new ID --from (the file of --json)", "dim")
     shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
     for warning in (w for w in diagnosis.warnings if w not in shown):
         say(f"warning: {warning}", "yellow")
-    say(f"{diagnosis.seconds:.0f} s; held to {diagnosis.false_alarm_rate:.0%} false alarms", "dim")
+    say(f"{diagnosis.seconds:.0f} s; false alarm rate {diagnosis.false_alarm_rate:.0%}", "dim")
 
 
 def _show_ranking(diagnosis: Diagnosis) -> None:
     from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
-    model = "model with other values" if diagnosis.freed else "model as it is"
+    model = "model with fitted values" if diagnosis.freed else "model as it is"
     longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
     heads = ("effect", *([f"{longest} error"] if longest else []), "error", "explains", "chance", "sure")
@@ -223,7 +226,11 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     rest = len(diagnosis.ranking) - len(helping)
     more = f"{rest} more effects were tried and do not help. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
-    say(f"{more}Chance: that the best of all looks as good when nothing is missing.{partly}", "dim")
+    say(
+        f"{more}Chance: the probability that the best of all candidates looks as good when nothing is "
+        f"missing.{partly}",
+        "dim",
+    )
     fitted = [(r.effect, _values(r.parameters, 4 if i == 0 else 1)) for i, r in enumerate(helping)]
     console().print(table(("effect", "fitted values"), [row for row in fitted if row[1]]))
 
@@ -256,13 +263,13 @@ def _show_steps(diagnosis: Diagnosis) -> None:
 
 def _content(diagnosis: Diagnosis) -> str:
     """What a vehicle file with the outcome of a diagnosis has that the given one had not."""
-    freed = f", {', '.join(diagnosis.freed)} among them, held fixed before" if diagnosis.freed else ""
+    freed = f", including {', '.join(diagnosis.freed)}, which were fixed" if diagnosis.freed else ""
     if not diagnosis.effects:
-        return f"the same effects with refitted values{freed}; none was added, for none is named"
+        return f"the same effects with refitted values{freed}; none was added, because none is named"
     summary = f"{' and '.join(diagnosis.effects)} added, values refitted{freed}"
     for equals in diagnosis.indistinguishable:
         chosen = next((e for e in equals.effects if e in diagnosis.effects), None)
         others = [e for e in equals.effects if e != chosen]
         if chosen and others:
-            summary += f"; {chosen} stands for a set: it may as well be {' or '.join(others)}"
+            summary += f"; {chosen} stands for a set: it could equally be {' or '.join(others)}"
     return summary

@@ -1,13 +1,13 @@
 """Find mistakes in logs and in how they are read, before physics is blamed for them.
 
-Looked at are the clock and the samples, the rate of the pose against the body velocities, and the motion
-against the commands. Where they disagree, the usual mistakes are undone one after the other: degrees for
+The doctor checks the clock and the samples, the rate of the pose against the body velocities, and the motion
+against the commands. Where they disagree, it tries the usual mistakes one after the other: degrees for
 radians, mm/s, knots or feet for SI, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis,
-velocities north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or
-a thousand times too large, the dry mass. Where pose and velocity are wrong alike, or one of them is missing,
-the force that the motion needs and the size of the vehicle decide. A mistake is reported only where undoing
-it explains the log, with the line for the mapping file that corrects it. What could not be examined, for lack
-of velocities or of a pose, is listed.
+velocities north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or a
+thousand times too large, the dry mass. If pose and velocity are wrong in the same way, or one of them is
+missing, the force that the motion needs and the size of the vehicle decide. A mistake is reported only if
+correcting it explains the log, with the line of the mapping file that corrects it. What could not be
+examined, for lack of velocities or of a pose, is listed.
 
     undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml
 
@@ -19,11 +19,12 @@ might print
             [columns]
             heading = { channel = "psi", unit = "deg" }
 
-and `undertow diagnose rov.toml run1.csv run2.csv --map mended.toml` goes on from there. What else is found
-are warnings (a velocity sensor that is late or off the origin, a motion never excited) and notes.
+and `undertow diagnose rov.toml run1.csv run2.csv --map mended.toml` goes on from there. Everything else it
+finds is a warning (a velocity sensor that is late or off the origin, a motion that is never excited) or a
+note.
 
-The quick ones of these checks stand before every command that fits to logs: what cannot be is refused there,
-with the line that mends it, unless --trust-log is given.
+Every command that fits to logs runs the quick checks first: an impossible log is refused, with the line that
+corrects it, unless --trust-log is given.
 
 The exit code is 0 when no mistake was found, 1 when there are mistakes.
 """
@@ -47,9 +48,10 @@ if TYPE_CHECKING:
 
 _PLOT = typer.Option(
     metavar="OUT.png",
-    help="Draw pose rates against velocities, as given and mended; of vehicles' own logs what is used.",
+    help="Draw pose rates against velocities, before and after correction; for vehicle logs, the part "
+    "that is used.",
 )
-_MEND = typer.Option(metavar="OUT.toml", help="Write the mapping file with the mistakes mended.")
+_MEND = typer.Option(metavar="OUT.toml", help="Write a mapping file with the mistakes corrected.")
 
 
 @bundled

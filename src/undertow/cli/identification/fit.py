@@ -1,37 +1,37 @@
 """Refit the parameters that a vehicle file marks as estimated, and judge the result on validation data.
 
-By the weak form (quick, needs no simulation; integral is its simplest kind), then by output error: simulation
-of many windows with the start of each estimated, too. They are as long as the vehicle's own time constants,
-and whole runs where little more than noise is left; the result is kept where it predicts validation data no
-worse. --method has each of them alone (output
-error over windows of --horizon seconds), or prediction error where something pushes the vehicle that no log
-holds: its strength is estimated with the parameters. Instrumental variables take the bias out of the weak
-form that noisy velocities cause, by regressors of the simulated motion. Every value comes with its standard
-error; values that the logs do not determine, or that are far from what was stated before, are pointed out.
+By default the weak form comes first (quick, needs no simulation), then output error: simulation of many
+windows, with estimated initial states. The windows are as long as the vehicle's own time constants, and whole
+runs where little more than noise is left; the result is kept if it predicts validation data no worse.
+--method chooses one method alone: weak; integral, its simplest kind; output-error, over windows of --horizon
+seconds; prediction-error, for vehicles disturbed by forces that no log holds, whose strength is estimated
+along with the parameters; or instrumental variables, which remove the bias that noisy velocities cause in the
+weak form, with regressors from the simulated motion. Every value comes with its standard error. Values that
+the logs do not determine, or that are far from the stated ones, are pointed out.
 
     undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
 
-Where sensors have outliers, --loss huber or student-t keeps them from pulling (by output error; the weak form
-leaves out samples that stand off their neighbours).
+If sensors have outliers, --loss huber or student-t limits their influence (for output error; the weak form
+drops samples that differ from their neighbours).
 
     undertow fit rov.toml run1.csv run2.csv --method output-error --loss student-t
 
-The mass matrix stays positive, and coefficients keep within what is physical. Coefficients that are known
-to be alike are fitted as one, with --equal; stated standard deviations (sigma), taken five times
-as wide, hold what logs leave open, and where none is stated what a vehicle of this mass, inertia and length
-can have does.
+The mass matrix stays positive definite, and coefficients stay within physical limits. --equal fits
+coefficients as one that are known to be alike. What the logs do not determine is held by the stated standard
+deviations (sigma, taken five times as wide) or, where none is stated, by what a vehicle of this mass, inertia
+and length can have.
 
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 
-Logs of a towing tank or a planar motion mechanism have few motions that are free. Those in which the same
-ones are make an experiment, which is fitted by itself; what they know adds up in one vehicle file:
+In logs of a towing tank or a planar motion mechanism, few motions are free. Logs with the same free motions
+form an experiment, which is fitted by itself; the results are combined in one vehicle file:
 
     undertow fit rov.toml surge.csv heave.csv yaw.csv --held unlogged --out fitted.toml
 
-Without --map, a mapping file of the name of a log beside it (surge.toml of surge.csv) says what its columns
-are. Without --holdout, stretches of the logs are used for validation. Without --out and --in-place nothing is
-written. The exit code is 1, and no vehicle file is written either, where the refitted model predicts
-validation data worse than the model as given; --force writes it all the same.
+Without --map, a mapping file with the name of a log (surge.toml beside surge.csv) is used for that log.
+Without --holdout, stretches of the logs are used for validation. Without --out or --in-place, nothing is
+written. If the refitted model predicts validation data worse than the model as given, no vehicle file is
+written and the exit code is 1; --force writes it anyway.
 """
 
 from __future__ import annotations
@@ -61,16 +61,16 @@ if TYPE_CHECKING:
     from undertow.identification.estimation.fitted import Fitted
     from undertow.identification.report.sentences import CommandLine
 
-_METHOD = typer.Option(help="Weak form, or simulation without or with a disturbance.")
-_LOSS = typer.Option(help="How much an error counts: squares, or less for outliers.")
+_METHOD = typer.Option(help="Estimator; default: the weak form, then output error.")
+_LOSS = typer.Option(help="Loss function; huber and student-t resist outliers.")
 _EQUAL = typer.Option(
     metavar='"A = B"', help='Fit A as B, or as a multiple of it: "M_q = 0.9 N_r"; may be repeated.'
 )
 _DISSIPATIVE = typer.Option(
-    "--dissipative", help="Let linear damping take energy from every motion, coupling included."
+    "--dissipative", help="Constrain linear damping to dissipate energy in every motion, including coupling."
 )
-_CORRELATION = typer.Option("--correlation", help="Print how the errors of the parameters hang together.")
-_FORCE = typer.Option("--force", help="Write the vehicle file even where it predicts worse.")
+_CORRELATION = typer.Option("--correlation", help="Print the correlation of the parameter errors.")
+_FORCE = typer.Option("--force", help="Write the vehicle file even if it predicts worse.")
 _HORIZON = typer.Option(metavar="SECONDS", help="Length of the simulated windows.", min=0.001)
 
 
@@ -175,7 +175,7 @@ def show_correlation(fit: Fitted) -> None:
     section("Correlation of the errors", table(("", *names), rows))
 
 
-_BOUND = "bound: the error that the noise of the sensors alone would leave (Cramér-Rao)"
+_BOUND = "bound: the error that sensor noise alone would leave (Cramér-Rao)"
 _METHODS = {
     "default": "the weak form, then output error",
     "weak": "the weak form",
@@ -232,8 +232,8 @@ def _process_noise(fit: Fitted) -> list[str]:
     quick = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.disturbance.items())
     slow = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.wander.items())
     return [
-        f"a disturbance changes velocities by {quick} in a second (SI); its slow part wanders by {slow} in "
-        "acceleration"
+        f"the disturbance changes velocities by {quick} in one second (SI); its slow part varies by {slow} "
+        "in acceleration"
     ]
 
 
@@ -242,11 +242,11 @@ def _combined(fit: Fitted, given: CommandLine) -> list[str]:
     from undertow.identification.estimation.fitted import base_parameters, verdicts
 
     sums = base_parameters(fit.gram, fit.model.free)
-    lines = [f"only these sums can be identified: {', '.join(map(str, sums))}"] if sums else []
+    lines = [f"only these combinations can be identified: {', '.join(map(str, sums))}"] if sums else []
     lacking = [name for name, verdict in verdicts(fit).items() if verdict != "identified"]
     if lacking:
         plan = given.looking(["plan"], "--only", ",".join(lacking), "--out", "plan.csv")
-        lines.append(f"a better run is designed by: {plan}")
+        lines.append(f"to plan a better run: {plan}")
     return lines
 
 

@@ -1,7 +1,7 @@
 """Years of logs from many vehicles: what changed month by month, and how sure simulations are.
 
-The work is spread over processes of this machine, or over any Dask cluster (--scheduler). Needs
-pip install "undertow[fleet]".
+The work is spread over the processors of this machine, or over a Dask cluster (--scheduler). Needs pip
+install "undertow[fleet]".
 
     undertow fleet diagnose rov.toml 'logs/**/*.parquet' --out fleet-2026
 """
@@ -28,36 +28,41 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False)
 
 _SCHEDULER = typer.Option(
-    metavar="ADDRESS", help="Dask scheduler such as tcp://10.0.0.1:8786; it must see the same paths."
+    metavar="ADDRESS",
+    help="Dask scheduler, such as tcp://10.0.0.1:8786; its workers must see the same paths.",
 )
 _WORKERS = typer.Option(
     metavar="N",
     min=0,
     help="Processes on this machine; 0: in this process, without Dask.",
-    show_default="one for each processor",
+    show_default="one per processor",
 )
 _PATIENCE = typer.Option(
-    metavar="SECONDS", min=1.0, help="Give up what is left when no worker answers for so long."
+    metavar="SECONDS", min=1.0, help="Give up on the remaining work when no worker answers for this long."
 )
 _LISTEN = typer.Option(
     metavar="ADDRESS",
-    help="Address of this machine that its cluster listens on; whoever reaches it can run code here.",
-    show_default="127.0.0.1, for this machine alone",
+    help="Address on which the local cluster listens; anyone who can reach it can run code here.",
+    show_default="127.0.0.1: this machine only",
 )
 _FLEET_VEHICLE = typer.Argument(
-    metavar="VEHICLE", help="Vehicle file or bundled vehicle; {vehicle} in a path stands for each name."
+    metavar="VEHICLE",
+    help="Vehicle file or bundled vehicle; {vehicle} in the path is replaced by the name of each vehicle.",
 )
 _PATTERNS = typer.Argument(
     metavar="LOGS",
-    help="Patterns of logs (Parquet or a vehicle's own), or folders of Parquet files; quote the patterns.",
+    help="Patterns of log files (Parquet or vehicle logs; quote them), or folders of Parquet files.",
 )
-_OUT = typer.Option(metavar="FOLDER", help="Folder for the report, and for results to go on from.")
+_OUT = typer.Option(
+    metavar="FOLDER",
+    help="Folder for the report and for intermediate results, from which a later run resumes.",
+)
 _DAILY = typer.Option(
     metavar="EFFECT",
-    help="Effect that every log has a value of its own for; may be repeated.",
+    help="Effect whose values may differ in every log; may be repeated.",
     show_default="ocean_current, net_buoyancy, constant_force",
 )
-_PASSES = typer.Option(min=1, max=5, help="Linearise so often, each time at what was found before.")
+_PASSES = typer.Option(min=1, max=5, help="Number of linearisations, each at the previous result.")
 
 
 @dataclass(frozen=True)
@@ -104,21 +109,21 @@ def diagnose(
 ) -> int:
     """A table for each vehicle and month: parameters, and which effect grew (fouling, thruster wear).
 
-    Every file is the log of one vehicle and day: logs/vehicle=V/day=2026-05-01/part.parquet. Without
-    such folders, columns `vehicle` and `day` say so, or the folder's name (the vehicle) with a date in the
-    file's name or a time that counts from 1970. A vehicle's own log (.bin, .ulg, ...) has folders or a date
-    in its name.
+    Every file is the log of one vehicle and day: logs/vehicle=V/day=2026-05-01/part.parquet. Without such
+    folders, vehicle and day come from columns `vehicle` and `day`, or from the name of the folder (the
+    vehicle) and a date in the file name or a time that counts from 1970. A vehicle log (.bin, .ulg, ...) has
+    folders or a date in its name.
 
     \b
         undertow fleet diagnose rov.toml 'logs/**/*.parquet' --out fleet-2026
         undertow fleet diagnose 'fitted/{vehicle}.toml' logs --scheduler tcp://10.0.0.1:8786
 
-    Each log is reduced to a small table that is kept under --out by the content of the file: a second run
-    does what is missing only. A change is named only where it stands out of the scatter from day to day, with
-    all that was looked at counted in (1 % for a single false name in the whole report), and where nothing
-    else that was tried explains it; else the report says that it cannot tell.
+    Each log is reduced to a small table, which is kept under --out by the content of the file: a second run
+    only does what is missing. A change is named only if it exceeds the day-to-day scatter, corrected for
+    everything that was tested (1 % for a single false name in the whole report), and if nothing else that was
+    tried explains it; otherwise the report says that it cannot tell.
 
-    Exit code 0: all files count; 1: some could not be used, and are named; 2: a mistake in the input.
+    Exit code 0: all files were used; 1: some could not be used, and are named; 2: a mistake in the input.
     """
     import json
 
@@ -171,28 +176,29 @@ def rollouts(
     ],
     logs: LogsArgument,
     options: FleetOptions,
-    count: Annotated[int, typer.Option(metavar="N", min=10, help="Rollouts of each window.")] = 500,
+    count: Annotated[int, typer.Option(metavar="N", min=10, help="Number of rollouts per window.")] = 500,
     horizon: Annotated[float, typer.Option(metavar="SECONDS", min=0.01, help="Length of a window.")] = 10.0,
     coverage: Annotated[
-        float, typer.Option(metavar="SHARE", min=0.01, max=0.999, help="Width of the band.")
+        float, typer.Option(metavar="SHARE", min=0.01, max=0.999, help="Coverage of the band.")
     ] = 0.9,
-    seed: Annotated[int, typer.Option(min=0, help="Of the drawn parameters.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the parameter draws.")] = 0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.parquet", help="Write the bands of all channels.")
     ] = None,
 ) -> int:
-    """Simulate logs many times with parameters drawn from what a fit left open, and hold them to the bands.
+    """Simulate logs many times with parameters drawn from their uncertainty, and compare with the
+    measurement.
 
-    Parameters are drawn from the covariance that a fit wrote into the vehicle file (or stated standard
+    Parameters are drawn from the covariance that a fit wrote into the vehicle file (or from stated standard
     deviations), within physical bounds. Every window of a log starts from the measured motion and is driven
-    by the logged commands. The table says how much of the measurement lies within the band of the rollouts,
-    with the noise of the sensors on top.
+    by the logged commands. The table says how much of the measurement lies within the band of the rollouts
+    plus sensor noise.
 
     \b
         undertow fit rov.toml run1.csv run2.csv --out fitted.toml
         undertow fleet rollouts fitted.toml run3.csv --count 1000 --horizon 20 --out bands.parquet
 
-    Exit code 0: all rollouts count; 1: some diverged or some logs could not be used, and are named; 2: a
+    Exit code 0: all rollouts were used; 1: some diverged or some logs could not be used, and are named; 2: a
     mistake in the input.
     """
     from undertow.files import check_writable, write_whole

@@ -1,28 +1,27 @@
-"""Estimate added mass and damping from forced motion by the paper's chain: filters, then least squares.
+"""Estimate added mass and damping from forced motion by the paper's method: filters, then least squares.
 
-Each log holds one motion (surge, heave, yaw ...) that a known force drives, as a towing tank or a flow
-solver gives it: a velocity, the force tau_X (Y, Z, K, M, N) or the thrusters, and if possible the
-acceleration u_dot (v_dot ...), else velocities are differentiated. Velocity and acceleration are smoothed by
-Savitzky-Golay filters in eleven ways (--cases, Tables 1 to 3 of the paper), and added mass and damping follow
-by least squares for each of them. A vehicle with values for forward and backward motion gets each from the
-logs that go that way.
+Each log holds one motion (surge, heave, yaw ...) driven by a known force, as from a towing tank or a flow
+solver: a velocity, the force tau_X (Y, Z, K, M, N) or the thruster commands, and if possible the acceleration
+u_dot (v_dot ...); without it, velocities are differentiated. Velocity and acceleration are smoothed by
+Savitzky-Golay filters in eleven ways (--cases, Tables 1 to 3 of the paper), and least squares gives added
+mass and damping for each of them. If a vehicle has different values for forward and backward motion, each is
+estimated from the logs in that direction.
 
     undertow identify mini-auv surge.csv heave.csv yaw.csv --cases all --out identified.toml
 
-Of the cases whose estimates are all physical, the one with the least residual variance is taken.
+Among the cases with physical estimates only, the one with the least residual variance is taken.
 
     undertow identify mini-auv surge.csv --figures figures
 
-draws what the filters make of velocity and acceleration, as Figures 6 to 12 of the paper do.
+draws velocity and acceleration before and after filtering, as Figures 6 to 12 of the paper do.
 
-Logs of any length are read in parts, in constant memory and with the same answer: those of more than 200 MB
-(unpacked) by themselves where that can be done, shorter ones with --stream.
+Long logs are read in parts, in constant memory and with the same answer: those of more than 200 MB (unpacked)
+automatically if possible, shorter ones with --stream.
 
     undertow identify mini-auv week.parquet --stream
 
-This is the baseline that other methods are compared with: filtering the motion and not the force biases the
-estimates, and the errors that it states take smoothed samples as independent. `undertow fit` has neither
-fault.
+This is the baseline for other methods: filtering the motion but not the force biases the estimates, and the
+stated errors take smoothed samples as independent. `undertow fit` has neither fault.
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ if TYPE_CHECKING:
     from undertow.paper.regression import Edges
 
 _METHOD = typer.Option(help="Savitzky-Golay filters, then least squares.")
-_CASES = typer.Option(metavar="all|N,N", help="Ways to filter, by their number in the paper.")
-_EDGES = typer.Option(help="What filters do at the ends: interp is MATLAB's sgolayfilt.")
-_STREAM = typer.Option("--stream", help="Read the logs in parts, however short they are.")
+_CASES = typer.Option(metavar="all|N,N", help="Filter cases, by their number in the paper.")
+_EDGES = typer.Option(help="How filters treat the ends of a log; interp is as in MATLAB's sgolayfilt.")
+_STREAM = typer.Option("--stream", help="Read the logs in parts, even short ones.")
 _FIGURES = typer.Option(metavar="FOLDER", help="Draw the filtered signals: Figures 6 to 12 of the paper.")
 _LONG = 200_000_000  # bytes, unpacked; a week of one motion at 100 Hz
 
@@ -101,7 +100,7 @@ def _check_figures(folder: Path, logs: Sequence[Path], stream: bool) -> None:
     check_folder(folder)
     if stream or sum(map(size_of, logs)) > _LONG:
         raise UndertowError(
-            "--figures needs logs that are read whole: leave --stream away, or give a part (--from)"
+            "--figures needs logs that are read whole: leave out --stream, or give a part (--from)"
         )
 
 
@@ -148,7 +147,7 @@ def show(done: Identified) -> None:
         say(f"  {_verdict(estimations)}")
         for line in _doubts(experiment, estimations):
             say(f"  {line}", "yellow")
-    console().print(text("± is what (17) of the paper gives; it takes smoothed samples as independent"))
+    console().print(text("± is from (17) of the paper, which takes smoothed samples as independent"))
     for line in done.chosen.contradictions if done.chosen else ():
         say(line, "yellow")
 
@@ -198,7 +197,8 @@ def _verdict(estimations: Sequence[Estimation]) -> str:
     pick = selected(estimations)
     if pick is None:
         return (
-            "no case is physical (inertia above that of the body, damping that takes energy): none is taken"
+            "no case is physical (inertia above that of the body, damping that dissipates energy): "
+            "none is taken"
         )
     count = sum(e.valid for e in estimations)
     return f"taken: case {pick.case.name} ({pick.case}); {RULE} ({count} of {len(estimations)} are physical)"

@@ -3,8 +3,8 @@
     undertow import dive.bin --list
     undertow import dive.bin --vehicle my-rov.toml --out dive.parquet
 
-Every command that takes a log reads such files directly. Imported once, a log is read faster, needs no extra
-library and can be handed on. The mapping file beside it (dive.toml) says which column became which channel;
+Every command that takes a log reads such files directly. An imported log is read faster, needs no extra
+library and can be passed on. The mapping file beside it (dive.toml) says which column became which channel;
 correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml.
 
 --list shows what the file holds: series, how often they report, from when to when, and the longest gap.
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from undertow.identification.logs.mapping import LogMapping
 
 _OUT = typer.Option(metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
-_LIST = typer.Option("--list", help="Show what the log holds, and write nothing.")
+_LIST = typer.Option("--list", help="Show what the log contains and write nothing.")
 _VEHICLE = typer.Option(
-    metavar="VEHICLE", help="Vehicle file or name, whose commands are the motors in their order."
+    metavar="VEHICLE", help="Vehicle file or name; its commands are assigned to the motors in order."
 )
 _MESSAGES = typer.Option(
     metavar="FOLDER",
-    help="Definitions that a log does not hold itself: messages of ROS (.msg), sensors of gliders (.cac).",
+    help="Folder with definitions that are not in the log: ROS messages (.msg), glider sensors (.cac).",
 )
 _ELEMENT = re.compile(r"\[(\d+)\](?=[^\[\]]*$)")  # the last index in the name of a column
 _HEAD = ("series", "samples", "per second", "from s", "to s", "longest gap s", "columns")
 
 
 def import_(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log, in any format but a table.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Vehicle log; any format except a table.")],
     out: Annotated[Path | None, _OUT] = None,
     list_: Annotated[bool, _LIST] = False,
     vehicle: Annotated[str | None, _VEHICLE] = None,
@@ -56,7 +56,7 @@ def import_(
     from undertow.model.loading import load_vehicle
 
     if not (out or list_):
-        raise UndertowError("nothing to do: give --out NEW.parquet, or --list to see what the log holds")
+        raise UndertowError("nothing to do: give --out NEW.parquet, or --list to see what the log contains")
     target = None if out is None or list_ else new_file(out, force, [log, *filter(None, [map])])
     beside = None if target is None else new_file(target.with_suffix(".toml"), force, filter(None, [map]))
     given = read_mapping(map) if map else None
@@ -74,7 +74,7 @@ def import_(
     section(f"{log}: {found.format}", table(("column", "channel", "unit"), read))
     for line in _without_motion(found, meaning, log, target):
         say(line, "yellow")
-    say(f"what the columns mean stands in {beside}: correct it there where it is wrong")
+    say(f"the meaning of the columns is in {beside}: correct it there if it is wrong")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")
 
 
@@ -114,9 +114,9 @@ def _without_motion(log: FieldLog, meaning: LogMapping, path: Path, out: Path) -
     example = f"{others[0].name}.{[*others[0].columns][-1]}" if others else "SERIES.column"
     line = f'"{example}" = {{ channel = "r", unit = "deg/s" }}'
     return [
-        f"no column is known to be a motion, and {out} has none of the others: {holds}",
-        f"say what they are in a mapping file, in lines like `{line}`: undertow import {path} --map FILE "
-        f"--out {out} --force",
+        f"no column is recognised as a motion, so {out} was not written: {holds}",
+        f"say what the columns are in a mapping file, with lines like `{line}`: undertow import {path} "
+        f"--map FILE --out {out} --force",
     ]
 
 

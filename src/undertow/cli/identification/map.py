@@ -22,7 +22,7 @@ from .._terminal import progress, say, section, table
 app = typer.Typer(add_completion=False)
 
 _VEHICLE = typer.Option(
-    metavar="VEHICLE", help="Vehicle file or name, whose commands are looked for in the log."
+    metavar="VEHICLE", help="Vehicle file or name; its commands are looked for in the log."
 )
 
 
@@ -30,7 +30,7 @@ _VEHICLE = typer.Option(
 def new(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="The log: CSV, CSV.gz or Parquet.")],
     vehicle: Annotated[str | None, _VEHICLE] = None,
-    out: Annotated[Path, typer.Option(metavar="NEW.toml", help="Where to write it.")] = Path("log.toml"),
+    out: Annotated[Path, typer.Option(metavar="NEW.toml", help="Output file.")] = Path("log.toml"),
     force: NewForceOption = False,
 ) -> None:
     """Guess what the columns of a log mean, and write it as a mapping file with questions."""
@@ -43,8 +43,8 @@ def new(
     written = format_of(log)
     if written is not None:
         raise UndertowError(
-            f"log {log} is one of {written.name} and no table: undertow import {log} --out NEW.parquet "
-            "writes it as a table, with a mapping file of what is understood"
+            f"log {log} is a {written.name} log, not a table: undertow import {log} --out NEW.parquet "
+            "converts it, with a mapping file"
         )
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading"):

@@ -1,29 +1,29 @@
 """Estimate pose and velocities from the sensors of a log, smoothed, with standard deviations.
 
-An extended (or unscented) Kalman filter and a Rauch-Tung-Striebel smoother go over the log. Sensors may
-report at rates of their own, late (a velocity_delay of the vehicle file), or not at all. Innovations are
-tested: their size against what the filter expects (NIS), and whether they are white.
+An extended (or unscented) Kalman filter and a Rauch-Tung-Striebel smoother process the log. Sensors may
+report at different rates, late (a velocity_delay in the vehicle file), or not at all. The innovations are
+tested for their size against what the filter expects (NIS) and for whiteness.
 
     undertow observe rov.toml dive.csv --map log.toml --out smoothed.csv --plot observed.png
 
     undertow observe rov.toml dive.csv --process model --current --bias r
 
---process kinematics, the default, knows nothing of forces: a motion whose acceleration wanders. Velocities
-from it may go into a diagnosis of a log that has none:
+--process kinematics, the default, uses no forces: the acceleration wanders at random. Its velocities may be
+used for a diagnosis of a log that has none:
 
     undertow observe rov.toml dive.csv --out smoothed.csv
     undertow diagnose rov.toml smoothed.csv
 
---process model predicts with the equations of the vehicle file. It is closer to the truth where the model is
-right, estimates the current (--current), and leans towards the model where that is wrong: a diagnosis of
-such a log finds the model that it was made with, so it is written with --trust-model only.
+--process model predicts with the equations of the vehicle file. It is more accurate if the model is right,
+and can estimate the current (--current), but it is biased towards the model: a diagnosis of such a log only
+confirms the model that made it. So it is written only with --trust-model.
 
-The noise of a report is that of the mapping file, or found from differences; the noise that drives the motion
-is that for which the reports are likeliest.
+Sensor noise is taken from the mapping file, or from differences of the log; process noise is estimated by
+maximum likelihood.
 
-Of several logs (or stretches of one) each has its own filter and noise, and the tests are those of all
-together. Files of each log are numbered in their order (smoothed-1.csv ...), and an observer file takes
-the noise of all.
+Several logs (or stretches of one) each have their own filter and noise; the tests are over all of them.
+Output files are numbered in the order of the logs (smoothed-1.csv ...), and an observer file has the noise of
+all.
 
     undertow observe rov.toml dive1.csv dive2.csv --out smoothed.csv
 """
@@ -49,15 +49,15 @@ if TYPE_CHECKING:
     from undertow.model.vehicle import Vehicle
 
 _Pair = tuple[Path | None, Path | None]
-_PROCESS = typer.Option(help="What moves: kinematics alone, or the model.")
+_PROCESS = typer.Option(help="Process model: kinematics alone, or the vehicle model.")
 _FILTER = typer.Option(
     help="Extended or unscented Kalman filter.",
-    show_default="ukf with the model, which a first velocity that is unknown misleads less; else ekf",
+    show_default="ukf with the model (less sensitive to an unknown initial velocity), else ekf",
 )
-_CURRENT = typer.Option("--current", help="Estimate the velocity of the water (with the model).")
+_CURRENT = typer.Option("--current", help="Estimate the velocity of the water (only with the model).")
 _BIAS = typer.Option(metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
 _OUT = typer.Option(metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
-_TRUST_MODEL = typer.Option("--trust-model", help="Write --out also where the model made the velocities.")
+_TRUST_MODEL = typer.Option("--trust-model", help="Write --out even if the velocities come from the model.")
 _SAVE = typer.Option(metavar="NEW.toml", help="Write an observer file for simulate, linearize and export c.")
 _PLOT = typer.Option(metavar="OUT.png", help="Draw estimates with two sigma, and the NIS.")
 
@@ -83,8 +83,8 @@ def observe(
     check_writable(out, save, plot, inputs=[vehicle, *logs, *options.files])
     if out is not None and process == "model" and not trust_model:
         raise UndertowError(
-            f"--out {out}: velocities that the model made must not go into a diagnosis of it; take --process "
-            "kinematics, or give --trust-model if the log is for something else"
+            f"--out {out}: velocities from the model must not be used for its own diagnosis; use --process "
+            "kinematics, or --trust-model if the log is for another purpose"
         )
     model, runs = _read(vehicle, logs, options)
     estimated = (*(("V_N", "V_E") if current else ()), *(f"b_{n}" for n in words([bias] if bias else [])))
@@ -156,7 +156,7 @@ def show(found: Observed) -> None:
     """Print sensors, noise, estimated parameters and the tests."""
     innovations(f"Innovations ({found.process})", found)
     driven = [(n, f"{v:.3g}") for n, v in found.disturbance.items()]
-    section("Noise on rates, root of the spectral density", table(("state", "SI, s^0.5"), driven))
+    section("Process noise on the rates, root of the spectral density", table(("state", "SI, s^0.5"), driven))
     if found.parameters:
         values = [(n, f"{v:.4g}", f"{s:.2g}") for n, (v, s) in found.parameters.items()]
         section("Estimated", table(("parameter", "value", "sigma"), values))
@@ -177,7 +177,7 @@ def innovations(title: str, found: Observed | ObservedLogs) -> None:
 
 
 _KINEMATIC = (
-    "noise is not as stated, or the acceleration jumps (thrusters that step), where kinematics are too sure"
+    "noise is not as stated, or the acceleration jumps (thruster steps), where kinematics are overconfident"
 )
 
 
@@ -191,4 +191,4 @@ def verdict(found: Observed | ObservedLogs) -> str:
     coloured = [one.name for one in found.white if not one.white]
     faults += [f"innovations of {', '.join(coloured)} are not white"] if coloured else []
     what = "noise or model are not as stated" if found.process == "model" else _KINEMATIC
-    return f"{'; '.join(faults)}: {what}, so that standard deviations do not hold"
+    return f"{'; '.join(faults)}: {what}, so the standard deviations are not reliable"

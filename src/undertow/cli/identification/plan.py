@@ -2,7 +2,7 @@
 
 Manoeuvres of many kinds (steps, doublets, multisines, random steps, chirps, reversals, coast-downs, sweeps,
 circles, zigzags; of all motions together, in turn, or actuator by actuator) are simulated with the model and
-judged by what a log of them would say, together with what the vehicle file and the logs say already. Every
+judged by the information that their log would give, in addition to the vehicle file and existing logs. Every
 command stays within its limit, the predicted motion within --max-..., and the ends are smooth.
 
     undertow plan rov.toml run1.csv --duration 90 --out plan.csv --picture plan.png
@@ -16,11 +16,11 @@ command stays within its limit, the predicted motion within --max-..., and the e
 The goal "parameters" minimises the volume of the confidence region of the parameters marked estimate = true
 (D-optimal). The goal "separate" maximises the difference between the predictions of rival models after each
 has been refitted to the other (T-optimal); their values come from a fit to the logs, from the diagnosis, or
-are of a typical size. Both are best for the present values: fit to the new log, and plan again.
+are of a typical size. Both plans are optimal for the present values: fit to the new log, and plan again.
 
 The CSV has a column t in s and one for each command, named as in the vehicle file, in the unit of the command
-(N for a thruster unless its thrust_per_command says otherwise; N or N m for a known force). It is to be flown
-open loop from rest; each row is held until the next. The same --seed gives the same plan.
+(N for a thruster unless its thrust_per_command says otherwise; N or N m for a known force). Run it open loop
+from rest; each row is held until the next. The same --seed gives the same plan.
 """
 
 from __future__ import annotations
@@ -45,29 +45,29 @@ if TYPE_CHECKING:
     from undertow.identification.planning.result import Plan, PlannedParameter
 
 
-_LOGS = typer.Argument(metavar="LOG", help="Logs that exist already: CSV, CSV.gz or Parquet.")
-_GOAL = typer.Option(help="Determine parameters, or tell models apart.")
+_LOGS = typer.Argument(metavar="LOG", help="Existing logs: CSV, CSV.gz or Parquet.")
+_GOAL = typer.Option(help="Goal: determine parameters, or tell models apart.")
 _BETWEEN = typer.Option(
-    metavar="ID,ID[,ID]", help='Effects to be told apart; "none" is the model as it is, a+b has both.'
+    metavar="ID,ID[,ID]", help='Effects to tell apart; "none" is the model as it is, a+b has both.'
 )
-_DIAGNOSIS = typer.Option(metavar="FILE.json", help="Take the effects to be told apart from a diagnosis.")
-_ONLY = typer.Option(metavar="NAME,NAME", help="Parameters that matter; all by default.")
+_DIAGNOSIS = typer.Option(metavar="FILE.json", help="Take the effects to tell apart from a diagnosis.")
+_ONLY = typer.Option(metavar="NAME,NAME", help="Parameters to determine; all by default.")
 _LIMIT = typer.Option(
     metavar="VALUE|NAME=VALUE",
-    help="Largest command, of all or of one.",
-    show_default="vehicle file, or largest in the logs",
+    help="Largest command: VALUE for all, or NAME=VALUE.",
+    show_default="as in the vehicle file, or the largest in the logs",
 )
 _NOISE = typer.Option(
     metavar="NAME=VALUE",
-    help="Noise of a channel (SI), none if it is not measured.",
+    help="Noise of a channel (SI); none if it is not measured.",
     show_default="as in the logs, or 0.02 m, 0.01 rad, 0.01 m/s, 0.005 rad/s",
 )
 _DEPTH = typer.Option(metavar="M", help="Depth at the start.", show_default="median of the logs, or 0")
 _TRIES = typer.Option(
-    help="Manoeuvres to be judged, at least one of each kind.",
+    help="Number of manoeuvres to try, at least one of each kind.",
     min=1,
     max=100_000,
-    show_default="some ten seconds of them",
+    show_default="as many as take about ten seconds",
 )
 
 
@@ -108,12 +108,12 @@ def plan(
     between: Annotated[list[str] | None, _BETWEEN] = None,
     diagnosis: Annotated[Path | None, _DIAGNOSIS] = None,
     only: Annotated[list[str] | None, _ONLY] = None,
-    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length.")] = 60.0,
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Duration.")] = 60.0,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 20.0,
     limit: Annotated[list[str] | None, _LIMIT] = None,
     depth: Annotated[float | None, _DEPTH] = None,
     noise: Annotated[list[str] | None, _NOISE] = None,
-    seed: Annotated[int, typer.Option(help="Of the random search.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random search.", min=0)] = 0,
     tries: Annotated[int | None, _TRIES] = None,
     out: Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Write the commands.")] = None,
     picture: Annotated[
@@ -173,7 +173,7 @@ def plan(
 
     write_files((out, commands), (picture, draw), (json, plan.to_json()))
     if out is None:
-        console().print(text("the commands were not written: --out OUT.csv does it"))
+        console().print(text("the commands were not written: --out OUT.csv writes them"))
 
 
 _ANGULAR = ("rate", "tilt")
@@ -187,13 +187,11 @@ def _check_goal(
     """Refuse options that contradict each other, or leave open which models are to be told apart."""
     given = [n for n, v in (("--between", between), ("--diagnosis", diagnosis)) if v]
     if len(given) == 2:
-        raise UndertowError("both --between and --diagnosis name the effects to tell apart: give one of them")
+        raise UndertowError("both --between and --diagnosis name the effects to tell apart: give only one")
     if goal == "parameters" and given:
         raise UndertowError(f"{given[0]} is for --goal separate: leave one of the two out")
     if goal == "separate" and not given:
-        raise UndertowError(
-            "--goal separate needs to know the effects: give --between ID,ID or --diagnosis FILE"
-        )
+        raise UndertowError("--goal separate needs the effects: give --between ID,ID or --diagnosis FILE")
     if given and only:
         raise UndertowError(f"--only is for --goal parameters: leave it or {given[0]} out")
 
@@ -358,7 +356,8 @@ def _distances(plan: Plan) -> object:
 
 def _undetermined(plan: Plan) -> list[str]:
     return [
-        f"{group[0]}: no manoeuvre of these actuators determines it, nothing measured depends on it"
+        f"{group[0]}: no manoeuvre of these actuators can determine it, because nothing measured "
+        "depends on it"
         if len(group) == 1
         else f"only a combination of {', '.join(group)} is determined, whatever the manoeuvre"
         for group in plan.undetermined

@@ -1,15 +1,15 @@
 """Look at logs and model on a local page: where it fails, what is missing, and what repairs it.
 
-The page shows the logs with the doctor's findings, the error map, the candidates for what is missing and
-what each of them does to the error, and the parameters; effects are added and taken back by buttons. What
-was chosen and found is kept in a folder (VEHICLE.workbench, or that of --session) and is there again at the
-next start, with the vehicle files that were made on the way.
+The page shows the logs with the doctor's findings, the error map, the candidate effects and what each of them
+does to the error, and the parameters; buttons add and undo effects. The session is kept in a folder
+(VEHICLE.workbench, or that of --session), with the vehicle files made on the way, and continues at the next
+start.
 
     undertow workbench rov.toml run1.csv run2.csv --holdout run3.csv
 
-The page is served on this machine only (127.0.0.1), at an address with a token that is printed and without
-which nothing is answered; nothing is fetched from outside. It is drawn by NiceGUI:
-pip install "undertow[workbench]".
+The page is served on this machine only (127.0.0.1), at an address with a token that is printed; requests
+without it are refused, and nothing is fetched from outside. It needs NiceGUI: pip install
+"undertow[workbench]".
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import typer
 from .._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
 from .._terminal import progress, say
 
-_SESSION = typer.Option(metavar="FOLDER", help="Folder that the session is kept in.")
+_SESSION = typer.Option(metavar="FOLDER", help="Folder for the session.")
 _BROWSER = typer.Option("--browser/--no-browser", help="Open the page in the browser.")
 
 

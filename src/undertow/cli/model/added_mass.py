@@ -1,8 +1,8 @@
 """Compute the added mass of a body: simple bodies in closed form, boxes by table, hulls by panels.
 
-What is printed is the positive added mass, minus the SNAME derivatives: about the centre of the body (of a
-mesh: about its origin), or about the vehicle's origin with --at and --turn. With --into it is written into a
-vehicle file as priors, to be estimated from logs, with standard deviation and source.
+It prints positive added mass (minus the SNAME derivatives), about the centre of the body (for a mesh: about
+its origin), or about the vehicle's origin with --at and --turn. --into writes it into a vehicle file as
+priors to be estimated from logs, with standard deviation and source.
 
     undertow added-mass box --length 0.60 --beam 0.42 --height 0.24
 
@@ -10,8 +10,8 @@ vehicle file as priors, to be estimated from logs, with standard deviation and s
 
     undertow added-mass mesh hull.stl --unit mm --frame FLU --into rov.toml --in-place
 
-All of it is ideal fluid: flow that separates, openings and small parts are not in it, and the standard
-deviation of a prior is therefore never less than --sigma.
+All of it assumes ideal fluid, without flow separation, openings or small parts. So the standard deviation of
+a prior is never less than --sigma.
 """
 
 from __future__ import annotations
@@ -46,19 +46,25 @@ def _metres(name: str, help: str) -> typer.models.OptionInfo:
 
 
 _LENGTH = _metres("--length", "Along x.")
-_DIAMETER = _metres("--diameter", "Across.")
+_DIAMETER = _metres("--diameter", "Diameter.")
 _MESH = typer.Argument(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
-_DEPTH = _metres("--depth", "Depth of the centre of volume under the surface; unbounded water without it.")
-_OMEGA = typer.Option(metavar="RAD/S", help="Radiation damping there; may be repeated.")
-
-
-_DENSITY = typer.Option(metavar="KG/M3", help="Of the water.", show_default="that of --into VEHICLE, or 1000")
-_AT = typer.Option(
-    metavar="X,Y,Z", help="Where its centre (of a mesh: the origin) lies in the vehicle's axes, m."
+_DEPTH = _metres(
+    "--depth", "Depth of the centre of volume below the surface; without it, the water is unbounded."
 )
-_TURN = typer.Option(metavar="ROLL,PITCH,YAW", help="How it is turned against the vehicle's axes, degrees.")
-_INTO = typer.Option(metavar="VEHICLE", help="Vehicle file that gets the added mass as priors.")
-_SIGMA = typer.Option(metavar="SHARE", help="Least standard deviation of the priors, as a share.")
+_OMEGA = typer.Option(
+    metavar="RAD/S", help="Frequency at which to compute radiation damping; may be repeated."
+)
+
+
+_DENSITY = typer.Option(
+    metavar="KG/M3", help="Density of the water.", show_default="that of --into VEHICLE, or 1000"
+)
+_AT = typer.Option(
+    metavar="X,Y,Z", help="Position of its centre (of a mesh: its origin) in the vehicle's axes, m."
+)
+_TURN = typer.Option(metavar="ROLL,PITCH,YAW", help="Rotation with respect to the vehicle's axes, degrees.")
+_INTO = typer.Option(metavar="VEHICLE", help="Vehicle file to write the added mass into, as priors.")
+_SIGMA = typer.Option(metavar="SHARE", help="Smallest relative standard deviation of the priors.")
 
 
 @dataclass(frozen=True)
@@ -211,8 +217,9 @@ def mesh(
 ) -> None:
     """Any closed hull, by panels of three sizes, extrapolated; needs the extra undertow[bem].
 
-    With --depth there is a free surface: the added mass is that of high frequency, and each --omega gives the
-    radiation damping there. With --into, that at the first --omega is written as prior of the linear damping.
+    With --depth there is a free surface: the added mass is that at high frequency, and each --omega adds the
+    radiation damping at that frequency. With --into, the damping at the first --omega is written as the prior
+    of the linear damping.
     """
     from undertow.shape.panels import added_mass_of_hull
 

@@ -1,18 +1,18 @@
 """Find what does not fit in the equations of the mini-AUV paper, or of a vehicle.
 
-Without a vehicle, the equations of the paper are compared with what follows from the effects: the sign of
-the Coriolis matrix (11), the power balance, (8) against (9), the units of the conditions on PID gains, and
-parameters that are needed but not given; every finding comes with the computation that shows it. The
-paper's tables of estimates have a command of their own, audit-tables.
+Without a vehicle, the equations of the paper are compared with those that follow from the effects: the sign
+of the Coriolis matrix (11), the power balance, (8) against (9), the units of the conditions on PID gains, and
+parameters that are needed but not given. Every finding comes with the computation that shows it. For the
+paper's tables of estimates, use audit-tables.
 
-With a vehicle, its own equations are looked at: a symmetric and positive definite mass matrix, Coriolis
-forces that do no work, damping that takes energy, effects that lack their partner, values that are assumed.
+With a vehicle, its own equations are checked: a symmetric and positive definite mass matrix, Coriolis forces
+that do no work, damping that dissipates energy, effects without their counterpart, assumed values.
 
     undertow audit
     undertow audit rov.toml
 
-The exit code is 1 where something is wrong, so that a pipeline stops; what is only missing or assumed
-("open") does not count.
+The exit code is 1 if something is wrong, so that a pipeline stops; what is only missing or assumed ("open")
+does not count.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""List the effects that a model can be made of, show one of them, check one of your own, or begin one.
+"""List the catalogue of effects, show or check one, or begin one of your own.
 
-Without a word behind it, the command lists the catalogue. `show` prints the physics of one effect, `check`
-runs the contract on a file of your own, `new` writes such a file, from what a diagnosis left unexplained.
+Without a subcommand, it lists the catalogue. `show` prints the physics of one effect, `check` checks a file
+of your own, `new` writes such a file from the unexplained residual of a diagnosis.
 
     undertow diagnose rov.toml run1.csv run2.csv --json found.json
     undertow effects new turning_drag --from found.json
@@ -29,8 +29,8 @@ app = typer.Typer(add_completion=False)
 
 _ID = typer.Argument(metavar="ID", help="Id of the effect; 'undertow effects' lists them.")
 _FILE = typer.Argument(metavar="FILE", help="Python file with effects of your own; it is executed.")
-_FROM = typer.Option("--from", metavar="DIAGNOSIS.json", help="What 'undertow diagnose --json' wrote.")
-_OUT = typer.Option(metavar="FILE", help="Where to write it.", show_default="ID.py")
+_FROM = typer.Option("--from", metavar="DIAGNOSIS.json", help="Result of 'undertow diagnose --json'.")
+_OUT = typer.Option(metavar="FILE", help="Output file.", show_default="ID.py")
 _FAMILIES = ("inertia", "damping", "statics", "water", "tether", "actuation", "measurement", "memory")
 
 
@@ -47,7 +47,7 @@ def effects(context: typer.Context, json: JsonOption = False, effects: EffectsOp
 
 @app.command()
 def show(id: Annotated[str, _ID], json: JsonOption = False, effects: EffectsOption = None) -> None:
-    """Show meaning, equations, parameters and reference of an effect, and what in a log gives it away."""
+    """Show meaning, equations, parameters, reference and typical signature of an effect."""
     from undertow.model.catalogue import lookup
     from undertow.model.describe import describe
 
@@ -61,10 +61,10 @@ def show(id: Annotated[str, _ID], json: JsonOption = False, effects: EffectsOpti
 
 @app.command()
 def check(file: Annotated[Path, _FILE]) -> int:
-    """Run the contract on a file with effects of your own. The file is executed.
+    """Check a file with effects of your own. The file is executed.
 
-    Checked are units, behaviour at zero, linearity, symmetry and sign of the inertia, power, documentation.
-    The exit code is 1 when a check fails.
+    It checks units, behaviour at zero, linearity, symmetry and sign of the inertia, power and documentation.
+    The exit code is 1 if a check fails.
     """
     from undertow.model.catalogue import catalogue, load_effects
     from undertow.model.contract import check_effect
@@ -91,11 +91,11 @@ def new(
     out: Annotated[Path | None, _OUT] = None,
     force: NewForceOption = False,
 ) -> None:
-    """Write a file with an effect of your own, to be edited: from a diagnosis, or with one example term.
+    """Write a file with an effect of your own to edit: from a diagnosis, or with one example term.
 
-    With --from it has a parameter for everything that was found to correlate with the unexplained force. It
-    passes 'undertow effects check' as it is, and 'undertow diagnose --effects FILE' tries it beside the
-    catalogue. What makes the force, and a reference, are for you to say.
+    With --from it has a parameter for everything that correlates with the unexplained force. It passes
+    'undertow effects check' as it is, and 'undertow diagnose --effects FILE' tries it along with the
+    catalogue. You have to add what causes the force, and a reference.
     """
     from undertow.errors import UndertowError
     from undertow.files import write_whole

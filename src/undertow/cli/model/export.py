@@ -7,7 +7,7 @@
     undertow export auv-controllers bluerov2 --out bluerov2.urdf
     undertow export c mini-auv --controller paper-pid
 
-What the other program cannot say is listed; docs/export.md has the whole of it.
+What the other program cannot represent is listed; docs/export.md has the details.
 """
 
 from __future__ import annotations
@@ -36,9 +36,7 @@ app = typer.Typer(add_completion=False)
 
 
 def _out(ending: str) -> object:
-    return typer.Option(
-        "--out", metavar=f"NEW.{ending}", help=f"Where to write it; NAME.{ending} by default."
-    )
+    return typer.Option("--out", metavar=f"NEW.{ending}", help=f"Output file; NAME.{ending} by default.")
 
 
 @app.command()
@@ -56,8 +54,8 @@ def fmu(
     fmpy compile bluerov2.fmu        # for this machine
     fmpy simulate bluerov2.fmu --show-plot
 
-    Inputs are the commands, outputs are pose, velocity and the forces of the actuators; every parameter of
-    the model is one of the unit. SI units, NED and forward-starboard-down.
+    Inputs are the commands; outputs are pose, velocity and actuator forces; every parameter of the model is a
+    parameter of the unit. SI units, NED and forward-starboard-down.
     """
     from undertow.export.fmu import Fmu
     from undertow.files import write_whole
@@ -88,7 +86,7 @@ def sdf(
     gz topic -t /model/bluerov2/joint/f5_joint/cmd_thrust -m gz.msgs.Double -p "data: 5"
 
     Inertia with added mass, damping and lift (system Hydrodynamics), buoyancy (Buoyancy) and thrusters
-    (Thruster), turned into forward-left-up. What these cannot say is listed as a warning.
+    (Thruster), converted to forward-left-up. What these cannot represent is listed as a warning.
     """
     from undertow.export.sdf import Sdf
 
@@ -110,8 +108,9 @@ def mujoco(
     undertow export mujoco bluerov2 --out bluerov2.xml
     python -m mujoco.viewer --mjcf=bluerov2.xml
 
-    Inertia, weight, buoyancy at its centre and a motor for each thruster, turned into forward-left-up; ctrl
-    is thrust in newtons. What MuJoCo cannot say, added mass and damping above all, is listed as a warning.
+    Inertia, weight, buoyancy at its centre and a motor for each thruster, converted to forward-left-up; ctrl
+    is thrust in newtons. What MuJoCo cannot represent, above all added mass and damping, is listed as a
+    warning.
     """
     from undertow.export.mjcf import Mjcf
 
@@ -133,8 +132,8 @@ def stonefish(
     undertow export stonefish bluerov2 --out bluerov2.scn
 
     Inertia, weight, buoyancy at its centre and a push for each thruster, NED and forward-starboard-down.
-    Stonefish has its fluid forces from a shape, here a cube with the volume that the vehicle displaces: what
-    of the model that cannot be is listed as a warning, added mass above all.
+    Stonefish derives fluid forces from a shape, here a cube with the displaced volume of the vehicle. What it
+    cannot represent, above all added mass, is listed as a warning.
     """
     from undertow.export.stonefish import Stonefish
 
@@ -153,9 +152,9 @@ def auv_controllers(
     \b
     undertow export auv-controllers bluerov2 --out bluerov2.urdf
 
-    The element hydrodynamics: mass and inertia, added mass, linear and quadratic damping of each motion,
-    buoyancy; NED and forward-starboard-down, SNAME signs. It goes into the description of the robot. What it
-    cannot say is listed as a warning.
+    It writes the element hydrodynamics (mass and inertia, added mass, linear and quadratic damping of each
+    motion, buoyancy) for the robot description; NED and forward-starboard-down, SNAME signs. What it cannot
+    represent is listed as a warning.
     """
     from undertow.export.auv_controllers import AuvControllers
 
@@ -186,10 +185,12 @@ _CONTROLLER = typer.Option(
     metavar="GAINS", help="Gain file (TOML), or name of a bundled one; may be repeated."
 )
 _OBSERVER = typer.Option(metavar="FILE", help="Observer file (TOML); may be repeated.")
-_PATH = typer.Option(metavar="MISSION.toml", help="The controllers follow this mission.")
-_FOLDER = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
-_CHECK = typer.Option("--check", help="Write nothing; exit with 1 when the code is missing or stale.")
-_SIZES = typer.Option(metavar="COMPILER", help="Print flash and stack with this compiler and -Os.")
+_PATH = typer.Option(metavar="MISSION.toml", help="Mission file that the controllers follow.")
+_FOLDER = typer.Option(metavar="FOLDER", help="Output folder; files go into a subfolder NAME.")
+_CHECK = typer.Option("--check", help="Write nothing; exit code 1 if the code is missing or out of date.")
+_SIZES = typer.Option(
+    metavar="COMPILER", help="Print flash and stack size, compiled with this compiler at -Os."
+)
 
 
 @app.command()

@@ -69,7 +69,7 @@ _PICTURES = typer.Option(metavar="FOLDER", help="Where to write the pictures.", 
 @app.command()
 def new(
     hull: Annotated[Path, _HULL],
-    mass: Annotated[float, typer.Option(metavar="KG", help="Of the vehicle.")],
+    mass: Annotated[float, typer.Option(metavar="KG", help="Mass of the vehicle.")],
     motion: Annotated[str, _MOTION] = "surge",
     profile: Annotated[str, _PROFILE] = "push,step",
     prescribed: Annotated[bool, _PRESCRIBED] = False,
@@ -79,8 +79,10 @@ def new(
     speed: Annotated[float, _SPEED] = 0.3,
     force_peak: Annotated[float | None, _FORCE] = None,
     inertia: Annotated[float | None, _INERTIA] = None,
-    density: Annotated[float, typer.Option(metavar="KG/M3", help="Of the water.")] = 1000.0,
-    viscosity: Annotated[float, typer.Option(metavar="M2/S", help="Kinematic, of the water.")] = 1e-6,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the water.")] = 1000.0,
+    viscosity: Annotated[
+        float, typer.Option(metavar="M2/S", help="Kinematic viscosity of the water.")
+    ] = 1e-6,
     turbulence: Annotated[Literal["auto", "laminar", "k-omega-sst"], _TURBULENCE] = "auto",
     depth: Annotated[float | None, _DEPTH] = None,
     span: Annotated[str | None, _SPAN] = None,

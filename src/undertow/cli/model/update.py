@@ -1,8 +1,8 @@
 """Bring everything that follows from a vehicle file up to date after an edit, and say what has changed.
 
-Written into build/NAME/: the C library of the model and of each gain file's controller (that of undertow
-export c), and pictures of poles, loops and their steps. The conditions on gains are checked again.
-What has changed since the last time is printed: parameters, eigenvalues, margins, verdicts.
+It writes into build/NAME/ the C library of the model and of each gain file's controller (as undertow export c
+does), and pictures of poles, loops and their steps. It checks the conditions on gains again, and prints what
+has changed since the last time: parameters, eigenvalues, margins, verdicts.
 
     undertow update rov.toml --gains pd.toml --gains pid.toml --at u=0.5
 
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 _GAINS = typer.Option(
     metavar="GAINS",
     help="Gain file, or name of a bundled one; may be repeated.",
-    show_default="those of the last time",
+    show_default="as last time",
 )
 _AT = typer.Option(
     metavar="NAME=VALUE",
-    help="A motion besides hovering, whose eigenvalues are watched.",
-    show_default="that of the last time",
+    help="A steady motion, in addition to hovering, whose eigenvalues are tracked.",
+    show_default="as last time",
 )
-_OUT = typer.Option(metavar="FOLDER", help="Folder that gets a folder NAME for the vehicle.")
+_OUT = typer.Option(metavar="FOLDER", help="Output folder; files go into a subfolder NAME.")
 
 
 def update(

@@ -12,7 +12,7 @@
 
     undertow vehicles show my.toml
 
-`undertow vehicles` lists and shows vehicle files that exist already.
+`undertow vehicles` lists and shows existing vehicle files.
 """
 
 from __future__ import annotations
@@ -38,25 +38,26 @@ if TYPE_CHECKING:
 
 UnitOption = Annotated[
     str | None,
-    typer.Option(
-        "--unit", metavar="UNIT", help="What the numbers of the mesh are in.", show_default="m, if likely"
-    ),
+    typer.Option("--unit", metavar="UNIT", help="Length unit of the mesh.", show_default="m, if plausible"),
 ]
 FrameOption = Annotated[
     str,
     typer.Option(
         "--frame",
         metavar="XYZ",
-        help="Where x, y and z of the mesh point: Forward or Back, Right or Left, Down or Up.",
+        help="Directions of x, y and z of the mesh: Forward or Back, Right or Left, Down or Up.",
     ),
 ]
 PanelsOption = Annotated[
-    int, typer.Option("--panels", metavar="N", help="Most panels of the finest of three meshes.")
+    int,
+    typer.Option("--panels", metavar="N", help="Largest number of panels, on the finest of three meshes."),
 ]
 CreaseOption = Annotated[
     float,
     typer.Option(
-        "--crease", metavar="DEGREES", help="Edges that bend by less are taken for a curve, drawn coarsely."
+        "--crease",
+        metavar="DEGREES",
+        help="Edges with a smaller angle are treated as a coarsely meshed curve.",
     ),
 ]
 
@@ -69,44 +70,51 @@ Kind = Literal["rov6", "rov8", "torpedo", "glider", "ship", "asv", "azimuth"]
 
 _MESH = typer.Option(metavar="HULL", help="Closed surface of the hull: STL, OBJ or MSH.")
 _TYPE = typer.Option(
-    "--type", help="In place of a mesh: a type, of which --length, --beam and --height are asked."
+    "--type", help="Instead of a mesh: a type of vehicle; needs --length, --beam and --height."
 )
 _LOG = typer.Option(
     metavar="LOG",
-    help="In place of both: a log of ArduSub (.bin, .tlog), whose parameters give frame and motors.",
+    help="Instead of mesh and mass: an ArduSub log (.bin, .tlog), whose parameters give frame and motors.",
 )
 _TANK = typer.Option(
     metavar="FOLDER",
-    help="Virtual towing tank that was run (undertow tank): alone, or for what of --mesh was tested.",
+    help="Virtual towing tank that has been run (undertow tank), alone or with the --mesh of the same hull.",
 )
-_LENGTH = typer.Option(metavar="M", help="With --type: overall, of ships in the waterline.")
-_BEAM = typer.Option(metavar="M", help="With --type: overall width, of two hulls across both.")
-_HEIGHT = typer.Option(metavar="M", help="With --type: overall; of ship, asv and azimuth the draught.")
-_CG = typer.Option(metavar="X,Y,Z", help="Centre of gravity from the origin, m: forward, right, down.")
-_ORIGIN = typer.Option(help="Origin of the vehicle: its centre of buoyancy, or that of the mesh.")
+_LENGTH = typer.Option(metavar="M", help="With --type: overall length, for ships that of the waterline.")
+_BEAM = typer.Option(metavar="M", help="With --type: overall width, for catamarans across both hulls.")
+_HEIGHT = typer.Option(
+    metavar="M", help="With --type: overall height; for ship, asv and azimuth the draught."
+)
+_CG = typer.Option(
+    metavar="X,Y,Z", help="Centre of gravity with respect to the origin, m: forward, right, down."
+)
+_ORIGIN = typer.Option(help="Origin of the vehicle: its centre of buoyancy, or the origin of the mesh.")
 _DOF = typer.Option(
     metavar="NAME,NAME",
-    help="Motions of the model, of a --type some of those that it has.",
-    show_default="all six, of a --type its own",
+    help="Degrees of freedom of the model; with --type a subset of its own.",
+    show_default="all six; with --type its own",
 )
 _VOLUME = typer.Option(
     metavar="M3",
-    help="What a hull that floods displaces; the rest of it is water carried along.",
-    show_default="what the hull encloses",
+    help="Displaced volume of a hull that floods; the rest of the hull holds water that moves along.",
+    show_default="volume enclosed by the hull",
 )
 _CD = typer.Option(
-    metavar="X,Y,Z", help="Drag coefficients on the silhouettes.", show_default="by the form of the hull"
+    metavar="X,Y,Z",
+    help="Drag coefficients for the projected areas.",
+    show_default="from the form of the hull",
 )
-_ADDED = typer.Option(help="By panels, or of a body of the same extents; auto: panels if installed.")
+_ADDED = typer.Option(help="From panels, or from a body of the same extents; auto: panels if installed.")
 _FLOATING = typer.Option(
-    "--floating", help="The hull floats at the surface: waterline, memory of the waves that it makes."
+    "--floating", help="The hull floats at the surface: waterplane stiffness and wave radiation."
 )
 _WAVE = typer.Option(
     metavar="RAD/S,M,DEGREES",
-    help="With --floating: forces of a regular wave of this frequency, amplitude and direction of travel.",
+    help="With --floating: add the forces of a regular wave of this frequency, amplitude and direction of "
+    "travel.",
 )
-_NAME = typer.Option(metavar="NAME", help="Of the vehicle.", show_default="name of the mesh file")
-_OUT = typer.Option(metavar="NEW.toml", help="Where to write it.", show_default="NAME.toml")
+_NAME = typer.Option(metavar="NAME", help="Name of the vehicle.", show_default="name of the mesh file")
+_OUT = typer.Option(metavar="NEW.toml", help="Output file.", show_default="NAME.toml")
 
 
 def three(text: str, option: str) -> tuple[float, float, float]:
@@ -132,7 +140,7 @@ def read(path: Path, unit: str | None, frame: str) -> Hull:
 
 @app.command()
 def new(
-    mass: Annotated[float | None, typer.Option(metavar="KG", help="Of the vehicle, dry.")] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="Dry mass of the vehicle.")] = None,
     mesh: Annotated[Path | None, _MESH] = None,
     log: Annotated[Path | None, _LOG] = None,
     tank: Annotated[Path | None, _TANK] = None,
@@ -144,7 +152,7 @@ def new(
     frame: FrameOption = "FRD",
     cg: Annotated[str, _CG] = "0,0,0",
     origin: Annotated[Literal["buoyancy", "mesh"], _ORIGIN] = "buoyancy",
-    density: Annotated[float, typer.Option(metavar="KG/M3", help="Of the water.")] = 1000.0,
+    density: Annotated[float, typer.Option(metavar="KG/M3", help="Density of the water.")] = 1000.0,
     dof: Annotated[str | None, _DOF] = None,
     volume: Annotated[float | None, _VOLUME] = None,
     cd: Annotated[str | None, _CD] = None,
@@ -159,26 +167,24 @@ def new(
 ) -> None:
     """Write a first vehicle file: inertia, added mass, drag, weight and buoyancy from a hull and its mass.
 
-    Volume, centre of buoyancy, silhouettes and inertia (mass spread evenly) come from the mesh, the added
-    mass from panels (extra undertow[bem]) or from a box or ellipsoid of the same extents, the drag from
+    From the mesh it takes volume, centre of buoyancy, projected areas and inertia (mass spread evenly); added
+    mass from panels (extra undertow[bem]) or from a box or ellipsoid of the same extents; drag from
     coefficients for blunt, rounded or streamlined hulls. Each value has its source and a standard deviation;
     added mass, drag and buoyancy are marked to be estimated from logs. Thrusters are left for you to state.
 
-    With --floating the hull pierces the surface, as deep as its mass asks for, and the origin lies in the
-    waterline: stiffness of the waterline, added mass at infinite frequency, and the memory of the waves that
-    the hull sends out, as a state-space model that never feeds power (needs the extra undertow[bem]). With
-    --wave forces and mean drift of a regular wave from every heading are in the file, too.
+    With --floating the hull floats at the draught that its mass gives, with the origin in the waterline:
+    waterplane stiffness, added mass at infinite frequency, and wave radiation as a passive state-space model
+    (needs the extra undertow[bem]). --wave adds forces and mean drift of a regular wave for every heading.
 
-    With --type there is no mesh: dimensions and mass give a complete file, with thrusters, rudders and fins
-    where vehicles of the type have them, by rules (ellipsoids, Clarke's regression, ITTC 1957, Hoerner) that
-    each value names.
+    With --type, no mesh is needed: dimensions and mass give a complete file, with thrusters, rudders and fins
+    where such vehicles have them. Each value names the rule that it follows (ellipsoids, Clarke's regression,
+    ITTC 1957, Hoerner).
 
-    With --log the file is that of the bundled BlueROV2 of the log's frame (six or eight thrusters); which way
-    each of them pushes is that of the parameters, and its thrust follows the curve of a T200 at the voltage
-    of the battery.
+    With --log, the file is the bundled BlueROV2 with the frame of the log (six or eight thrusters), the motor
+    directions from the log's parameters, and the thrust curve of a T200 at the battery voltage.
 
-    With --tank the file has the motions that were tested there: added mass, linear and quadratic damping with
-    errors of the fit and of the grid. With --mesh besides, of the same hull, the other motions come from it.
+    With --tank, the file has the motions tested there: added mass, linear and quadratic damping with errors
+    of the fit and of the grid. The other motions come from --mesh, if the same hull is given.
     """
     from undertow.files import sha256_of, write_whole
     from undertow.model.symbols import DOFS

@@ -1,7 +1,7 @@
-"""List the vehicles that come with undertow, or show what is in one of them.
+"""List the bundled vehicles, or show one vehicle file.
 
-Without a word behind it, the command lists the bundled vehicles. `show` prints effects and parameters of a
-vehicle in the sign convention of its file, with units and sources, and what the file leaves open.
+Without a subcommand, it lists the bundled vehicles. `show` prints effects and parameters of a vehicle in the
+sign convention of its file, with units and sources, and what the file leaves open.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def vehicles(context: typer.Context, json: JsonOption = False) -> None:
 
 @app.command()
 def show(vehicle: VehicleArgument, json: JsonOption = False, effects: EffectsOption = None) -> None:
-    """Show effects and parameters of a vehicle, where the numbers come from, and what is left open."""
+    """Show effects and parameters of a vehicle with their sources, and what the file leaves open."""
     from undertow.model.loading import load_vehicle, resolve_vehicle
     from undertow.model.plausibility import hints
 

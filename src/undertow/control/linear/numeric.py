@@ -120,7 +120,7 @@ def in_direction(vehicle: Vehicle, direction: Mapping[str, int]) -> Vehicle:
     for name, way in direction.items():
         if name not in vehicle.velocity_names or way not in _WAYS:
             raise UndertowError(
-                f"direction {name}={way} cannot be: give 1 or -1 for one of "
+                f"direction {name}={way} is impossible: give 1 or -1 for one of "
                 f"{', '.join(vehicle.velocity_names)}"
             )
     chosen = {}

@@ -143,7 +143,7 @@ def _shift(seconds: float, dt: float) -> ct.StateSpace:
 
 def _check_sampling(dt: float, pade: int) -> None:
     if not (isfinite(dt) and dt >= 0):
-        raise UndertowError(f"sampling time dt = {dt:g} s cannot be: give a time above zero")
+        raise UndertowError(f"sampling time dt = {dt:g} s is impossible: give a time above zero")
     if not 0 <= pade <= SETTINGS.pade:
         raise UndertowError(
             f"pade = {pade} cannot be the order of the approximation of dead times: give 0 to {SETTINGS.pade}"

@@ -120,7 +120,7 @@ class ComparisonResult(ResultTable):
     worst: Cell | None
     budget: list[BudgetShare]
     seconds: float
-    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    # How long logs were thinned and which stretches were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
 

@@ -114,8 +114,8 @@ def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = F
     screened = screen(candidate, setup.bench)
     if not _visible(candidate, screened[0].start):
         raise UndertowError(
-            f"effect '{effect.id}' has no influence on '{setup.bench.base.vehicle.name}' in these logs: "
-            "its parameters cannot be found"
+            f"effect '{effect.id}' has no influence on '{setup.bench.base.vehicle.name}' in these logs: its "
+            "parameters cannot be estimated"
         )
     start = best_start(candidate, setup.bench, [look.values for look in screened])
     first = _tried(candidate, setup.bench, start, keep_all)
@@ -138,8 +138,8 @@ def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
     candidate = Candidate(effect, vehicle)
     if candidate.adds_nothing:
         raise UndertowError(
-            f"effect '{effect.id}' adds nothing to '{vehicle.name}': all of it that its degrees of freedom "
-            "can show is in the vehicle file already"
+            f"effect '{effect.id}' adds nothing to '{vehicle.name}': all that can act in its degrees of "
+            "freedom is already in the vehicle file"
         )
     return candidate
 

@@ -29,7 +29,7 @@ from .trial import Bench
 class Agreement:
     """Size of an effect in parts of the logs, in units of the fitted one.
 
-    over: what the parts are: runs, times within a run, levels of a signal.
+    over: what the parts are: runs, parts of a run, levels of a signal.
     value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
     """
 
@@ -45,11 +45,14 @@ class Agreement:
     def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
         """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
         q, _ = heterogeneity(self.value, self.error**2)
-        by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.as_good_chance
-        if by_chance or self.spread < settings.size_change:
+        by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.comparison_level
+        if by_chance or self.spread < settings.size_spread:
             return ""
         low, high = self.value.min(), self.value.max()
-        return f"its size would have to go from {low:.0%} to {high:.0%} of the fitted one between {self.over}"
+        return (
+            f"its size would have to vary from {low:.0%} to {high:.0%} of the fitted value between "
+            f"{self.over}"
+        )
 
 
 def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
@@ -62,7 +65,7 @@ def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
     block = _numbered([data.block for _, data in pairs])
     kinds = {
         "runs": _numbered([_runs(data) for _, data in pairs]),
-        "times within a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
+        "parts of a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
     }
     kinds |= {
         f"levels of {name}": _levels(np.concatenate(values), bench.settings)
@@ -92,7 +95,7 @@ def disagreement(finding: FoundEffect, bench: Bench, later: Sequence[FoundEffect
 def _differing(finding: FoundEffect, bench: Bench) -> str:
     parts = agreements(finding, bench)
     if not parts:
-        return "no part of the logs by itself shows how large it is"
+        return "no single part of the logs determines its size"
     return next(filter(None, (a.doubt(bench.settings, len(parts)) for a in parts)), "")
 
 
@@ -174,7 +177,7 @@ def undetermined(
     """
     own = [p for p in effect.parameters if p.name in values]
     words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
-    known = {p.name for p in own if abs(values[p.name]) > settings.known_times * errors[p.name]}
+    known = {p.name for p in own if abs(values[p.name]) > settings.time_constant_t * errors[p.name]}
     for p in own:
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
         if own_time and not (p.name in known and values[p.name] > 0.0):
@@ -182,7 +185,7 @@ def undetermined(
             return f"its {which} {words[p.name]} is not known from these logs"
         ends = p.bounds if own_time else p.bounds[1:]
         if np.isclose(values[p.name], ends, rtol=1e-6).any():
-            return f"{p.name} = {values[p.name]:.3g} lies on its bound"
+            return f"{p.name} = {values[p.name]:.3g} is at its bound"
     sizes = [p.name for p in own if p.linear]
     if sizes and len(own) > len(sizes) and not known & {*sizes}:
         size = ", ".join(words[name] for name in sizes)
@@ -208,7 +211,10 @@ def no_step(finding: FoundEffect, bench: Bench) -> str:
             and p.name in fit.model.free
             and fit.values[p.name] > _most_moved(p.unit, bench.train)
         ):
-            return f"{p.name} = {fit.values[p.name]:.2g} {p.unit} is more than the rms of the motion: no step"
+            return (
+                f"{p.name} = {fit.values[p.name]:.2g} {p.unit} exceeds the rms of the motion, so it is "
+                "not a step"
+            )
     return ""
 
 
@@ -231,7 +237,7 @@ def is_spring(finding: FoundEffect) -> bool:
     return slow is not None and bool(np.any(np.diag(slow) < 0.0))
 
 
-SPRING = "it would take more inertia from slow motion than the water has: a stiffness does so"
+SPRING = "it would remove more inertia from slow motion than the water has, as a stiffness would"
 
 
 def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
@@ -253,9 +259,9 @@ def never_turned(finding: FoundEffect, bench: Bench) -> str:
         return ""
     runs = [r for data in (bench.train, bench.test) for r in data.runs]
     turned = _turned(np.concatenate([r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]))
-    if turned >= bench.settings.turning:
+    if turned >= bench.settings.least_turn:
         return ""
-    return f"the heading turns by {turned:.2g} rad only: a force fixed to the vehicle may do the same"
+    return f"the heading turns by only {turned:.2g} rad: a force fixed to the vehicle may explain the same"
 
 
 def _turned(heading: Array) -> float:

@@ -41,7 +41,7 @@ class Comparison:
 
     def beyond_chance(self, settings: Settings = DEFAULT, among: int = 1) -> bool:
         """Whether the fall is enough to matter and, the best among so many, beyond chance."""
-        return among * self.p_value < settings.false_alarm_rate and self.mean > settings.smallest_fall
+        return among * self.p_value < settings.false_alarm_rate and self.mean > settings.least_fall
 
 
 def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
@@ -63,13 +63,13 @@ def _summary(means: Array) -> Comparison:
 
 
 def explained(before: Array, after: Array, noise: Array, settings: Settings = DEFAULT) -> float:
-    """Share of what exceeds the noise of the sensors that went away, from mean squares by equation.
+    """Share of the excess over noise of the sensors that went away, from mean squares by equation.
 
     Equations that the noise explains have no say; the others count by how far they are above it, in
     that one very bad equation does not hide the rest.
     """
     floor = np.maximum(noise, 1e-12)
-    counted = np.nan_to_num(before / floor) > settings.above_noise
+    counted = np.nan_to_num(before / floor) > settings.equation_noise_limit
     if not np.any(counted):
         return 0.0
     first, last, floor = before[counted], after[counted], floor[counted]
@@ -80,7 +80,7 @@ def explained(before: Array, after: Array, noise: Array, settings: Settings = DE
 def as_good(best: Score, other: Score, bench: Bench) -> bool:
     """Whether the validation data leave open which of two models is the better one."""
     gap, settings = compare_scores(other, best, bench.test), bench.settings
-    return gap.p_value > settings.as_good_chance or gap.mean < settings.smallest_fall
+    return gap.p_value > settings.comparison_level or gap.mean < settings.least_fall
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class FoundEffect:
 
     trial: the candidate after its fit.
     evidence: fall of the validation error, block by block.
-    explained: share of what exceeds the noise that it takes away.
+    explained: share of the excess over noise that it takes away.
     p_value: chance that the best of all candidates lowers the error as much when nothing is missing.
     significant: whether it is held to be there.
     inclusion: how often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.

@@ -30,7 +30,7 @@ class FloorSettings:
     most_lags: int = 240  # test functions up to which it is looked at
     share_of_log: float = 0.25  # of the longest stretch, up to which pairs are many enough
     shortest: float = 0.2  # correlation times tried, from this many distances of test functions
-    noise_known_to: float = 0.1  # share to which the variance of the sensors' noise is known
+    noise_uncertainty: float = 0.1  # relative uncertainty of the variance of sensor noise
     steps: int = 60  # up to as many as there are lags, evenly on a logarithmic scale
 
 
@@ -102,7 +102,7 @@ def _autocovariance(row: ForceRow) -> tuple[Array, Array]:
             noise[lag] += np.sum(sensors.covariance.diagonal(lag))
             pairs[lag] += count
     total, noise = (a / np.maximum(pairs, 1.0) / row.weight**2 for a in (total, noise))
-    variance = total[0] ** 2 / np.maximum(pairs, 1.0) + (SETTINGS.noise_known_to * noise) ** 2
+    variance = total[0] ** 2 / np.maximum(pairs, 1.0) + (SETTINGS.noise_uncertainty * noise) ** 2
     return total - noise, 1.0 / np.maximum(variance, 1e-300)
 
 
@@ -130,6 +130,4 @@ def in_words(left: float, found: Sequence[Predictability]) -> str:
         if shares
         else f"the model leaves {100 * left:.0f} %, and the logged signals predict no more of it than chance"
     )
-    return f"{head}; what is beyond that is " + (
-        f"disturbance: {listed(rest)}" if rest else "the noise of the sensors"
-    )
+    return f"{head}; the rest is " + (f"disturbance: {listed(rest)}" if rest else "the noise of the sensors")

@@ -60,7 +60,7 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
     except BrokenProcessPool:
         # Killed from outside, for want of memory perhaps: one at a time needs less.
         _log.warning(
-            "a helper process was killed; going on with one process (UNDERTOW_JOBS=1 starts with one)"
+            "a worker process was killed; continuing with one process (UNDERTOW_JOBS=1 starts with one)"
         )
         yield from map(work, range(done, count))
 

@@ -472,7 +472,7 @@ def sentence(left: Remaining, loud: bool) -> str:
         return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms is left, which is noise"
     size = f"{left.excess_rms:.2g} {left.unit} rms is left beyond the noise"
     parts = list(_parts(left)) or [
-        "it correlates with none of the variables in the logs, and no period stands out"
+        "it correlates with none of the logged variables, and no period stands out"
     ]
     return f"{left.degree_of_freedom}: {'; '.join([size, *parts])}"
 
@@ -511,7 +511,7 @@ def _named(dependence: Dependence) -> str:
 
 
 def _period(spectrum: Spectrum, unit: str) -> str:
-    phase = "" if spectrum.in_step else ", another phase in every run"
+    phase = "" if spectrum.in_step else ", with a different phase in every run"
     size = f"amplitude {spectrum.amplitude:.2g} {unit}, {_percent(spectrum.share)} of it{phase}"
     return f"period {spectrum.period:.3g} s stands out ({size})"
 

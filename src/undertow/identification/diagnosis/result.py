@@ -29,15 +29,15 @@ Role = Literal["train", "holdout", "blocks"]
 
 
 class RunInfo(ResultTable):
-    """A log and what was done with it."""
+    """A log and what it was used for."""
 
-    name: str
-    source: str
-    sha256: str
-    role: Role
+    name: str  # name of the run
+    source: str  # path of the file
+    sha256: str  # of the file
+    role: Role  # fitted (train), a validation run (holdout), or validated on blocks of it (blocks)
     samples: int
-    duration: float
-    notes: list[str]
+    duration: float  # s
+    notes: list[str]  # what the reader did with the log
 
 
 def run_info(run: Run, role: Role) -> RunInfo:
@@ -56,31 +56,27 @@ def run_info(run: Run, role: Role) -> RunInfo:
 class Estimate(ResultTable):
     """A parameter after the fit, in the sign convention of the vehicle file."""
 
-    name: str
-    effect: str
+    name: str  # of the parameter
+    effect: str  # effect that the parameter belongs to
     value: float
-    standard_error: float | None
+    standard_error: float | None  # null if the logs do not determine the parameter
     unit: str
-    about: str
-    prior: float | None = None
-    prior_sigma: float | None = None
+    about: str  # meaning of the parameter
+    prior: float | None = None  # value stated in the vehicle file
+    prior_sigma: float | None = None  # its stated standard deviation
 
 
 class ValuesByRun(ResultTable):
-    """A parameter with a value in every run, in the sign convention of the vehicle file.
-
-    `mean` is weighted by how well each run knows it; `spread` is the standard deviation between the runs
-    beyond the errors; `chance` is that of so large a difference (Cochran's `q`) if all runs agree.
-    """
+    """A parameter with a value in every run, in the sign convention of the vehicle file."""
 
     parameter: str
     unit: str
-    values: dict[str, float]
-    standard_errors: dict[str, float]
-    mean: float
-    spread: float
-    q: float
-    chance: float
+    values: dict[str, float]  # by run
+    standard_errors: dict[str, float]  # by run
+    mean: float  # weighted by the precision of each run
+    spread: float  # standard deviation between the runs, beyond their errors
+    q: float  # Cochran's Q
+    chance: float  # probability of so large a Q if all runs agree
 
     def __str__(self) -> str:
         shown = (f"{v:.3g} ± {self.standard_errors[run]:.1g} in {run}" for run, v in self.values.items())
@@ -89,34 +85,31 @@ class ValuesByRun(ResultTable):
 
 
 class Ranked(ResultTable):
-    """A candidate: what it would add and what that does to the error on validation data.
+    """A candidate effect, and what adding it does to the error on validation data.
 
-    `error_before` and `error_after` are normalised (1 is the noise floor); `explained` is the share of what
-    exceeds the floor that goes away; `improvement` is the mean fall of the mean square over the blocks of the
-    validation data with its 95 % interval. `p_value` is the chance that the best of all candidates looks as
-    good when nothing is missing; `inclusion` how often this one is the best when the blocks of the logs are
-    drawn anew. Both are absent for candidates that do not help.
-
-    Whether a candidate helps by more than chance is judged under a noise model with room for what the best
-    model leaves; the errors are in units of the noise of the sensors alone. `sure` puts both together.
-    `not_named` says why a candidate beyond chance is not named. `falls`, of candidates that were simulated,
-    is the fall of the error of prediction by horizon, as a share of it; where it is given, it decides the
-    order.
+    Significance is judged with a noise model that includes a disturbance; the errors are multiples of the
+    sensor noise alone. `sure` combines both.
     """
 
     effect: str
-    family: str
-    about: str
-    parameters: list[Estimate]
-    error_before: float
-    error_after: float
-    explained: float
-    improvement: float
-    interval: tuple[float, float]
-    significant: bool
+    family: str  # group in the catalogue
+    about: str  # meaning of the effect
+    parameters: list[Estimate]  # fitted values
+    error_before: float  # normalised error without the effect (1 is the noise floor)
+    error_after: float  # normalised error with it
+    explained: float  # share of the excess over the noise floor that it removes
+    improvement: float  # mean fall of the mean square over the blocks of the validation data
+    interval: tuple[float, float]  # 95 % interval of `improvement`
+    significant: bool  # whether it helps by more than chance
+    # Probability that the best of all candidates looks as good when nothing is missing; null for candidates
+    # that do not help.
     p_value: float | None = None
+    # Share of resamples of the blocks in which this candidate is the best; null for candidates that do not
+    # help.
     inclusion: float | None = None
-    not_named: str = ""
+    not_named: str = ""  # why a significant candidate is not named
+    # Relative fall of the prediction error by horizon, for candidates that were simulated; if given, it
+    # decides the order.
     falls: dict[str, float] = Field(default_factory=dict)
 
     @property
@@ -127,8 +120,8 @@ class Ranked(ResultTable):
 
 IN_PART = "in part"
 IN_PART_MEANS = (
-    f"{IN_PART[0].upper()}{IN_PART[1:]}: more than chance where a disturbance is allowed for, while the "
-    "error, in which all equations count alike, does not fall."
+    f"{IN_PART[0].upper()}{IN_PART[1:]}: better than chance with a disturbance in the noise model, while "
+    "the error with all equations weighted equally does not fall."
 )
 
 
@@ -138,22 +131,19 @@ def how_sure(significant: bool, before: float, after: float) -> str:
 
 
 class Step(ResultTable):
-    """The model with one more effect, on validation data.
+    """The model with one more effect, on validation data."""
 
-    `error` is that of the weak form, normalised (1 is the noise floor); `simulation` that of simulated
-    windows of 5 s whose starts are estimated, in units of the noise; `prediction` the error of velocities 5 s
-    ahead in shares of their rms, `channels` that of each (None: it diverges), and `ahead` the same as
-    `prediction` over several horizons and over the whole run; `position` is that of the position, in m.
-    `freed` are values that the vehicle file holds fixed, fitted here with the rest.
-    """
-
-    added: list[str]
-    error: float
-    prediction: float | None = None
+    added: list[str]  # effects added to the model
+    error: float  # error of the weak form, normalised (1 is the noise floor)
+    prediction: float | None = None  # error of velocities 5 s ahead, as a share of their rms
+    # the same for each velocity; null if it diverges
     channels: dict[str, float | None] = Field(default_factory=dict)
+    # error of simulated windows of 5 s with estimated initial states, as a multiple of the noise
     simulation: float | None = None
+    # as `prediction`, by horizon, and over the whole run
     ahead: dict[str, float] = Field(default_factory=dict)
-    position: dict[str, float] = Field(default_factory=dict)
+    position: dict[str, float] = Field(default_factory=dict)  # error of the position by horizon, m
+    # parameters fixed in the vehicle file that were fitted here
     freed: list[str] = Field(default_factory=list)
 
     @field_validator("ahead", "position", mode="before")
@@ -168,97 +158,82 @@ class Step(ResultTable):
 
 
 class Indistinguishable(ResultTable):
-    """Effects that these data cannot tell apart, why, and which manoeuvre would.
-
-    `separable` says whether any that was tried would; null where none was.
-    """
+    """Effects that these data cannot tell apart."""
 
     effects: list[str]
-    reason: str
-    separated_by: str = ""
-    separable: bool | None = None
+    reason: str  # why
+    separated_by: str = ""  # manoeuvre that would tell them apart
+    separable: bool | None = None  # whether any manoeuvre that was tried would; null if none was tried
 
 
 class Equivalent(ResultTable):
-    """Parameters that moved far from what was stated, effects that would do the same, and why that is so.
-
-    `separated_by` says what would tell the explanations apart.
-    """
+    """Parameters that moved far from their stated values, and effects that would explain the data as well."""
 
     parameters: list[str]
     effects: list[str]
-    reason: str
-    separated_by: str = ""
+    reason: str  # why
+    separated_by: str = ""  # what would tell the explanations apart
 
 
 class Dependence(ResultTable):
-    """A term that a residual force correlates with: an association, not a cause.
-
-    `columns` are the factors that are multiplied, one list for each coefficient; `share` is the share of what
-    exceeds the noise of the sensors on validation data that goes away with the term; `chance` is how often
-    the best of all terms does as much when the residual has nothing to do with any; `alike` are terms that
-    these data hardly tell from it.
-    """
+    """A term that a residual force correlates with: an association, not a cause."""
 
     term: str
-    columns: list[list[str]]
+    columns: list[list[str]]  # factors of the product, one list for each coefficient
     coefficients: list[float]
     standard_errors: list[float]
-    units: list[str]
-    share: float
-    chance: float
-    alike: list[str]
+    units: list[str]  # of the coefficients
+    share: float  # share of the excess over sensor noise on validation data that the term removes
+    chance: float  # probability that the best of all terms does as much when the residual depends on none
+    alike: list[str]  # terms that these data hardly tell from it
 
 
 class Spectrum(ResultTable):
-    """A period (s) that stands out of a residual force; `in_step` if its phase is the same in every run."""
+    """A period that stands out in a residual force."""
 
-    period: float
-    amplitude: float
-    share: float
-    chance: float
-    in_step: bool
+    period: float  # s
+    amplitude: float  # N or N m
+    share: float  # share of the excess over noise
+    chance: float  # probability of so high a line in noise
+    in_step: bool  # whether its phase is the same in every run
 
 
 class Trend(ResultTable):
-    """How much the coefficient of a residual force changes in 100 s of a run; `of` says of what."""
+    """Change of a coefficient of a residual force with time."""
 
-    of: str
-    change: float
+    of: str  # what changes
+    change: float  # in 100 s of a run
     unit: str
-    share: float
+    share: float  # share of the excess over noise
 
 
 class BetweenRuns(ResultTable):
-    """A residual force that differs from run to run: its coefficients by run."""
+    """A residual force that differs from run to run."""
 
-    of: str
-    values: dict[str, list[float]]
+    of: str  # what differs
+    values: dict[str, list[float]]  # coefficients by run
     unit: str
-    chance: float
+    chance: float  # probability of so large a difference if all runs agree
 
 
 class Predictability(ResultTable):
     """How much of a residual force a flexible function of the logged signals predicts on validation data.
 
-    Shares are of `residual_rms`, squared: the force averaged over `averaged_over` s, N or N m. `share` is
-    what is predicted beyond what other values of the model's parameters would predict, with its 95 % interval
-    from blocks of the validation data; `something` says whether that is more than chance and worth a name.
-    `noise_share` is that of the noise of the sensors, `disturbance_rms` what nothing explains. `of_motion` is
-    the residual's mean square over that of inertia times acceleration. `variables` are the signals that the
-    prediction needs: the part of the residual that is lost without each of them, the largest first.
+    Shares are shares of the mean square.
     """
 
     degree_of_freedom: str
     unit: str
-    averaged_over: float
-    residual_rms: float
-    share: float
-    interval: tuple[float, float]
-    something: bool
-    noise_share: float
-    disturbance_rms: float
-    of_motion: float
+    averaged_over: float  # time over which the force is averaged, s
+    residual_rms: float  # rms of the averaged force, N or N m
+    share: float  # predicted share, beyond what other values of the model's parameters would predict
+    interval: tuple[float, float]  # 95 % interval of `share`, from blocks of the validation data
+    something: bool  # whether `share` is significant and large enough to report
+    noise_share: float  # share of sensor noise
+    disturbance_rms: float  # rms of what nothing explains
+    of_motion: float  # mean square of the residual over that of inertia times acceleration
+    # Signals that the prediction needs, largest first: the part of the residual that is lost without each of
+    # them.
     variables: dict[str, float]
 
     @property
@@ -269,110 +244,92 @@ class Predictability(ResultTable):
 
 
 class ChannelNoise(ResultTable):
-    """Noise of a measured channel: standard deviation, in its unit, as estimated or as `stated`.
-
-    `cut_off` is the frequency, Hz, above which the channel was filtered before it was logged; its noise is
-    then unknown.
-    """
+    """Noise of a measured channel."""
 
     channel: str
     unit: str
-    sigma: float
-    stated: bool
+    sigma: float  # standard deviation
+    stated: bool  # whether it is stated in the mapping file; otherwise estimated
+    # frequency above which the channel was filtered before logging, Hz; its noise is then unknown
     cut_off: float | None = None
 
 
 class DisturbanceLevel(ResultTable):
-    """What a model leaves in one force beyond the noise of the sensors, N or N m rms.
-
-    `correlation_time` (s) is that of first-order noise with the same autocorrelation, None where the noise of
-    the sensors explains what is left; `stated` is what the mapping file says is to be expected.
-    """
+    """What a model leaves in one force beyond sensor noise."""
 
     degree_of_freedom: str
     unit: str
-    rms: float
+    rms: float  # N or N m
+    # of first-order noise with the same autocorrelation, s; null if sensor noise explains the residual
     correlation_time: float | None
-    stated: float | None = None
+    stated: float | None = None  # expected rms, if stated in the mapping file
 
 
 class Floors(ResultTable):
-    """Noise of the sensors and disturbance of the motion, apart."""
+    """Sensor noise and disturbance."""
 
     sensors: list[ChannelNoise]
     disturbances: list[DisturbanceLevel]
 
 
 class Remaining(ResultTable):
-    """What the final model leaves in one degree of freedom on validation data.
-
-    `residual_rms` and `noise_rms` are those of the force averaged under the test functions, `excess_rms` is
-    what is left beyond the noise, averaged over as long as it takes to see it; `summary` says all of it in a
-    sentence.
-    """
+    """What the final model leaves in one degree of freedom on validation data."""
 
     degree_of_freedom: str
-    normalised_error: float
-    residual_rms: float
-    noise_rms: float
+    normalised_error: float  # multiple of the noise
+    residual_rms: float  # rms of the residual force, averaged under the test functions
+    noise_rms: float  # rms of its noise
     unit: str
     note: str
-    excess_rms: float = 0.0
+    excess_rms: float = 0.0  # rms beyond the noise, averaged over as long as it takes to see it
     depends_on: list[Dependence] = Field(default_factory=list)
     spectrum: Spectrum | None = None
     trend: Trend | None = None
     between_runs: list[BetweenRuns] = Field(default_factory=list)
-    summary: str = ""
+    summary: str = ""  # all of this in one sentence
 
 
 class AddedEffect(ResultTable):
-    """An effect that was added where more than noise is left.
-
-    `falls` is the fall of the error of predicted velocities by horizon, as a share of it, of an effect of the
-    sensors that of velocities and pose; `doubt` says why the effect is not established as the cause, and is
-    empty where it is.
-    """
+    """An effect that was added where more than noise is left."""
 
     effect: str
+    # Relative fall, by horizon, of the error of predicted velocities (for an effect of the sensors, of
+    # velocities and pose).
     falls: dict[str, float]
-    doubt: str
+    doubt: str  # why the effect is not established as the cause; empty if it is
 
 
 class Diagnosis(ResultTable):
-    """Outcome of `undertow diagnose`.
-
-    `effects` are those that are named, `helps` those that lower the error of predictions without being
-    established as the cause; `added` says of both what they are worth. `command` is what to run next, with
-    the files that were given.
-    """
+    """Outcome of `undertow diagnose`."""
 
     schema_id: str = SCHEMA
-    undertow: str
+    undertow: str  # version
     vehicle: str
     degrees_of_freedom: list[str]
-    signs: str
+    signs: str  # sign convention of the vehicle file
     runs: list[RunInfo]
     verdict: Verdict
-    headline: str
-    command: str = ""
-    effects: list[str]
+    headline: str  # the verdict in words
+    command: str = ""  # what to run next, with the same files
+    effects: list[str]  # effects that are named
+    # effects that lower the error of predictions without being established as the cause
     helps: list[str] = Field(default_factory=list)
-    added: list[AddedEffect] = Field(default_factory=list)
-    ranking: list[Ranked]
-    steps: list[Step]
-    indistinguishable: list[Indistinguishable]
+    added: list[AddedEffect] = Field(default_factory=list)  # gain and doubts of each effect that was added
+    ranking: list[Ranked]  # all candidates
+    steps: list[Step]  # errors as effects are added
+    indistinguishable: list[Indistinguishable]  # sets that these data cannot tell apart
     equivalent: list[Equivalent] = Field(default_factory=list)
     warnings: list[str]
-    doctor: list[Finding] = Field(default_factory=list)
-    remaining: list[Remaining]
-    parameters: list[Estimate]
-    by_run: list[ValuesByRun] = Field(default_factory=list)
+    doctor: list[Finding] = Field(default_factory=list)  # findings of the doctor
+    remaining: list[Remaining]  # residual forces of the final model
+    parameters: list[Estimate]  # of the final model
+    by_run: list[ValuesByRun] = Field(default_factory=list)  # parameters with a value in every run
     false_alarm_rate: float
-    noise: dict[str, float]
+    noise: dict[str, float]  # standard deviation by channel, SI
     floors: Floors | None = None
     predictable: list[Predictability] = Field(default_factory=list)
-    seconds: float
-    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    seconds: float  # time that the diagnosis took
+    # How long logs were thinned and which stretches were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
     @property

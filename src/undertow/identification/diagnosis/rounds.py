@@ -128,9 +128,11 @@ def _worth_a_fit(screened: Sequence[_Look], bench: Bench) -> list[_Look]:
     """The candidates that are fitted, of those that come in order of what they promise."""
     settings = bench.settings
     falls = [bench.base.cost - s.cost for s in screened]
-    enough = settings.near_best * max(falls, default=0.0)
+    enough = settings.predicted_fall_share * max(falls, default=0.0)
     count = max(settings.full_fits, min(settings.most_fits, sum(fall > enough for fall in falls)))
-    return [s for s, fall in zip(screened[:count], falls, strict=False) if fall > settings.worth_a_fit]
+    return [
+        s for s, fall in zip(screened[:count], falls, strict=False) if fall > settings.least_predicted_fall
+    ]
 
 
 def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, PackedTrial]]:
@@ -216,7 +218,7 @@ def far_behind(
     left: float, least: float, after_a_step: Callable[[], float], settings: Settings = DEFAULT
 ) -> bool:
     """Whether a mean square is far above the least one, and stays so after a further step of the fit."""
-    limit = settings.out_of_reach
+    limit = settings.refit_limit
     return left > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
@@ -244,7 +246,7 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
     # other is blind to, and each gets half of the false alarms.
     chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
     settings = bench.settings
-    strong = chance < settings.false_alarm_rate and evidence.mean > settings.smallest_fall
+    strong = chance < settings.false_alarm_rate and evidence.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
@@ -253,7 +255,7 @@ def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int)
 
 @dataclass(frozen=True)
 class OtherValues:
-    """The model with other values in place of some that the vehicle file holds fixed.
+    """The model with fitted values in place of some that the vehicle file holds fixed.
 
     alike: names of those values, each with fixed values that would do the same in its place.
     fit: the fit with them free.
@@ -345,7 +347,7 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
     own = list(range(count))
     while rest := [k for k in open_to_change if k not in chosen]:
         falls = [_fall_of_squares(gram, slope, [*own, *chosen, k]) for k in rest]
-        if max(falls) < _fall_of_squares(gram, slope, [*own, *chosen]) + bench.settings.other_values_fall:
+        if max(falls) < _fall_of_squares(gram, slope, [*own, *chosen]) + bench.settings.fixed_value_fall:
             break
         chosen.append(rest[int(np.argmax(falls))])
     least = _fall_of_squares(gram, slope, [*own, *chosen]) - bench.settings.more_than_chance

@@ -68,7 +68,7 @@ def lone_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
     if residual_is_noise(bench.base, bench.test):
         return None
     count = len(current.findings) * (len(current.findings) - 1) // 2
-    return only_one_in_evidence(_tried(current, bench.settings.lone_pairs), bench, count, residual_is_noise)
+    return only_one_in_evidence(_tried(current, bench.settings.pairs_alone), bench, count, residual_is_noise)
 
 
 def only_one_in_evidence(
@@ -181,7 +181,7 @@ def search(
         if not _do_alone(vehicle, found.winners, opened, residual_is_noise):
             return replace(found, freed={**names, **found.freed})
         steps = _stepwise(vehicle, opened, known, report, residual_is_noise, _none_to_free)
-    report(0.9, "looking at all effects together")
+    report(0.9, "testing all effects together")
     return _refitted_together(vehicle, opened, steps.rounds, steps.effect_set)
 
 
@@ -292,7 +292,7 @@ def _out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> b
     adding is for simulation to say.
     """
     ratios = [noise_ratio(fit, bench.test) for fit in (before, after)]
-    limit = bench.settings.within_reach * np.count_nonzero(np.isfinite(ratios[1]))
+    limit = bench.settings.output_error_reach * np.count_nonzero(np.isfinite(ratios[1]))
     total, remaining = (float(np.nansum(ratio)) for ratio in ratios)
     return bool(remaining - left * max(total - remaining, 0.0) > limit)
 
@@ -302,7 +302,7 @@ def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
 
     Under a noise model with room for disturbances, some effects look alike that simulation tells apart.
     """
-    leading = [f for f in current.findings if f.significant][: current.bench.settings.leading]
+    leading = [f for f in current.findings if f.significant][: current.bench.settings.leading_effects]
     test = current.bench.test
     if not leading or residual_is_noise(leading[0].trial.fit, test):
         return current

@@ -175,11 +175,11 @@ def dominated(
     for f in others:
         clearly = better(best, f) >= settings.best_share
         if clearly and not beside(best, f).enough(settings.worth):
-            found[f.id] = f"{best.id}, in doubt itself, predicts better, and beside it this adds nothing"
+            found[f.id] = f"{best.id}, itself not established, predicts better, and this adds nothing to it"
     return found
 
 
-_NOT_BEST = "others are better in nearly all resamples of the logs"
+_NOT_BEST = "other effects are better in nearly all resamples of the logs"
 
 
 # Share of the time of a round for trying candidates by the weak form; most goes into their simulation.
@@ -303,10 +303,10 @@ class _Selector:
         worthy = [f for f in leading if worth[f.id].enough(least)]
         # What has run into a bound is not what it is called: to predict, too, others come first.
         worthy.sort(key=lambda f: bool(left_open(f, self._settings)))
-        many = self._settings.many_alike
+        many = self._settings.most_equivalent
         doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
-            best, doubt = worthy[0], f"neither is {doubtful}, beside which it was found"
+            best, doubt = worthy[0], f"it was found beside {doubtful}, which is not established either"
             return Graded(best, [], worth[best.id], doubt)
         doubts = {}
         for f in (*leading, *near) if worthy else ():
@@ -426,7 +426,7 @@ class _Selector:
         form fits poorly, the other way round: of both orders the first are taken in turns.
         """
         found = _beyond_chance(current)
-        most = self._settings.simulated
+        most = self._settings.simulated_candidates
         if len(found) <= most:
             return found
         work = mapped(lambda i: self._validator.squares_ahead(found[i].trial.fit), len(found))
@@ -532,7 +532,7 @@ def without_inertia(names: Sequence[str], held: Worth, settings: Settings = DEFA
     """
     if held.enough(settings.worth):
         return ""
-    return f"beside it {', '.join(names)} would be zero, and water has inertia"
+    return f"with it, {', '.join(names)} would be zero, although water has inertia"
 
 
 def _beyond_chance(current: Round) -> list[FoundEffect]:

@@ -68,7 +68,7 @@ def normalised(vehicle: Vehicle, runs: Runs, validation: Runs) -> tuple[Vehicle,
         )
     train, judges = ([given] if isinstance(given, Run) else list(given) for given in (runs, validation))
     if not train:
-        raise UndertowError("there is no log to fit to: give one run at least (undertow.read_log)")
+        raise UndertowError("there is no log to fit to: give at least one run (undertow.read_log)")
     if odd := next((run for run in [*train, *judges] if not isinstance(run, Run)), None):
         raise UndertowError(
             f"a log is given as {type(odd).__name__} ({odd!r:.60}): read it with undertow.read_log first"
@@ -81,8 +81,8 @@ def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
     for run in runs:
         if held := [d for d in vehicle.degrees_of_freedom if d in run.held]:
             raise UndertowError(
-                f"in run '{run.name}' a rig holds {', '.join(held)} of '{vehicle.name}': sort such logs by "
-                "undertow.identification.experiments.experiments, or give them to undertow fit or diagnose"
+                f"in run '{run.name}' a rig holds {', '.join(held)} of '{vehicle.name}': use undertow fit "
+                "or diagnose, or sort the logs with undertow.identification.experiments.experiments"
             )
     return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
 
@@ -118,9 +118,9 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
     for run in runs:
         if len(run.t) < settings.fewest_samples:
             raise UndertowError(
-                f"run {run.name!r} has {len(run.t)} samples, too few to keep stretches of it aside "
-                f"({settings.fewest_samples} at the very least): give longer logs, or another run to judge "
-                "by with --holdout"
+                f"run {run.name!r} has {len(run.t)} samples, too few to set stretches of it aside for "
+                f"validation (at least {settings.fewest_samples}): give longer logs, or a validation run "
+                "with --holdout"
             )
     pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run, settings))]
     train = [piece for i, piece in pieces if i not in settings.validation_pieces]
@@ -149,7 +149,7 @@ def check_excitation(vehicle: Vehicle, runs: Sequence[Run], settings: Settings =
     names = [n for n in vehicle.velocity_names if all(r.has(n) for r in runs)]
     noise = dict(zip(names, channel_noise(runs, names), strict=True))
     largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in names}
-    if names and all(largest[n] < settings.excited * noise[n] or largest[n] == 0.0 for n in names):
+    if names and all(largest[n] < settings.excitation_ratio * noise[n] or largest[n] == 0.0 for n in names):
         seen = ", ".join(f"{n} {v:.2g} (noise {noise[n]:.2g})" for n, v in largest.items())
         raise UndertowError(
             f"nothing moves in these logs: standard deviation of {seen}; "

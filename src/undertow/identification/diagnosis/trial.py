@@ -154,7 +154,7 @@ class Bench:
         otherwise empty.
         """
         model = self.base.model
-        if not np.any(moved(model, self.base.p) > self.settings.moved):
+        if not np.any(moved(model, self.base.p) > self.settings.far_from_prior):
             return {}
         values = {n: model.functions.vehicle.value_of(plain(n)).value for n in model.free}
         return {n: v for n, v in values.items() if np.isfinite(v)}
@@ -319,7 +319,7 @@ def rows_of(data: WeakData) -> NDArray[np.intp]:
 def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT) -> bool:
     """Whether mean squares over so many rows each are those of noise; what has no rows has no say."""
     used = rows > 0
-    limit = 1.0 + settings.noise_known_to + settings.chance_errors * np.sqrt(2.0 / rows[used])
+    limit = 1.0 + settings.noise_uncertainty + settings.chance_errors * np.sqrt(2.0 / rows[used])
     return bool(np.all(ratio[used] <= limit))
 
 
@@ -497,7 +497,7 @@ class Screened:
 
     def closer(self) -> Screened:
         """The same from where the step leads, after some more."""
-        return Screened(self._candidate, self._bench, self.values, self._bench.settings.closer_steps)
+        return Screened(self._candidate, self._bench, self.values, self._bench.settings.steps_per_start)
 
     @property
     def on_test(self) -> Linearised:
@@ -553,7 +553,7 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     shorter than the time between samples.
     """
     starts = candidate.starts(bench.command_scale, bench.seen)
-    if len(starts) > bench.settings.many_starts:
+    if len(starts) > bench.settings.fitted_starts:
         starts = _promising(candidate, bench, starts)
     if bench.stated:
         starts = [*starts, *(bench.stated | start for start in starts)]
@@ -610,7 +610,7 @@ def _promising(
         cost = float(np.sum((beside.r + beside.J @ step) ** 2))
         names = _better_by_run(model, beside, cost, candidate, bench.train)
         costs.append(_cost_by_run(model, beside, names, bench.train) if names else cost)
-    return [starts[i] for i in np.argsort(costs)[: bench.settings.many_starts]]
+    return [starts[i] for i in np.argsort(costs)[: bench.settings.fitted_starts]]
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Se
     if not np.any(used) or not np.all(np.isfinite(errors[used])):
         return False
     errors = errors[:, :, np.any(used, axis=(0, 1))]
-    means = means_over(errors, _seconds(shooting.windows.t, settings.slow_error))
+    means = means_over(errors, _seconds(shooting.windows.t, settings.slow_error_window))
     return all(_is_noise(e, starts.size, settings) for e in (errors, means))
 
 
@@ -91,8 +91,8 @@ def _is_noise(errors: Array, starts: int, settings: Settings) -> bool:
     count = np.maximum(np.count_nonzero(np.isfinite(errors), axis=(0, 1)), 1)
     left = 1.0 - starts / float(count.sum())
     level = np.nansum(errors**2, axis=(0, 1)) / count / max(left, 0.1)
-    any_one = settings.any_channel + settings.chance_errors * np.sqrt(2.0 / count)
-    over_all = settings.all_channels + settings.chance_errors * np.sqrt(2.0 / count.sum())
+    any_one = settings.channel_noise_limit + settings.chance_errors * np.sqrt(2.0 / count)
+    over_all = settings.mean_noise_limit + settings.chance_errors * np.sqrt(2.0 / count.sum())
     return bool(np.all(level < any_one) and np.average(level, weights=count) < over_all)
 
 
@@ -354,7 +354,7 @@ class SimulationValidator:
         the simulation of a poor model comes to is left alone: it is expensive, and no fit mends it.
         """
         before = self.squares(weak)
-        if not np.mean(before) < self.settings.far_off:
+        if not np.mean(before) < self.settings.output_error_limit:
             return weak, before
         fit = self._refined(weak)
         after = before if fit is weak else self.squares(fit)
@@ -380,7 +380,7 @@ class SimulationValidator:
         """Whether a fit by output error may bring a model down to the noise: it is expensive, and no help
         to one that is far off in short windows, or in long ones, whose starts take less of it up.
         """
-        limit = self.settings.within_reach
+        limit = self.settings.output_error_reach
         if not np.mean(self.squares(weak)) < limit:
             return False
         return bool(np.median(self._squares(weak, self.settings.long_windows)) < limit)

@@ -73,11 +73,11 @@ class Remainder:
 
 #: Doubt of forces that leave the residual force no smaller: a force that is missing is missing at every
 #: instant, and what predictions alone get better with makes up for the way in which something else adds up.
-ONLY_SIMULATIONS = "only simulations get better by it: sample by sample the force that is left is no smaller"
+ONLY_SIMULATIONS = "it improves only the simulations: sample by sample, the residual force is no smaller"
 
 
 def share_explained(scores: tuple[Score, Score], noise: Array, bench: Bench) -> float:
-    """Share of what exceeds the noise that effects take away, from the scores without and with them."""
+    """Share of the excess over noise that effects take away, from the scores without and with them."""
     return explained(*comparable_mean_squares(*scores, bench.test), noise, bench.settings)
 
 
@@ -94,7 +94,7 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remain
     if doubt := _doubt(share, left, settings):
         return _unexplained(winners, share, doubt)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
-    if any(len(s.effects) > settings.many_alike for s in sets):
+    if any(len(s.effects) > settings.most_equivalent for s in sets):
         verdict = "not_identifiable"
     return Judgement(verdict, _named(winners, sets, share, left.residual_is_noise), winners, sets, share)
 
@@ -114,7 +114,7 @@ def judge_selection(
     if not named:
         return Judgement("helps_prediction", " ".join(doubts), [], [], share, helping)
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
-    if any(len(s.effects) > settings.many_alike for s in sets):
+    if any(len(s.effects) > settings.most_equivalent for s in sets):
         verdict = "not_identifiable"
     text = " ".join([_named(named, sets, share, residual_is_noise=False), *doubts])
     return Judgement(verdict, text, named, sets, share, helping)
@@ -130,11 +130,11 @@ def _doubtful(finding: FoundEffect, graded: Graded) -> str:
 
 def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
     if residual_is_noise:
-        text = "Nothing is missing: what the refitted model leaves is the noise of the sensors."
+        text = "Nothing is missing: the residual of the refitted model is sensor noise."
         return Judgement("adequate", text, [], [], share)
     text = (
-        "Unexplained: the refitted model leaves more than the noise of the sensors, and for no effect "
-        "of the catalogue is there enough evidence on validation data."
+        "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect of the "
+        "catalogue has enough evidence in the validation data."
     )
     return Judgement("unexplained", text, [], [], share)
 
@@ -143,8 +143,8 @@ def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
     """That nothing is missing which the logs could show, although more than noise is left."""
     rest = [f"{p.disturbance_rms:.2g} {p.unit} in {p.degree_of_freedom}" for p in left if p.disturbance_rms]
     text = (
-        "Nothing is missing that these logs could show: what the refitted model leaves correlates with none "
-        f"of the logged signals. A disturbance remains: {', '.join(rest)} (rms)."
+        "These logs show nothing missing: the residual of the refitted model correlates with "
+        f"none of the logged signals. A disturbance remains: {', '.join(rest)} (rms)."
     )
     return Judgement("adequate", text, [], [], share)
 
@@ -160,9 +160,9 @@ def error_of_sensors(findings: Iterable[FoundEffect], settings: Settings = DEFAU
     if most is None or most.explained < settings.sensor_share:
         return None
     text = (
-        f"Unexplained: the sensors contradict each other. {most.id} takes away {most.explained:.0%} of what "
-        "exceeds the noise, where no disturbance acts, but lowers the error of no predicted velocity or "
-        "position by as much as matters: see what the doctor says of the logs."
+        f"Unexplained: the sensors contradict each other. {most.id} removes {most.explained:.0%} of the "
+        "excess over noise, where no disturbance acts, but lowers the error of no predicted velocity or "
+        "position by enough to matter: see what undertow doctor says about the logs."
     )
     return Judgement("unexplained", text, [], [], most.explained)
 
@@ -174,20 +174,20 @@ def _doubt(share: float, left: Remainder, settings: Settings) -> str:
     notably more than noise is left, it has no say: simulation decides (see `selection`).
     """
     if not left.confirmed:
-        return "makes the simulation of the validation runs worse, so it is not what is missing"
+        return "makes the simulation of the validation runs worse, so it is not the missing effect"
     if left.residual_is_noise:
         return ""
     if not left.nearly:
         return "leaves more than noise"
     if share < settings.named_share:
         much = f"only {share:.0%}" if share > 0.0 else "none"
-        return f"explains {much} of what exceeds the noise, too little to be named as what is missing"
+        return f"explains {much} of the excess over noise, too little to be named as the missing effect"
     return ""
 
 
 def _unexplained(winners: list[FoundEffect], share: float, reason: str) -> Judgement:
     names = " and ".join(unique_ids(winners))
-    text = f"Unexplained: adding {names} fits the validation data better by more than chance, but {reason}."
+    text = f"Unexplained: adding {names} fits the validation data better than chance explains, but {reason}."
     return Judgement("unexplained", text, [], [], share)
 
 
@@ -200,11 +200,9 @@ def _named(
     if not sets:
         return f"Missing: {names}; {rest}."
     choice = "; ".join(" or ".join(s.effects) for s in sets)
-    certain = f"Missing: {names}. Beside it these data cannot tell" if names else "These data cannot tell"
-    alike = (
-        "Any of them brings the error down alike" if residual_is_noise else "Each gives half of that or more"
-    )
-    return f"{certain}: {choice}. {alike}; {rest}."
+    certain = f"Missing: {names}. Besides, these data cannot tell" if names else "These data cannot tell"
+    alike = "Each lowers the error equally" if residual_is_noise else "Each gives at least half of that"
+    return f"{certain} which is missing: {choice}. {alike}; {rest}."
 
 
 def _explaining(count: int, share: float) -> str:
@@ -212,7 +210,7 @@ def _explaining(count: int, share: float) -> str:
     if share <= 0.0:
         return ONLY_SIMULATIONS
     how = "it explains" if count == 1 else "together they explain"
-    return f"{how} {share:.0%} of what exceeds the noise"
+    return f"{how} {share:.0%} of the excess over noise"
 
 
 def unique_ids(findings: list[FoundEffect]) -> list[str]:
@@ -230,8 +228,8 @@ def _sets(found: Search) -> list[Indistinguishable]:
 
 def _reason(best: FoundEffect) -> str:
     return (
-        "their predictions of the validation data differ by less than the noise lets one see "
-        f"(the best of them improves the mean square by {best.evidence.mean:.3g})"
+        "their predictions of the validation data differ by less than the noise "
+        f"(the best of them lowers the mean square by {best.evidence.mean:.3g})"
     )
 
 
@@ -299,7 +297,7 @@ def _value(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str
     found = estimate(fit, name, stated)
     error = "" if found.standard_error is None else f" ± {found.standard_error:.1g}"
     unit = f" {found.unit}" if found.unit else ""
-    before = "" if found.prior is None else f" where it has {found.prior:.4g}"
+    before = "" if found.prior is None else f" where the file has {found.prior:.4g}"
     same = f" ({' or '.join(alike)} would do the same)" if alike else ""
     return f"{name} = {found.value:.4g}{error}{unit}{before}{same}"
 
@@ -311,12 +309,12 @@ def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> s
         return said
     if judgement.verdict == "adequate" and residual_is_noise:
         return (
-            "No effect is missing, but values that the vehicle file holds fixed do not fit. With others what "
-            f"is left is the noise of the sensors: {values}."
+            "No effect is missing, but fixed values in the vehicle file do not fit. With these values only "
+            f"sensor noise is left: {values}."
         )
     if residual_is_noise and judgement.effects:
-        return f"{said} Beside it, values that the vehicle file holds fixed do not fit: {values}."
-    return f"{said} Values that the vehicle file holds fixed were fitted with the rest: {values}."
+        return f"{said} Besides, fixed values in the vehicle file do not fit: {values}."
+    return f"{said} Fixed values in the vehicle file were fitted along with the rest: {values}."
 
 
 def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) -> list[Equivalent]:
@@ -349,8 +347,8 @@ def _instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[E
         return []
     names = ", ".join(found.alike)
     words = {
-        "reason": f"other values of {names}, which the vehicle file holds fixed, would leave only noise, too",
-        "separated_by": f"What tells them apart is to know {names} from elsewhere (a tank test, CFD)",
+        "reason": f"other values of {names}, which are fixed in the vehicle file, would leave only noise",
+        "separated_by": f"To tell them apart, determine {names} by other means (a tank test, CFD)",
     }
     return [Equivalent(parameters=list(found.alike), effects=[effect], **words)]
 
@@ -362,7 +360,7 @@ def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT
         value, prior = fit.values[name], stated.value_of(name)
         if prior.sigma is not None:
             spread = float(np.hypot(prior.sigma, fit.standard_errors[name]))
-            if abs(value - prior.value) > settings.moved * spread:
+            if abs(value - prior.value) > settings.far_from_prior * spread:
                 changes[name] = value - prior.value
     return changes
 
@@ -380,7 +378,7 @@ def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) ->
     bounds = within_limits(bounds_of(model), now, step_limits(model))
     step = bounded_step(start.at, now, bounds, (centre, stiffness))
     off = np.abs(stiffness * (now + step - centre))
-    home = all(off[model.free.index(n)] < bench.settings.at_home for n in moved)
+    home = all(off[model.free.index(n)] < bench.settings.near_prior for n in moved)
     left = np.sum((start.at.r + start.at.J @ step) ** 2)
     return bool(home and left < np.sum(bench.base.at.r**2) + bench.settings.more_than_chance)
 
@@ -389,15 +387,15 @@ def _equivalents_reason(moved: dict[str, float]) -> str:
     names = ", ".join(moved)
     one = len(moved) == 1
     return (
-        f"{names} {'is' if one else 'are'} far from what was stated; each of these effects would do the same "
-        "to these data, and either explanation leaves only noise"
+        f"{names} {'is' if one else 'are'} far from the stated value; each of these effects would explain "
+        "these data as well, and either explanation leaves only noise"
     )
 
 
 def _separating(moved: list[str]) -> str:
     return (
-        f"No manoeuvre tells them apart: what does is to know {listed(moved)} from elsewhere (a weighing, a "
-        "tank test, CFD) better than the standard deviations stated"
+        f"No manoeuvre tells them apart: determine {listed(moved)} by other means (weighing, a tank test, "
+        "CFD), more precisely than the stated standard deviations"
     )
 
 
@@ -455,7 +453,7 @@ def absorbing(
 ) -> list[str]:
     """Warnings for parameters that a fit pushed far from what was stated, or to where they cannot be."""
     least = min((h.error for h in helpers), default=0.0)
-    leading = [h for h in helpers if h.error <= settings.as_good_error * least]
+    leading = [h for h in helpers if h.error <= settings.warning_error_ratio * least]
     lines = [
         _line(
             vehicle,
@@ -476,12 +474,12 @@ def _pushed(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_Pushed]:
         if (
             stated.sigma is None
             and bound is None
-            and not _many_times(value, stated.value, settings.many_times)
+            and not _many_times(value, stated.value, settings.far_factor)
         ):
             continue
         spread = float(np.hypot(stated.sigma or 0.0, errors[name]))
         distance = abs(value - stated.value) / spread if spread > 0 else np.inf
-        if distance > settings.moved:
+        if distance > settings.far_from_prior:
             found.append(_Pushed(name, value, stated.value, distance, bound))
     return found
 
@@ -505,7 +503,7 @@ def _line(vehicle: Vehicle, pushed: _Pushed, helping: Sequence[Relief], alike: S
     line = f"{owner.replace('_', ' ')}: {pushed.name} {_where(vehicle, pushed)}"
     if not helping:
         missing = " or ".join(alike) or "something that is missing"
-        return f"{line}: either the prior is wrong, or it makes up for {missing}"
+        return f"{line}: either the prior is wrong, or it compensates for {missing}"
     best, after = helping[0].name, helping[0].values[pushed.name]
     others = [h.name for h in helping[1:] if not {*helping[0].effects} & {*h.effects}][:_SHOWN_OTHERS]
     back = (
@@ -527,7 +525,7 @@ def _where(vehicle: Vehicle, pushed: _Pushed) -> str:
         )
     if pushed.prior:
         return f"is {pushed.value / pushed.prior:.3g} times its prior ({far})"
-    return f"is {_number(vehicle, pushed.name, pushed.value)} against a prior of 0 ({far})"
+    return f"is {_number(vehicle, pushed.name, pushed.value)} with a prior of 0 ({far})"
 
 
 def _number(vehicle: Vehicle, name: str, value: float) -> str:
@@ -537,7 +535,7 @@ def _number(vehicle: Vehicle, name: str, value: float) -> str:
 
 def _comes_back(pushed: _Pushed, helper: Relief, settings: Settings) -> bool:
     after = helper.values.get(pushed.name)
-    if after is None or abs(after - pushed.prior) >= settings.comes_back * abs(pushed.change):
+    if after is None or abs(after - pushed.prior) >= settings.return_share * abs(pushed.change):
         return False
     # From ten times its prior to a tenth or to nothing is not the way back.
     return not pushed.prior or _times_off(after, pushed.prior) < _times_off(pushed.value, pushed.prior)
@@ -552,7 +550,9 @@ def _times_off(value: float, prior: float) -> float:
 def _impossible(stated: Vehicle, fitted: Vehicle) -> list[str]:
     """What the fit did that no vehicle can be, such as a mass matrix that is not positive definite."""
     complaint = _complaint(fitted)
-    return [f"the refitted vehicle cannot be: {complaint}"] if complaint and not _complaint(stated) else []
+    return (
+        [f"the refitted vehicle is impossible: {complaint}"] if complaint and not _complaint(stated) else []
+    )
 
 
 def _complaint(vehicle: Vehicle) -> str:

@@ -217,7 +217,7 @@ def _two_clocks(who: str, how: str, delay: float, drift: float, error: float) ->
     return Finding(
         id="two_clocks",
         severity="warning",
-        text=f"{who} are on two clocks: {delays} (drift {drift:+.2f} ± {error:.1g} s); write both with the "
+        text=f"{who} are on two clocks: {delays} (drift {drift:+.2f} ± {error:.1g} s); log both with time "
         "stamps of one clock",
         evidence={"delay": delay, "drift": drift},
     )
@@ -266,7 +266,7 @@ def clock_findings(
         yield Finding(
             id="latencies",
             severity="note",
-            text=f"stamps of the sources: {'; '.join(sizes)}",
+            text=f"time time stamps of the sources: {'; '.join(sizes)}",
             evidence={one.names[0]: one.delay for one in steady},
         )
 
@@ -275,14 +275,14 @@ def late_source(one: Latency, mapping: LogMapping) -> Finding:
     """The finding on a source that is late, and the lines of the mapping file that mend it."""
     early = one.delay < 0
     described = {*one.names} <= {*VELOCITY[:3]} and not early
-    effect = ", or the effect sensor_delay describes it" if described else ""
+    effect = ", or the effect sensor_delay can model it" if described else ""
     when = "early against" if early else "late against"
-    why = " (were those late, the motion would come before the commands)" if early else ""
+    why = " (if those were late, the motion would precede the commands)" if early else ""
     return Finding(
         id="late_velocity" if one.names[0] in VELOCITY else "late_pose",
         severity="warning",
         text=f"{they_are(one.names)} {abs(one.delay):.3f} ± {one.error:.1g} s {when} "
-        f"{', '.join(one.against)}{why}; a `delay` in the mapping file mends it{effect}",
+        f"{', '.join(one.against)}{why}; a `delay` in the mapping file corrects it{effect}",
         evidence={"delay": one.delay, "error": one.error},
         mapping=as_toml(delay_edits(one, mapping)),
     )
@@ -371,11 +371,11 @@ def _explains(at: Dynamics, delay: float) -> bool:
 def _prompt(delay: float, error: float, *, acausal: bool, shifted: bool) -> Finding:
     why = ""
     if shifted:
-        why = ", which no vehicle does: compare the clocks of commands and sensors"
+        why = ", which is impossible: compare the clocks of commands and sensors"
     elif acausal:
         why = (
-            ", which explains little of what the model leaves, and proves no wrong clock: a controller "
-            "that answers what the model lacks looks the same"
+            ", which explains little of the model's residual and proves no clock error: a controller that "
+            "responds to what the model lacks looks the same"
         )
     return Finding(
         id="command_latency",
@@ -432,13 +432,11 @@ def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Find
             "actuation_delay or thruster_lag), or commands that are logged too early"
         )
     else:
-        clause = (
-            f"the motion comes {size} before the commands, which no vehicle does: they are logged too late"
-        )
+        clause = f"the motion precedes the commands by {size}, which is impossible: they are logged too late"
     return Finding(
         id="late_commands",
         severity="warning" if delay > 0 else "mistake",
-        text=f"{clause}; if it is the log, a `delay` of {-delay:+.2f} s in the mapping file mends it",
+        text=f"{clause}; if it is the log, a `delay` of {-delay:+.2f} s in the mapping file corrects it",
         evidence={"delay": delay, "error": error},
         mapping=as_toml(delay_edit(mapping, n, -delay) for n in at.fit.vehicle.command_names),
     )

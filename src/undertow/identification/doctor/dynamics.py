@@ -68,7 +68,7 @@ class DynamicsSettings:
     alike: float = 0.02  # share by which two thrusters must differ to be exchanged
     fitted: int = 4  # mistakes that are fitted to the end after a first look at all of them
     units_fitted: int = 2  # units among them: neighbours predict alike, and must not crowd out the others
-    worth_a_fit: float = 1.1  # predicted reduction from which a mistake is fitted
+    least_predicted_fall: float = 1.1  # predicted reduction from which a mistake is fitted
     as_good: float = 1.5  # explanations within this factor of the best one's are as good as it
     changes: float = 1e-9  # change of a sample that is none
     # Share of the motion by which pose rates and velocities may disagree in a log that is evidence at all.
@@ -332,9 +332,9 @@ def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
         if np.linalg.norm(a - b) > SETTINGS.alike * (np.linalg.norm(a) + np.linalg.norm(b)):
             yield exchanged(
                 "swapped_thrusters",
-                f"commands {one.name} and {other.name} are in each other's place",
+                f"commands {one.name} and {other.name} are swapped",
                 {one.name: (other.name, 1.0), other.name: (one.name, 1.0)},
-                f"[[thrusters]]: exchange the names {one.name} and {other.name}",
+                f"[[thrusters]]: swap the names {one.name} and {other.name}",
             )
 
 
@@ -393,7 +393,7 @@ def _worth_fitting(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, 
     return [
         (predicted, known[i])
         for predicted, i in sorted(looked, reverse=True)
-        if predicted > SETTINGS.worth_a_fit
+        if predicted > SETTINGS.least_predicted_fall
     ]
 
 
@@ -521,15 +521,18 @@ def _mass_finding(mass: dict[str, float], gain: Gain, moved: dict[str, float]) -
     reason = f"with it, {gain.text}"
     if moved:
         far = ", ".join(f"{n} {z:+.1f}" for n, z in moved.items())
-        reason = f"with m as stated the added masses leave their stated values ({far} standard deviations)"
+        reason = (
+            f"with m as stated the added masses move away from their stated values ({far} standard "
+            "deviations)"
+        )
     return Finding(
         id="dry_mass",
         severity="warning" if moved else "mistake",
-        text=f"m = {mass['stated']:.4g} kg looks like the {which} mass: the logs ask for "
+        text=f"m = {mass['stated']:.4g} kg looks like the {which} mass: the logs indicate "
         f"{mass['found']:.4g} ± {mass['error']:.2g} kg; {reason}",
         evidence=mass,
         vehicle=f'[effects.rigid_body] m = "{mass["found"]:.4g} kg" (the mass with the water inside)',
-        alternatives=["water that moves along but weighs nothing: undertow add entrained_water"],
+        alternatives=["for for water that moves along but weighs nothing: undertow add entrained_water"],
     )
 
 

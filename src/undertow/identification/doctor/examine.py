@@ -75,7 +75,7 @@ def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str
 _MOST_MISTAKES = 3
 # In one motion alone, or for all of them alike, this does the same as a unit.
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
-_MODEL = "a term that the model lacks, or a controller that answers the motion"
+_MODEL = "a term that the model lacks, or a controller that responds to the motion"
 _CURRENT = "a current that the vehicle file lacks (ocean_current), which explains as much"
 
 
@@ -109,14 +109,14 @@ def examine(
     alone = _wrong_alone(vehicle, runs)
     examiner = _Examiner(vehicle, [run for run in runs if run.name not in alone], read_by)
     examiner.findings += alone.values()
-    report(0.0, "looking at clock and samples")
+    report(0.0, "checking clock and samples")
     examiner.look_at_samples()
     report(0.1, "comparing pose rates with velocities")
     examiner.undo_reading_mistakes()
     examiner.undo_what_cannot_be()
     report(0.4, "comparing motion with commands")
     examiner.undo_model_mistakes()
-    report(0.9, "looking at sensors and excitation")
+    report(0.9, "checking sensors and excitation")
     rows = excitation(vehicle, examiner.runs)
     examiner.look_at_the_rest()
     examiner.findings += excitation_findings(rows, vehicle, examiner.runs)
@@ -143,14 +143,14 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
         if trust_log or not all(run.has(n) for n in needed):
             continue
         where = f"log '{run.source or run.name}'"
-        after_all = "go on all the same with --trust-log (trust_log=True)"
+        after_all = "override with --trust-log (trust_log=True)"
         examiner = _of_one(vehicle, run)
         unmeasured = sensors.without_measurement(examiner.kinematics, [run]) if examiner.kinematics else None
         if found := _refused(examiner):
             finding, edits = found
             raise UndertowError(
                 f"{where} is impossible: {finding.text}; write {_on_one_line(edits)} into the mapping file "
-                f"(undertow doctor --mend does), or {after_all}"
+                f"(undertow doctor --mend does so), or {after_all}"
             )
         if unmeasured:
             raise UndertowError(f"{where}: {unmeasured.text}, or {after_all}")
@@ -178,7 +178,7 @@ def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
     if len(wrong) == len(runs):
         return {}
     return {
-        name: finding.model_copy(update={"text": f"{name}, and not all of the logs: {finding.text}"})
+        name: finding.model_copy(update={"text": f"{name}, but not all of the logs: {finding.text}"})
         for name, finding in wrong.items()
     }
 
@@ -199,7 +199,7 @@ class _Examiner:
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
-            text = f"{unit.clause}: only then have pose rates and velocities the same size"
+            text = f"{unit.clause}: only then do pose rates and velocities have the same size"
             self._undo(Explanation(unit, text, {}), impossible=True)
         self._mend_angles([n for n in self.vehicle.pose_names if n not in self.kinematics.rows])
 
@@ -235,7 +235,7 @@ class _Examiner:
             return False
         # Water may well move as fast as a vehicle does.
         gross = chosen.id != "velocity_through_water" and contradicts(found, chosen)
-        beyond = f"; sensors explain at most {percent(possible_mismatch(chosen))}" if gross else ""
+        beyond = f"; sensor errors explain at most {percent(possible_mismatch(chosen))}" if gross else ""
         self._undo(replace(explanation, text=explanation.text + beyond), impossible=gross)
         return True
 

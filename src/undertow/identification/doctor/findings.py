@@ -28,12 +28,14 @@ SEVERITIES: tuple[Severity, ...] = ("mistake", "warning", "note")
 class Finding(ResultTable):
     """One thing that the logs show."""
 
-    id: str  # what kind of thing; stable from version to version
-    severity: Severity  # a mistake spoils every result and is certain; a warning may; a note is good to know
+    id: str  # kind of finding; stable between versions
+    severity: (
+        Severity  # a mistake is certain and spoils every result; a warning may; a note is for information
+    )
     text: str  # one line with the numbers
     evidence: dict[str, float] = Field(default_factory=dict)  # the numbers behind it, SI
-    mapping: str = ""  # lines for the mapping file that mend it, in TOML; empty where none can
-    # What to change in the vehicle file to the same end; empty where nothing there can mend it.
+    mapping: str = ""  # lines for the mapping file that correct it, in TOML; empty if none can
+    # Alternative correction in the vehicle file; empty if there is none.
     vehicle: str = ""
     alternatives: list[str] = Field(default_factory=list)  # other explanations that these logs do not exclude
 

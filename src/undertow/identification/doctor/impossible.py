@@ -267,7 +267,7 @@ class _PlausibilityCheck:
             return None
         unit = "m/s" if names == SPEEDS else "rad/s"
         own = ", ".join(n for n in names if n in self.vehicle.velocity_names)
-        why = f"{own} reach {value:.3g} {unit}, and no vehicle of {mass:.4g} kg exceeds {limit:.3g} {unit}"
+        why = f"{own} reach {value:.3g} {unit}, but no vehicle of {mass:.4g} kg exceeds {limit:.3g} {unit}"
         return Explanation(found[0], f"{found[0].clause}: {why}", {"value": value, "limit": limit}, found[1:])
 
     # --- size of the commands --------------------------------------------------------------------
@@ -279,7 +279,7 @@ class _PlausibilityCheck:
         if not far:
             return None
         mistake, worst = _in_degrees(tuple(far)), max(far, key=lambda n: far[n])
-        why = f"{worst} is {far[worst]:.4g} rad rms, and no rudder or fin turns by more than {limit:.4g} rad"
+        why = f"{worst} is {far[worst]:.4g} rad rms, but no rudder or fin turns by more than {limit:.4g} rad"
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": far[worst], "limit": limit}, [])
 
     def by_limits(self) -> Explanation | None:
@@ -293,7 +293,7 @@ class _PlausibilityCheck:
         known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
         mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
         value, limit = far[worst] * limits[worst], limits[worst]
-        why = f"{worst} is {value:.4g} rms, and its limit in the vehicle file is {limit:.4g}"
+        why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": value, "limit": limit}, known[1:])
 
 

@@ -306,7 +306,7 @@ _SWAPS: dict[str, Callable[[Mapping[str, Array]], Channels]] = {
     "attitude": swap_attitude,
 }
 _OTHER = {"NED": "ENU", "ENU": "NED", "FRD": "FLU", "FLU": "FRD"}
-_UPWARDS = {"z": "z counts upwards (it is height, and undertow's z is depth)"}
+_UPWARDS = {"z": "z is positive upwards (height; undertow's z is depth)"}
 
 
 def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
@@ -448,9 +448,7 @@ def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[
 def swapped_position(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """East and north in each other's place, with depth as it should be."""
     if {"x", "y"} <= moving:
-        yield exchanged(
-            "swapped_position", "x and y are in each other's place (x is north, y is east)", _EAST_NORTH
-        )
+        yield exchanged("swapped_position", "x and y are swapped (x is north, y is east)", _EAST_NORTH)
 
 
 _EAST_NORTH = {"x": ("y", 1.0), "y": ("x", 1.0)}
@@ -490,7 +488,9 @@ def turned_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         "by half a turn": {"u": ("u", -1.0), "v": ("v", -1.0)},
     }
     for how, places in turns.items() if {"u", "v"} <= moving else ():
-        yield exchanged("turned_velocity", f"u and v are of a sensor that is mounted turned {how}", places)
+        yield exchanged(
+            "turned_velocity", f"u and v come from a sensor that is mounted rotated {how}", places
+        )
 
 
 def they_are(names: tuple[str, ...]) -> str:
@@ -524,7 +524,7 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
         if count:
             mistake = Mistake(
                 "wrapped_angle",
-                f"{name} jumps by a turn {count} times",
+                f"{name} jumps by a full turn {count} times",
                 _unwrapping(name),
                 lambda m, name=name: (column_edit(m, name, wrapped=True),),  # type: ignore[misc]
             )
@@ -606,7 +606,7 @@ def angles_across_jumps(runs: Sequence[Run]) -> Iterator[Finding]:
                 yield Finding(
                     id="angle_across_its_jump",
                     severity="warning",
-                    text=f"{run.name}: {name} takes a whole turn in two samples, {count} times: it was "
-                    "averaged or interpolated across its jump; log it as it is measured",
+                    text=f"{run.name}: {name} makes a full turn within two samples, {count} times: it was "
+                    "averaged or interpolated across the jump at ±180 degrees; log it as measured",
                     evidence={"times": float(count)},
                 )

@@ -109,8 +109,8 @@ def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
         yield Finding(
             id="disorder",
             severity="note" if known else "mistake",
-            text=f"{run.dropped} of {run.dropped + len(run.t)} rows are not later than a row "
-            "before (a repeated or backward time stamp); they were left out",
+            text=f"{run.dropped} of {run.dropped + len(run.t)} rows are not later than an earlier row "
+            "(repeated or backward time stamps); they were left out",
             evidence={"rows": float(run.dropped)},
             mapping="" if known else as_toml(DROP),
         )
@@ -150,8 +150,8 @@ def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
         yield Finding(
             id="dense",
             severity="note",
-            text=f"{1.0 / usual:.3g} rows a second are more than the motion of a vehicle needs: a first look "
-            f"is that much faster with every = {every} under [time] in the mapping file",
+            text=f"{1.0 / usual:.3g} rows a second are more than the motion of a vehicle needs: for a first "
+            f"look, set every = {every} under [time] in the mapping file",
             evidence={"rate": 1.0 / usual},
             mapping=as_toml([Edit("time", "every", every)]),
         )
@@ -190,7 +190,7 @@ def _held(runs: Sequence[Run], name: str, mapping: LogMapping) -> Finding | None
         id="held_values",
         severity="warning",
         text=f"{name} has a new value only every {rows:.1f} rows ({seconds:.3g} s) and repeats the last one "
-        f"in between: most rows are up to {seconds:.2g} s late",
+        f"in between: rows are up to {seconds:.2g} s late",
         evidence={"rows": rows, "seconds": seconds},
         mapping=as_toml(held),
     )
@@ -363,7 +363,7 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
 def _cannot(motion: _Motion) -> Iterator[str]:
     moving, means, noise = motion.moving, motion.means, motion.noise_of_means
     if not len(moving) or not len(means) or np.sqrt(np.mean(means**2)) < SETTINGS.excited * noise:
-        yield "anything: the motion does not stand out of its noise"
+        yield "anything: the motion does not exceed its noise"
         return
     if np.std(means) < SETTINGS.excited * noise:
         yield "added mass (the velocity hardly changes)"
@@ -371,9 +371,9 @@ def _cannot(motion: _Motion) -> Iterator[str]:
         yield "drag in the other direction"
     speed = np.abs(moving)
     if _alike(speed):
-        yield "linear and quadratic drag apart (one speed only)"
+        yield "linear and quadratic drag separately (one speed only)"
     if motion.reversals < SETTINGS.reversals:
-        yield "dead band and dry friction (hardly a reversal)"
+        yield "dead band and dry friction (hardly any reversals)"
 
 
 def _alike(speed: Array) -> bool:
@@ -417,8 +417,8 @@ def _still_commands(
     ]
     names = [n for n in vehicle.command_names if n in still]
     clause = (
-        f"what acts on {', '.join(moving)} stands still while the vehicle moves there, and the model can "
-        "only blame something else"
+        f"nothing that acts on {', '.join(moving)} changes although the vehicle moves there, so the model "
+        "must attribute the motion to something else"
         if moving
         else f"what {'they do' if len(names) > 1 else 'it does'} cannot be seen in this log"
     )
@@ -440,7 +440,7 @@ def _unused_inputs(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
         yield Finding(
             id="unused_inputs",
             severity="note",
-            text=f"the log holds {', '.join(names)}, which effects can take: inputs = [{listed}] in the "
+            text=f"the log holds {', '.join(names)}, which effects can use: inputs = [{listed}] in the "
             "vehicle file",
             evidence={"inputs": float(len(names))},
         )
@@ -455,8 +455,8 @@ def _unused_forces(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
         yield Finding(
             id="unused_forces",
             severity="warning",
-            text=f"the log holds {', '.join(names)}, and the vehicle file has no thruster and no force, so "
-            f"that nothing drives the model: generalised_forces = [{listed}] in the vehicle file",
+            text=f"the log holds {', '.join(names)}, and the vehicle file has neither thrusters nor forces, "
+            f"so nothing drives the model: generalised_forces = [{listed}] in the vehicle file",
             evidence={"forces": float(len(names))},
         )
 
@@ -486,6 +486,6 @@ def _headings(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
             id="headings",
             severity="note",
             text=f"headings span {np.degrees(span):.0f} degrees: a current cannot be distinguished from a "
-            "constant force, nor an error of the velocity sensor from one of the compass",
+            "constant force, nor a velocity sensor error from a compass error",
             evidence={"span": span},
         )

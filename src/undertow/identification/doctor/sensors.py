@@ -486,7 +486,7 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
                 id="inconsistent",
                 severity="warning",
                 text=f"the rate of {names} and the velocities disagree by {excess:.0%} of the motion (mean "
-                "square), and no usual mistake nor flaw of a sensor explains it",
+                "square), and neither a usual mistake nor a sensor error explains it",
                 evidence={"share": float(excess)},
             )
 
@@ -538,9 +538,8 @@ def _sensor_finding(fit: SensorFit, before: Mismatch) -> Finding:
     return Finding(
         id="velocity_sensor",
         severity="warning",
-        text=f"pose rates and velocities disagree by {before.total:.1%} of the motion (mean square), as they "
-        f"would with {fit.description()}; undertow add {' or '.join(fit.sensor.effects)} puts it into the "
-        "model",
+        text=f"pose rates and velocities disagree by {before.total:.1%} of the motion (mean square), as "
+        f"with {fit.description()}; undertow add {' or '.join(fit.sensor.effects)} adds it to the model",
         evidence=dict(zip(names, fit.sensor.parameters(fit.value).tolist(), strict=True)),
     )
 
@@ -557,7 +556,7 @@ def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
         id="not_compared",
         severity="note",
         text=f"{what} (pose and velocity were not both measured, or one never changes): units, frames and "
-        "signs there can only be judged by how the model fits",
+        "signs there can only be judged from the fit of the model",
         evidence={"degrees_of_freedom": float(len(alone))},
     )
 

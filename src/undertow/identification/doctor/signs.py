@@ -307,7 +307,7 @@ def lost_signs(at: Dynamics) -> Iterator[Finding]:
                 id="lost_sign",
                 severity="mistake",
                 text=f"effect {effect.id} has a square without its sign ({terms}), which pushes when moving "
-                f"astern: with |u| u for u^2, {gain.text}",
+                f"astern; with |u| u for u^2, {gain.text}",
                 evidence=gain.evidence,
                 vehicle=f"effect {effect.id}: write sm.Abs(u) * u where it has u**2 ({terms})",
             )

@@ -50,7 +50,7 @@ def adapted(vehicle: Vehicle, run: Run) -> tuple[Vehicle, Run]:
         return vehicle, run
     end = end_of_first_part(run)
     first, rest = run.slice(None, end), run.slice(end, None)
-    rest = rest.with_notes(f"{', '.join(names)} by the run until {end:.4g} s, the rest of it judges")
+    rest = rest.with_notes(f"{', '.join(names)} from the run up to {end:.4g} s; the rest is for validation")
     try:
         return fit_weak(vehicle, prepare([first], vehicle), names).vehicle, rest
     except UndertowError:  # too short for the weak form, or without a finite force: the mean has to do

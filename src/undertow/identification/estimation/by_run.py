@@ -70,7 +70,7 @@ class RunValues:
         tied = [n for n in self.by_run if n in functions.equal or functions.followers(n)]
         if tied:
             raise UndertowError(
-                f"{tied[0]} is tied to another parameter and has a value in every run: keep one of the two, "
+                f"{tied[0]} is tied to another parameter and also has a value in every run: drop the tie, "
                 f"or write per_run = false for {tied[0]}"
             )
 

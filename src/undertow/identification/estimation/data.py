@@ -501,12 +501,12 @@ def _too_short(runs: Sequence[Run], family: Family) -> str:
     )
     form = "integral form" if family is boxes else "weak form"
     why = (
-        "; the velocities were taken from a pose that does not show faster motion: "
-        "give longer runs, or measured velocities"
+        "; the velocities come from a pose that is too slow to show faster motion: give longer runs, or "
+        "measured velocities"
     )
     return (
-        f"no stretch without gaps is long enough for the {form} (of {lengths}): {needed} samples are "
-        f"needed without a gap{why if blurred else ''}"
+        f"no gap-free stretch is long enough for the {form} (of {lengths}): {needed} samples without a gap "
+        f"are needed{why if blurred else ''}"
     )
 
 
@@ -514,7 +514,7 @@ def _require(run: Run, names: list[str], vehicle: str) -> None:
     for name in names:
         if not run.has(name):
             raise UndertowError(
-                f"run '{run.name}' has no channel '{name}', which vehicle '{vehicle}' needs; it has "
+                f"run '{run.name}' has no channel '{name}', which vehicle '{vehicle}' needs; the run has "
                 f"{', '.join(run.channels)}; name the column in a mapping file (--map)"
             )
 

@@ -255,7 +255,7 @@ def verdicts(fit: Fitted) -> dict[str, Verdict]:
     """Whether this experiment determines each parameter.
 
     Not identifiable: within two standard errors of zero, or without effect on the data. Weakly identified:
-    within five, known only together with another, or at the limit of what is physical.
+    within five, known only together with another, or at a physical limit.
     """
     sure = t_values(fit)
     open_ = {name for group in undetermined(fit.gram, fit.model.free) for name in group}
@@ -328,15 +328,15 @@ def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
 def notes(fit: Fitted) -> list[str]:
     """What held a fit where the data do not, in words."""
     lines = [
-        f"no known force in these logs fixes the scale of the forces in {dof}: {', '.join(names)} are known "
-        "up to a common factor, which is left as stated"
+        f"no known force in these logs determines the scale of the forces in {dof}: {', '.join(names)} are "
+        "known up to a common factor, which stays as stated"
         for dof, names in unknown_scales(fit).items()
     ]
     held = held_by_size(fit)
     if held:
         lines.append(
-            "these logs say so little that a weak prior from the vehicle's mass, inertia and length holds "
-            f"near the stated values: {', '.join(held)}"
+            "these logs determine these parameters so poorly that a weak prior from the vehicle's mass, "
+            f"inertia and length keeps them near the stated values: {', '.join(held)}"
         )
     return lines
 
@@ -357,7 +357,7 @@ def _tied(fit: Fitted) -> dict[str, str]:
 
 
 def _bound(fit: Fitted) -> dict[str, str]:
-    return dict.fromkeys(at_bounds(fit.model, fit.p), "at the limit of what is physical")
+    return dict.fromkeys(at_bounds(fit.model, fit.p), "at a physical limit")
 
 
 def _moved(fit: Fitted, stated: Vehicle) -> dict[str, str]:

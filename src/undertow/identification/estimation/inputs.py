@@ -402,8 +402,8 @@ def _refuse_motion(functions: Functions) -> None:
     f = functions
     if ca.depends_on(ca.vertcat(f.actuator_output, f.actuator_rates), ca.vertcat(f.eta, f.nu)):
         raise UndertowError(
-            f"an actuation effect of '{f.vehicle.name}' depends on the motion, which no fit can follow: "
-            "state what the motion takes from the thrust as a Wrench in s.actuation"
+            f"an actuation effect of '{f.vehicle.name}' depends on the motion, which no fit can handle: "
+            "state how the motion changes the thrust as a Wrench in s.actuation"
         )
 
 

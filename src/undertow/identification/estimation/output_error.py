@@ -247,8 +247,8 @@ class Descent:
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         if not np.isfinite(state.at.cost):
             raise UndertowError(
-                "the simulation diverges with the starting values of the parameters: give a shorter horizon, "
-                "or values nearer to the truth"
+                "the simulation diverges with the initial parameter values: give a shorter horizon, or "
+                "better values"
             )
         return state
 

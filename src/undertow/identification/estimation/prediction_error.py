@@ -394,8 +394,8 @@ def fit_prediction_error(
     chained = Chained(model.functions, _without_derived(windows), model.free)
     if chained.has_sensor_delay:
         raise UndertowError(
-            f"vehicle '{vehicle.name}' has a sensor that reports late, which prediction error does not "
-            "follow: use --method output-error, or shift the channel in the log"
+            f"vehicle '{vehicle.name}' has a delayed sensor, which prediction error cannot handle: use "
+            "--method output-error, or shift the channel in the log"
         )
     require_rows(model, _informative_samples(chained), runs, "prediction-error")
     return _Search(model, chained, progress).fit(p)
@@ -413,8 +413,8 @@ def _refuse_long(runs: Sequence[Run]) -> None:
     samples = sum(len(run.t) for run in runs)
     if samples > SETTINGS.most_samples:
         raise UndertowError(
-            f"the logs have {samples} samples, prediction error takes at most {SETTINGS.most_samples}: "
-            "take a part of them with --from and --to, or use --method output-error"
+            f"the logs have {samples} samples, and prediction error takes at most {SETTINGS.most_samples}: "
+            "use a part of them with --from and --to, or use --method output-error"
         )
 
 
@@ -472,8 +472,7 @@ class _Search:
         state = self._at(p, self._chained.measured_starts(p))
         if not np.isfinite(state.passed.table).all():
             raise UndertowError(
-                "the simulation diverges with the starting values of the parameters: give values nearer to "
-                "the truth"
+                "the simulation diverges with the initial parameter values: give better values"
             )
         for iteration in range(1, SETTINGS.most_steps + 1):
             self._progress(iteration / SETTINGS.most_steps, "prediction error")

@@ -68,8 +68,7 @@ def _joint_bounds(model: WeakModel, name: str) -> tuple[float, float]:
         low, high = max(low, ends[0]), min(high, ends[1])
         if low > high or (low == high == 0.0):
             raise UndertowError(
-                f"{other} = {factor:g} {name} leaves no value that is physical for both: check the sign of "
-                "the factor"
+                f"{other} = {factor:g} {name} leaves no physical value for both: check the sign of the factor"
             )
     return low, high
 
@@ -89,7 +88,7 @@ def check_known_leaders(model: WeakModel) -> None:
         value, (low, high) = factor * vehicle.value_of(other).value, _bounds(model, name)
         if other not in model.free and not low <= value <= high:
             raise UndertowError(
-                f"{name} = {factor:g} {other} makes {name} {value:g} (SI, SNAME signs), which has to lie "
+                f"{name} = {factor:g} {other} makes {name} {value:g} (SI, SNAME signs), but it must lie "
                 f"between {low:g} and {high:g}: check the factor and its sign"
             )
 
@@ -430,7 +429,7 @@ def _resolved(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> dict[
         if other in equal or not factor or not np.isfinite(factor):
             raise UndertowError(
                 f"{name} = {equal[name][1]:g} {equal[name][0]} ties a parameter to itself or to nothing: "
-                "give each parameter once on the left side, with a finite factor that is not zero"
+                "give each parameter once on the left side, with a finite, nonzero factor"
             )
         found[name] = (other, factor)
     return found
@@ -474,7 +473,7 @@ def _read(text: str) -> tuple[str, str, float]:
     except ValueError as error:
         raise UndertowError(f"{text!r}: {match[2]} is not a number") from error
     if not (np.isfinite(factor) and factor):
-        raise UndertowError(f"{text!r}: the factor is {factor:g}: give one that is finite and not zero")
+        raise UndertowError(f"{text!r}: the factor is {factor:g}: give a finite, nonzero one")
     return match[1], match[3], factor
 
 

@@ -160,7 +160,7 @@ def cut(
     `skip` s of a run.
     """
     if horizon is not None and not horizon > 0:
-        raise UndertowError(f"horizon = {horizon:g} s is not the length of a window: give a positive time")
+        raise UndertowError(f"horizon = {horizon:g} s: give a positive time")
     stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, skip)]
     if not any(len(s.starts) for s in stretches):
         _refuse(runs, stretches, horizon)

@@ -41,19 +41,19 @@ class Column(_Strict):
     offset: float = 0.0
     # Exponent of the magnitude of the cell; the sign stays (rpm |rpm| for 2).
     power: float = Field(default=1.0, gt=0)
-    # Cell that means no output at all: the value is zero there, whatever the offset (a pulse of 0 us of an
-    # output that is switched off); None: there is none.
+    # Cell value that means no output: the channel is zero there, whatever the offset (a pulse of 0 us of an
+    # output that is switched off).
     off: float | None = None
-    wrapped: bool | None = None  # whether the angle jumps by a turn and is to be unwrapped; None: only psi is
+    wrapped: bool | None = None  # whether to unwrap jumps by a full turn; default: only psi
     optional: bool = False  # whether a log may lack this column
-    # Column that is not zero in rows where this one has a new sample, for a sensor slower than the log that
-    # repeats its values (blank cells need no word); the column itself where no other tells: then a value that
-    # differs from the row before is new.
+    # For a sensor slower than the log that repeats its values: a column that is not zero in rows with a new
+    # sample of this one, or this column itself, if every change of its value is a new sample. Not needed if
+    # the cells in between are blank.
     fresh: str | None = Field(default=None, min_length=1)
-    # How late its stamps are, "0.12 s" or a number in s, as the doctor finds it: what is in a row was true
-    # that much earlier.
+    # How late its time stamps are, "0.12 s" or a number in s (the doctor estimates it): the value in a row
+    # was true that much earlier.
     delay: str | float = 0.0
-    # Standard deviation of the noise of the sensor, "2 cm" or a number in `unit`; None: it is estimated.
+    # Standard deviation of the sensor noise, "2 cm" or a number in `unit`; default: estimated from the log.
     noise: str | float | None = None
 
     def scaled(self, cells: Array, scale: float, offset: float) -> Array:
@@ -74,8 +74,8 @@ class Channel(_Strict):
 
     expression: str  # arithmetic in the cells of columns, see `Formula`
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
-    delay: str | float = 0.0  # as that of a column
-    wrapped: bool | None = None  # as that of a column
+    delay: str | float = 0.0  # as for a column
+    wrapped: bool | None = None  # as for a column
 
     def in_units_of(self, factor: float) -> Channel:
         """The formula with one unit as so many of another, in which its channel is wanted as it is."""
@@ -98,16 +98,15 @@ class Channel(_Strict):
 class Time(_Strict):
     """The time column."""
 
-    column: str = "t"  # its name
+    column: str = "t"  # name of the time column
     unit: str = "s"  # ``"s"``, ``"ms"``, ``"ns"`` … or ``"iso"``
     offset: float = 0.0  # added to all times, s
-    # What to do with rows whose time is not later than that of every row before.
+    # What to do with rows whose time is not later than that of all rows before.
     disorder: Literal["refuse", "drop"] = "refuse"
-    # Only every so many-th row is used, at most every 10^6-th: for pose logged much faster than the vehicle
-    # moves.
+    # Use only every n-th row (n up to 10^6): for pose logged much faster than the vehicle moves.
     every: int = Field(default=1, ge=1, le=1_000_000)
-    # Column that numbers the stretches to be used: each number is a run of its own, rows without one are left
-    # out (a vehicle on deck, an estimator that was reset).
+    # Column that numbers the stretches to use: each number is a separate run, rows without a number are left
+    # out (vehicle on deck, estimator reset).
     stretch: str | None = Field(default=None, min_length=1)
 
 
@@ -116,10 +115,10 @@ class Frames(_Strict):
 
     position: Literal["NED", "ENU"] = "NED"  # axes of x, y, z
     body: Literal["FRD", "FLU"] = "FRD"  # axes of u … r and tau_X … tau_N
-    # Whether phi, theta, psi turn FRD axes in NED (heading from north, clockwise) or FLU axes in ENU (heading
-    # from east, anticlockwise); None: as the other two, which then must belong together.
+    # Whether phi, theta, psi rotate FRD axes in NED (heading from north, clockwise) or FLU axes in ENU
+    # (heading from east, anticlockwise); default: as `position` and `body`, which then must agree.
     attitude: Literal["NED", "ENU"] | None = None
-    # Axes of u, v, w alone: body axes (those of `body`), or north, east, down or east, north, up.
+    # Axes of u, v, w only: body axes (those of `body`), north-east-down or east-north-up.
     velocity: Literal["body", "NED", "ENU"] = "body"
 
 
@@ -151,25 +150,24 @@ class LogMapping(_Strict):
     # time, frames: time base and axes.
     time: Time = Time()
     frames: Frames = Frames()
-    # Disturbance to be expected in each force or moment, rms: X = "0.4 N"; a number is in N or N m.
+    # Expected disturbance in each force or moment, rms: X = "0.4 N"; a number is in N or N m.
     disturbance: dict[Literal["X", "Y", "Z", "K", "M", "N"], str | float] = {}
-    # Velocity of the water, where the log has velocities through the water; None: they are over ground.
+    # Velocity of the water, if the log has velocities through the water; default: they are over ground.
     water: Water | None = None
     # delimiter, decimal, comment: how the text is written; `comment` is a prefix of lines to skip.
     delimiter: str = Field(default=",", min_length=1, max_length=1, pattern=r"[\x01-\x7f]")
     decimal: Literal[".", ","] = "."
     comment: str | None = Field(default=None, min_length=1, max_length=5)
-    # Texts and numbers that stand for a missing sample, besides empty cells and NaN.
+    # Texts and numbers that mean a missing sample, besides empty cells and NaN.
     missing: tuple[float | str, ...] = ()
-    # What to do with cells that are no numbers; the unit of a column's cells ("1.76V") is no reason.
+    # What to do with cells that are not numbers; a number with a unit ("1.76V") is one.
     not_numbers: Literal["refuse", "missing"] = "refuse"
     ignore: tuple[str, ...] = ()  # columns to leave out without a note
-    missing_commands: CommandPolicy = "refuse"  # what to do where a command has no sample
-    # Motions that a rig (towing carriage, planar motion mechanism) holds at rest, or moves as their columns
-    # say; "unlogged": all that have no column.
+    missing_commands: CommandPolicy = "refuse"  # what to do if a command has no sample
+    # Motions held at rest by a rig (towing carriage, planar motion mechanism), or moved as logged;
+    # "unlogged": all without a column.
     held: Held = ()
-    # Folder with definitions that a log does not hold itself: of messages of ROS (.msg), of the sensors of a
-    # glider (.cac).
+    # Folder with definitions that are not in the log: ROS messages (.msg), glider sensors (.cac).
     messages: Path | None = None
 
 

@@ -172,7 +172,7 @@ def choose(
     first; of a single one every third part.
     """
     every = [*logs, *holdout]
-    progress(0.0, "finding the vehicle's band")
+    progress(0.0, "finding the bandwidth of the vehicle")
     found = band(vehicle, every)
     spools = _spooled(vehicle, every, found, progress)
     regressor = Regressor(vehicle)
@@ -180,7 +180,7 @@ def choose(
     cut = _cut(spools, found, samples[0])
     cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_stretches()))]
     kept = _kept([log.path for log in logs], len(holdout), budget)
-    progress(0.6, "information of every stretch")
+    progress(0.6, "information in every stretch")
     pools = _pools(cut, spools, kept, budget)
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
     progress(0.95, "taking stretches")

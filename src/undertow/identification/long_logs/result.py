@@ -28,24 +28,24 @@ class WholeLog(ResultTable):
     sha256: str
     samples: int  # rows that were used
     seconds: float
-    dropped: int  # rows that were left out because they were not later than one before
-    gaps: int  # steps of more than five usual ones
+    dropped: int  # rows left out because they were not later than an earlier one
+    gaps: int  # steps longer than five usual ones
     longest_gap: float  # s
     missing: dict[str, float]  # share of the rows without a value, of channels that lack some
-    # Whether the whole of it was kept for validation; of a single log some parts are.
+    # Whether it was used only for validation; of a single log, parts are.
     holdout: bool
 
 
 class ChosenStretch(ResultTable):
-    """A stretch that was used, in the order in which they were chosen."""
+    """A stretch that was used; listed in the order of choice."""
 
     log: str
     start: float  # s
     end: float  # s
     samples: int  # after the log was thinned
     role: Role
-    # What it added to the logarithm of the determinant of the information, and the motion whose equation had
-    # most of that; zero and empty where there was room for all.
+    # gain: increase of the logarithm of the determinant of the information; most: motion whose equation
+    # gained most. Zero and empty if all stretches were used.
     gain: float
     most: str
 
@@ -56,13 +56,13 @@ class ModelOnTheRest(ResultTable):
     model: str
     error: float | None  # error of the velocities, a share of the motion, geometric mean over the velocities
     channels: dict[str, float | None]
-    diverged: int  # windows, which are left out of the errors
-    lowest: float | None  # of pieces of the rest
-    highest: float | None
+    diverged: int  # diverging windows, which are left out of the errors
+    lowest: float | None  # lowest error of a piece of the rest
+    highest: float | None  # highest error of a piece of the rest
 
 
 class Rest(ResultTable):
-    """The check over all that was not used."""
+    """The check on all the data that was not used."""
 
     seconds: float
     samples: int
@@ -80,18 +80,18 @@ class Rest(ResultTable):
 
 
 class LongLogs(ResultTable):
-    """How logs that are longer than a fit takes were thinned, and which stretches of them were used."""
+    """How long logs were thinned, and which stretches of them were used."""
 
     logs: list[WholeLog]
-    every: int  # rows that became one
-    rate: float  # rows per second after that
+    every: int  # number of rows averaged into one
+    rate: float  # rows per second after thinning
     fastest: float | None  # time constants of the vehicle in these logs, s
     slowest: float | None
-    stretches: int  # into which the logs were cut
-    seconds: float  # length of each
+    stretches: int  # number of stretches
+    seconds: float  # length of a stretch, s
     chosen: list[ChosenStretch]
-    # Share of the information on the parameters that the chosen stretches hold: the root of the ratio of the
-    # determinants, of as high an order as there are directions.
+    # Share of the information on the parameters in the chosen stretches: ratio of the determinants to the
+    # power of 1 / number of parameter directions.
     held: float
     held_by_motion: dict[str, float]
     rest: Rest | None = None
@@ -107,11 +107,9 @@ class LongLogs(ResultTable):
         validation = [log.name for log in self.logs if log.holdout]
         own = self._of("holdout")
         if validation:
-            lines.append(
-                f"kept for validation as a whole: {', '.join(validation)}; {self._span(own)} of it used"
-            )
+            lines.append(f"used only for validation: {', '.join(validation)}; {self._span(own)} of it used")
         elif own:
-            lines.append(f"{self._span(own)} apart from these for validation")
+            lines.append(f"{self._span(own)} in addition, for validation")
         return lines + ([self.rest.sentence()] if self.rest else [])
 
     def _of(self, role: Role) -> list[ChosenStretch]:
@@ -124,9 +122,11 @@ class LongLogs(ResultTable):
     def _thinned(self) -> str:
         samples = sum(log.samples for log in self.logs)
         span = sum(log.seconds for log in self.logs)
-        why = f"the fastest time constant is {self.fastest:.2g} s" if self.fastest else "nothing dies away"
-        done = f"every {self.every} rows became one: {self.rate:.3g} Hz, for {why}"
-        return f"{samples} samples, {_time(span)}; {done if self.every > 1 else 'not thinned, for ' + why}"
+        why = f"the fastest time constant is {self.fastest:.2g} s" if self.fastest else "nothing decays"
+        done = f"thinned from {self.every} rows to one, to {self.rate:.3g} Hz, because {why}"
+        return (
+            f"{samples} samples, {_time(span)}; {done if self.every > 1 else 'not thinned, because ' + why}"
+        )
 
     def _chosen(self) -> str:
         used = self._of("train")
@@ -137,8 +137,8 @@ class LongLogs(ResultTable):
         return (
             f"{len(used)} of {self.stretches} stretches of {self.seconds:.3g} s, "
             f"{_time(sum(s.end - s.start for s in used))} of {_time(whole)}, hold {self.held:.0%} of the "
-            f"information on the parameters (least in {least}: {self.held_by_motion[least]:.0%}); taken "
-            f"because they add most to what is known of {tell}"
+            f"information on the parameters (least in {least}: {self.held_by_motion[least]:.0%}); chosen "
+            f"because they add most information on {tell}"
         )
 
 

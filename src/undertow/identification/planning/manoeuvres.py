@@ -345,7 +345,7 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
     """
     if vehicle.inputs:
         raise UndertowError(
-            f"no plan chooses {', '.join(vehicle.inputs)}: plan with a vehicle file whose inputs are empty"
+            f"a plan cannot choose {', '.join(vehicle.inputs)}: plan with a vehicle file without inputs"
         )
     for name, value in asked.items():
         if name not in ("", *vehicle.command_names):
@@ -353,7 +353,7 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
             raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
         if not (value > 0 and np.isfinite(value)):
             raise UndertowError(
-                f"--limit {name or 'of all'} = {value:g} cannot be a limit: give a positive value"
+                f"--limit {name or 'of all'} = {value:g} is not a limit: give a positive value"
             )
     stated = vehicle.command_limits
     found = [_limit(n, asked, stated.get(n), runs) for n in vehicle.command_names]
@@ -375,7 +375,7 @@ def _limit(
     largest = [float(np.nanmax(np.abs(r.channels[name]))) for r in runs if r.has(name)]
     if not largest or not max(largest) > 0:
         raise UndertowError(
-            f"nothing says how large the command '{name}' may be: give --limit {name}=VALUE (or --limit "
+            f"no limit is known for the command '{name}': give --limit {name}=VALUE (or --limit "
             "VALUE for all), or write limit = ... into the vehicle file"
         )
     return max(largest), "largest in the logs"
@@ -444,15 +444,15 @@ def planned_noise(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[R
             )
         if not value > 0:
             raise UndertowError(
-                f"--noise {name} = {value:g} cannot be a noise: give a positive standard deviation"
+                f"--noise {name} = {value:g} is not a noise: give a positive standard deviation"
             )
     found = [_noise(n, asked, runs) for n in names]
     sigma = np.array([s for s, _ in found])
     for name in vehicle.velocity_names:
         if not np.isfinite(sigma[names.index(name)]):
             raise UndertowError(
-                f"--noise {name}=none: no plan without velocities; give the noise of '{name}' as it is taken "
-                "from the pose, or logs that hold the pose alone"
+                f"--noise {name}=none: a plan needs velocities; give the noise of '{name}' derived from the "
+                "pose, or logs that hold only the pose"
             )
     derived = frozenset(name for run in runs for name in run.derived)
     return ChannelNoise(names, sigma, tuple(source for _, source in found), derived)

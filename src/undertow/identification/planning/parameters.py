@@ -121,7 +121,7 @@ class PlanSearch(ABC):
         exploring = max(round(SETTINGS.exploring * self._tries), len(families))
         for i in range(exploring):
             family = families[i % len(families)]
-            self._try(Design(family, self._rng.random(family.size)), "looking for a manoeuvre")
+            self._try(Design(family, self._rng.random(family.size)), "searching for a manoeuvre")
         leaders = sorted(self._leaders.values(), key=lambda pair: -pair[0])[: SETTINGS.short_list]
         # A quarter of what is left for the leader, an eighth for the next; then all the rest for the best.
         for rank, (value, design) in enumerate(leaders):

@@ -141,21 +141,21 @@ def _prior(vehicle: Vehicle, names: Sequence[str | None]) -> Array:
 def remarks_on(known: Knowledge, runs: Sequence[Run]) -> list[str]:
     """What to know about the numbers before a manoeuvre."""
     if not runs:
-        return ["no logs are given: what is known now is what the vehicle file states"]
+        return ["no logs are given: present knowledge is what the vehicle file states"]
     remarks = []
     twice = [n for n in known.free if _fitted_to(known.vehicle, n, runs)]
     if twice:
         names = ", ".join(twice)
-        remarks.append(f"stated errors of {names} come from a fit to these logs and do not count again")
+        remarks.append(f"stated errors of {names} come from a fit to these logs and are not counted twice")
     widest = float(np.max(known.spread, initial=1.0))
     if known.misfit >= SETTINGS.misfit:
         remarks.append(
-            "the model misses too much of these logs to fit it: planned with the values of its file"
+            "the model fits these logs too poorly to estimate from them: planned with the values in its file"
         )
     if widest > SETTINGS.wide:
         remarks.append(
-            f"the model leaves more than noise on these logs: errors are up to {widest:.2g} times as wide as "
-            "by noise alone, now and after the manoeuvre; undertow diagnose looks for what is missing"
+            f"the model leaves more than noise on these logs: errors are up to {widest:.2g} times as large "
+            "as from noise alone, now and after the manoeuvre; undertow diagnose looks for what is missing"
         )
     return remarks
 
@@ -267,7 +267,7 @@ class PlanRequest:
         duration, rate = self.duration, self.rate
         if not (duration > 0 and rate > 0 and np.isfinite(duration * rate)):
             raise UndertowError(
-                f"a manoeuvre of {duration:g} s at {rate:g} samples/s is none: give positive numbers"
+                f"a manoeuvre of {duration:g} s at {rate:g} samples/s is impossible: give positive numbers"
             )
         samples = round(duration * rate)
         if not SETTINGS.fewest_samples <= samples <= SETTINGS.most_samples:
@@ -303,7 +303,7 @@ class PlanningProblem:
         self.limits = command_limits(vehicle, request.limits, runs)
         if not len(self.limits.value):
             raise UndertowError(
-                f"'{vehicle.name}' has no thruster and no known force: nothing can be planned"
+                f"'{vehicle.name}' has no thruster and no known force, so nothing can be planned"
             )
         self.noise = planned_noise(vehicle, request.noise, runs)
         self.push = pushes(plants[0].functions, self.limits.value, self.depth)
@@ -351,7 +351,7 @@ class PlanningProblem:
             for dof, value in self.trim.left.items()
         )
         raise UndertowError(
-            f"no manoeuvre of {self.request.duration:g} s stays within the limits, {option} is exceeded "
+            f"no manoeuvre of {self.request.duration:g} s stays within the limits; {option} is exceeded "
             f"most{why}: raise it, or plan a shorter manoeuvre"
         )
 

@@ -183,18 +183,18 @@ def _planned(
 def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float | None) -> list[str]:
     """What to mind before the manoeuvre is carried out."""
     lines = [
-        f"the actuators cannot balance {value:.3g} {'N' if dof == 'heave' else 'N m'} in {dof} at rest: "
-        "the vehicle does not keep its depth and attitude"
+        f"the actuators cannot balance {value:.3g} {'N' if dof == 'heave' else 'N m'} in {dof} at rest: the "
+        "vehicle does not hold its depth and attitude"
         for dof, value in problem.trim.left.items()
     ]
     rise = _rise(problem, manoeuvre)
     if rise > problem.depth:
-        lines.append(f"the vehicle rises up to {rise:.2g} m above where it starts: begin deeper than that")
+        lines.append(f"the vehicle rises up to {rise:.2g} m above its start: begin deeper than that")
     depth = extremes_of(problem, manoeuvre).get("depth", 0.0)
     if spread is not None and depth + spread > problem.motion.depth:
         lines.append(
-            f"flown open loop, the depth may be {spread:.2g} m off the prediction by the end, going by what "
-            "is known now: hold it by hand or with a controller, and log the commands"
+            f"in open loop, the depth may differ by {spread:.2g} m from the prediction by the end, with "
+            "present knowledge: hold it by hand or with a controller, and log the commands"
         )
     return lines
 

@@ -225,7 +225,7 @@ def neutral_values(candidate: Candidate) -> dict[str, float]:
 def _checked(effect: str, vehicle: Vehicle, known: Catalogue) -> Candidate:
     cls = lookup(effect, known)
     if cls.built_in:
-        raise UndertowError(f"'{effect}' comes with the actuators and is in every model: name another effect")
+        raise UndertowError(f"'{effect}' belongs to the actuators and is in every model: name another effect")
     candidate = Candidate(cls, vehicle)
     if not candidate.parameters:
         raise UndertowError(
@@ -344,13 +344,13 @@ def specs_of(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue) -> list[R
     """The rivals that a diagnosis leaves, with the values that it found."""
     if diagnosed.vehicle != vehicle.name:
         raise UndertowError(
-            f"the diagnosis is of '{diagnosed.vehicle}', the vehicle file of '{vehicle.name}': give those "
-            "that belong together"
+            f"the diagnosis is of '{diagnosed.vehicle}', the vehicle file is of '{vehicle.name}': give "
+            "those that belong together"
         )
     rivals = diagnosed.rivals
     if rivals == [NONE]:
         raise UndertowError(
-            f"the diagnosis ({diagnosed.verdict}) names no effect to tell apart: name some with --between"
+            f"the diagnosis ({diagnosed.verdict}) names no effects to tell apart: name some with --between"
         )
     return [_spec(diagnosed, vehicle, known, effect) for effect in rivals]
 

@@ -247,26 +247,27 @@ class _SeparationSearch(PlanSearch):
 
     def _remarks(self, pairs: Sequence[Separation]) -> list[str]:
         lines = [
-            f"no manoeuvre that was tried tells {' and '.join(p.pair)} apart: the best leaves them "
-            f"{p.deviations:.2g} standard deviations from each other"
+            f"no manoeuvre that was tried tells {' and '.join(p.pair)} apart: with the best they differ by "
+            f"only {p.deviations:.2g} standard deviations"
             for p in pairs
             if p.deviations < SETTINGS.separated
         ]
         now = [p.deviations_now for p in pairs]
         if all(d is not None and d > SETTINGS.separated for d in now):
             lines.append(
-                "the logs tell all of these models apart as it is: undertow diagnose says which is right"
+                "the existing logs already tell all of these models apart: undertow diagnose says "
+                "which is right"
             )
         assumed = [r.name for r in self.rivals if r.source == "typical size"]
         if assumed:
             lines.append(
-                f"nothing is known of the size of {' and '.join(assumed)}: planned with a tenth of the "
+                f"nothing is known about the size of {' and '.join(assumed)}: planned with a tenth of the "
                 "actuators' force, or of the velocities; a diagnosis or logs would say more"
             )
         if self.spread > SETTINGS.wide:
             lines.append(
-                "even the best of the models leaves more than noise on the logs: distances are counted as if "
-                f"the noise were {self.spread:.2g} times larger"
+                "even the best of the models leaves more than noise on the logs: distances are computed as "
+                f"if the noise were {self.spread:.2g} times larger"
             )
         return lines
 
@@ -309,13 +310,13 @@ def suggest(
     between = " and ".join(apart.pair)
     if apart.deviations < SETTINGS.separated:
         words = (
-            f"No manoeuvre of {plan.duration:g} s that was tried would tell {between} apart: the best leaves "
-            f"them {apart.deviations:.2g} standard deviations from each other."
+            f"No manoeuvre of {plan.duration:g} s that was tried would tell {between} apart: with the best "
+            f"they differ by only {apart.deviations:.2g} standard deviations."
         )
         return words, False
     now = "" if apart.deviations_now is None else f" (these logs: {_plainly(apart.deviations_now)})"
     words = (
-        f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would set {between} "
+        f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would put {between} "
         f"{_plainly(apart.deviations)} standard deviations apart{now}; write it with undertow plan "
         f"--goal separate --between {','.join(ids)}."
     )

@@ -25,7 +25,7 @@ from .sentences import as_stated, changes, rises, shown, step_changes, useless
 class FittedParameter(ResultTable):
     """A parameter after the fit, in the units and signs of the vehicle file.
 
-    `bound` is the error that the noise of the sensors alone would leave (Cramér-Rao), `t` the magnitude over
+    `bound` is the error that sensor noise alone would leave (Cramér-Rao), `t` the magnitude over
     the standard error, `identified` what the logs determine of it. What is not known is null.
     """
 
@@ -40,19 +40,15 @@ class FittedParameter(ResultTable):
 
 
 class ChannelError(ResultTable):
-    """Error of a predicted velocity as a share of its motion; null where the prediction diverges."""
+    """Error of a predicted velocity as a share of its motion; null if the prediction diverges."""
 
     velocity: str
-    before: float | None
-    after: float | None
+    before: float | None  # with the model as given
+    after: float | None  # with the refitted model
 
 
 class FitResult(ResultTable):
-    """Outcome of `undertow fit`: errors of predicted velocities on the validation data, as shares.
-
-    `error_before`, `error_after` and `channels` are those `horizon` s ahead; `ahead_before` and `ahead_after`
-    those over the vehicle's own horizons, null where a prediction diverges.
-    """
+    """Outcome of `undertow fit`: errors of predicted velocities on the validation data, as shares."""
 
     schema_id: Literal["undertow/fit/1"] = "undertow/fit/1"
     undertow: str = __version__
@@ -60,12 +56,12 @@ class FitResult(ResultTable):
     command: str
     method: str
     runs: list[RunInfo]
-    horizon: float
-    error_before: float | None
-    error_after: float | None
-    ahead_before: dict[str, float | None]
-    ahead_after: dict[str, float | None]
-    channels: list[ChannelError]
+    horizon: float  # s
+    error_before: float | None  # `horizon` s ahead, with the model as given; null if it diverges
+    error_after: float | None  # the same with the refitted model
+    ahead_before: dict[str, float | None]  # by the vehicle's own horizons, as given
+    ahead_after: dict[str, float | None]  # the same, refitted
+    channels: list[ChannelError]  # by velocity, `horizon` s ahead
     parameters: list[FittedParameter]
     by_run: list[ValuesByRun] = Field(default_factory=list)
     condition: float | None
@@ -73,7 +69,7 @@ class FitResult(ResultTable):
     notes: list[str] = Field(default_factory=list)
     # Doubts about values, by parameter: not identifiable, at a bound, far from the prior.
     remarks: dict[str, list[str]] = Field(default_factory=dict)
-    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    # How long logs were thinned and which stretches were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
     @property
@@ -121,7 +117,7 @@ class AdditionResult(ResultTable):
     p_value: float
     parameters: list[Estimate]
     dropped: list[str]
-    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    # How long logs were thinned and which stretches were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
 
@@ -157,12 +153,12 @@ def _what_it_does(addition: Addition) -> str:
     before, after = addition.ahead
     errors = f"over all horizons together the error {_verb(before, after)}"
     if rises(before, after):
-        return f"{change}; {errors}, so that it is not worth adding."
+        return f"{change}; {errors}, so it is not worth adding."
     old, new = addition.before.error, addition.after.error
     force = "falls, which may be chance," if new < old else "does not fall"
     return (
-        f"{change}; {errors}, too little to be worth adding for that alone ({DEFAULT.worth:.0%}), and that "
-        f"of the force {force} ({old:.4g} to {new:.4g} times the noise)."
+        f"{change}; {errors}, less than an effect has to be worth ({DEFAULT.worth:.0%}), and the error of "
+        f"the force {force} ({old:.4g} to {new:.4g} times the noise)."
     )
 
 

@@ -221,7 +221,7 @@ def _checked(factors: Sequence[str]) -> Column:
 
 def _periodic(spectrum: Spectrum, row: int, seconds: float) -> Iterator[Coefficient]:
     if not (isfinite(spectrum.period) and spectrum.period > 0):
-        raise UndertowError(f"a period of {spectrum.period} s cannot be: is this a diagnosis?")
+        raise UndertowError(f"a period of {spectrum.period} s is impossible: is this a diagnosis?")
     omega = 2 * pi / spectrum.period
     bounds, near = (0.5 * omega, 2 * omega), pi / (2 * seconds)
     in_time = InTime(f"omega_{FORCE[row]}", "rad/s", "angular frequency", omega, near, bounds)

@@ -95,7 +95,7 @@ def step_changes(before: Step, after: Step) -> str:
     gained, horizon = _longest_fall(before.position, after.position)
     if gained >= max(DEFAULT.worth, of_velocities):
         sizes = " to ".join(f"{step.position[horizon]:.2g}" for step in (before, after))
-        said.append(f"brings that of the position over {horizon} from {sizes} m")
+        said.append(f"lowers the position error over {horizon} from {sizes} m")
     return listed([part for part in said if part])
 
 
@@ -117,8 +117,8 @@ def useless(relative: Mapping[str, float | None]) -> str:
     motions = listed([DOFS[VELOCITY.index(n)] for n in worse])
     sizes = ", ".join(shown(e, 3) + ("" if e is None or not isfinite(e) else " %") for e in worse.values())
     return (
-        f"Worse than no model at all in {motions} ({sizes}): first check sides and signs of the commands and "
-        "axes (undertow doctor)."
+        f"Worse than no model at all in {motions} ({sizes}): first check the signs of commands and axes "
+        "(undertow doctor)."
     )
 
 
@@ -133,10 +133,10 @@ def as_stated(given: Step, after: Step, changed: str) -> str:
     A refit may be worse on validation data than the file, so that falling below the refit means little.
     """
     if not given.ahead:
-        return "As it is in the vehicle file, the model diverges."
+        return "With the values of the vehicle file, the model diverges."
     better = any(rises(after.ahead.get(h), given.ahead[h]) for h in _horizons([given.ahead]))
-    than = "" if better else f"; {changed} it predicts no better than that"
-    return f"As it is in the vehicle file, the model has {errors(given.ahead)}{than}."
+    than = "" if better else f"; {changed}, it predicts no better"
+    return f"With the values of the vehicle file, the model has {errors(given.ahead)}{than}."
 
 
 def refit_is_worse(stated: Mapping[str, float], refitted: Mapping[str, float], times: float) -> str:
@@ -146,8 +146,9 @@ def refit_is_worse(stated: Mapping[str, float], refitted: Mapping[str, float], t
         return ""
     return (
         "The refitted model predicts worse on validation data than the values of the vehicle file: "
-        f"{errors(there)} as stated, {errors(refitted)} refitted. The logs differ in more than the model "
-        "has: free fewer parameters, state how well they are known (sigma), or fit to more runs."
+        f"{errors(there)} as stated, {errors(refitted)} refitted. The logs differ in ways that the model "
+        "cannot represent: estimate fewer parameters, state how well they are known (sigma), or fit to "
+        "more runs."
     )
 
 
@@ -195,21 +196,24 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
     helping = listed(diagnosis.helps)
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
-    disturbance = "; the rest is a disturbance, which no model of these signals predicts"
+    disturbance = "; the rest is a disturbance that no model of these signals can predict"
     use = disturbance if diagnosis.predictable else ", and can be used as it is"
     apart = (
-        ": record the run that tells them apart before one of them is taken for the cause"
+        ": record the run that tells them apart before taking one of them for the cause"
         if _separable(diagnosis)
-        else ", and no run that was tried would tell them apart: take any to predict, and none for the cause"
+        else (
+            ", and no run that was tried would tell them apart: use any of them to predict, and take "
+            "none for the cause"
+        )
     )
     sentences: dict[str, str] = {
-        "adequate": f"Nothing is missing that these logs could show: {left}{use}.",
+        "adequate": f"These logs show nothing missing: {left}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
-        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same or much of it{apart}.",
-        "helps_prediction": f"{change}, but is not established as the cause: take it to predict, not to "
+        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same, or most of it{apart}.",
+        "helps_prediction": f"{change}, but it is not established as the cause: use it to predict, not to "
         "explain.",
-        "not_identifiable": f"Something is missing and these logs do not say what: {left}; record a run with "
-        "other motions.",
+        "not_identifiable": f"Something is missing, but these logs do not say what: {left}; record a run "
+        "with different motions.",
     }
     unexplained = f"No effect of the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
     freed = diagnosis.verdict == "adequate" and diagnosis.freed
@@ -293,12 +297,12 @@ def _terms(diagnosis: Diagnosis) -> bool:
 def _where_to_look(diagnosis: Diagnosis) -> str:
     worst = max(diagnosis.remaining, key=lambda r: r.normalised_error, default=None)
     if worst is None:
-        return "let the doctor look at the logs"
+        return "check the logs with undertow doctor"
     place = f"most of what is left is in {worst.degree_of_freedom}"
     if not _terms(diagnosis):
         return (
-            f"{place}, and correlates with nothing that was logged: more runs may show what it depends on, "
-            "and the doctor whether the logs are sound"
+            f"{place}, and correlates with nothing that was logged: more runs may show what it depends on; "
+            "undertow doctor checks the logs"
         )
     described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
-    return f"{place}; an effect can be made of the force that is left in {listed(described)}"
+    return f"{place}; undertow effects new makes an effect of the residual force in {listed(described)}"

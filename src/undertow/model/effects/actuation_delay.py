@@ -10,7 +10,7 @@ class ActuationDelay(Actuation):
 
     id = "actuation_delay"
     reference = "transport delay; Ljung (1999), System Identification, section 4.2 (dead time)"
-    signature = "the vehicle answers late but then sharply"
+    signature = "the vehicle responds late but then sharply"
     stage = 50
 
     delay = Parameter("s", "dead time", (0.0, 5.0), linear=False, starts=(0.05, 0.3, 1.0))

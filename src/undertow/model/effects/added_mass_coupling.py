@@ -12,7 +12,7 @@ class AddedMassCoupling(Wrench):
     id = "added_mass_coupling"
     family = "inertia"
     reference = "Fossen (2021), chapter 6 (M_A symmetric with off-diagonal terms, C_A from the same matrix)"
-    signature = "one motion answers, without delay, to the acceleration of another"
+    signature = "one motion responds, without delay, to the acceleration of another"
     scales_with = "inertia"
 
     coefficients = DerivativeMatrix(

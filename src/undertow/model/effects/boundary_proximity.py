@@ -33,14 +33,14 @@ class BoundaryProximity(Wrench):
         "Happel and Brenner (1983), Low Reynolds Number Hydrodynamics, chapter 7 (walls raise drag); "
         "fading by an exponential"
     )
-    signature = "all motions are damped more in one part of the basin, the more so the closer to its border"
+    signature = "all motions are damped more in one part of the basin, the more the closer to its border"
     shares = ("linear_damping", "quadratic_damping", "cubic_damping")
     dissipative = True
 
-    boundary_rise = Parameter("1", "share by which the damping is raised at the boundary", (0, inf))
+    boundary_rise = Parameter("1", "relative increase of the damping at the boundary", (0, inf))
     fade_N = Parameter(
         "1/m",
-        "fading of the rise away from it, north part",
+        "decay of that increase away from it, north part",
         (-50, 50),
         linear=False,
         starts=(0, 1),

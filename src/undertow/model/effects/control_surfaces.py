@@ -27,7 +27,7 @@ class ControlSurfaces(Wrench):
         "Yasukawa and Yoshimura (2015), MMG standard method (rudder normal force, flow straightening, "
         "acceleration by the propeller); Fossen (2021), chapter 9"
     )
-    signature = "no force in answer to an angle, or no loss of speed in turns"
+    signature = "no force in response to an angle, or no loss of speed in turns"
     built_in = True
     shares = ("thrusters", "propellers")
 
@@ -39,14 +39,19 @@ class ControlSurfaces(Wrench):
     )
     C_D = PerSurface("1", "drag coefficient at zero angle", (0, inf))
     wake = PerSurface(
-        "1", "share of the speed ahead that the wake takes", (-1, 1), linear=False, default=0.0, neutral=None
+        "1", "wake fraction of the speed ahead", (-1, 1), linear=False, default=0.0, neutral=None
     )
     straightening = PerSurface(
-        "1", "share of the flow across that the hull leaves", (0, 2), linear=False, default=1.0, neutral=None
+        "1",
+        "flow straightening: share of the transverse flow that remains",
+        (0, 2),
+        linear=False,
+        default=1.0,
+        neutral=None,
     )
     flow_lever = PerSurface(
         "1",
-        "lever of the turning rate in the flow across, over that of the place",
+        "lever of the turning rate in the transverse flow, over the geometric lever",
         (0, 4),
         linear=False,
         default=1.0,
@@ -57,7 +62,7 @@ class ControlSurfaces(Wrench):
     )
     slipstream = PerSurface(
         "1",
-        "speed gained at the surface over that far behind the propeller",
+        "velocity increase at the surface over that far behind the propeller",
         (0, 1.5),
         linear=False,
         default=0.5,
@@ -65,7 +70,7 @@ class ControlSurfaces(Wrench):
     )
     a_H = PerSurface(
         "1",
-        "force on the hull across, per that of the surface",
+        "transverse force on the hull per force of the surface",
         (0, 2),
         linear=False,
         default=0.0,
@@ -76,7 +81,7 @@ class ControlSurfaces(Wrench):
     )
     t_R = PerSurface(
         "1",
-        "share of the drag by steering that the hull takes back",
+        "share of the steering drag recovered by the hull",
         (0, 1),
         linear=False,
         default=0.0,

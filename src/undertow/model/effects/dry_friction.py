@@ -33,7 +33,7 @@ class DryFriction(Wrench):
     coefficients = DerivativeMatrix(
         "{F}_sign{m}", ("1", "1"), DIAGONAL, "{force} against {motion}, whatever the speed", bounds=(-inf, 0)
     )
-    friction_speed = _width("m/s", "speed at which friction is fully there")
+    friction_speed = _width("m/s", "speed at which friction is fully developed")
     friction_rate = _width("rad/s", "the same for rotations")
 
     def wrench(self, s: Signals) -> sm.Matrix:

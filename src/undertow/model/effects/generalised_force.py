@@ -11,7 +11,7 @@ class GeneralisedForce(Wrench):
     id = "generalised_force"
     family = "actuation"
     reference = "SNAME (1950) notation of forces and moments"
-    signature = "no motion in answer to the force"
+    signature = "no motion in response to the force"
     built_in = True
 
     def wrench(self, s: Signals) -> sm.Matrix:

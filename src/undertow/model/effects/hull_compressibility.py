@@ -19,8 +19,10 @@ class HullCompressibility(Wrench):
     reference = "Fossen (2021), chapter 4 (buoyancy rho g V), V linear in the pressure by Hooke's law"
     signature = "the vertical command that holds depth changes steadily with the depth"
 
-    B_depth = Parameter("N/m", "change of the buoyancy per metre of depth, negative where the hull gives way")
-    B_surface = Parameter("N", "buoyancy minus weight at the surface, beyond what the model has", alone=False)
+    B_depth = Parameter(
+        "N/m", "change of the buoyancy per metre of depth, negative if the hull is compressed"
+    )
+    B_surface = Parameter("N", "buoyancy minus weight at the surface, in addition to the model", alone=False)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         excess = self.B_surface + self.B_depth * s.eta[2]

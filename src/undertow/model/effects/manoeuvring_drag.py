@@ -19,7 +19,7 @@ class ManoeuvringDrag(Wrench):
         "Yasukawa and Yoshimura (2015), MMG standard method (hull surge force with X_vv, X_vr and X_rr); "
         "Gertler and Hagen (1967), Standard equations of motion for submarine simulation (X_ww, X_wq, X_qq)"
     )
-    signature = "in turns the vehicle is slower, or faster, than the model, to either side alike"
+    signature = "in turns the vehicle is slower, or faster, than the model, the same to either side"
 
     X_vv = Parameter("N/(m/s)^2", "surge force per sway velocity squared")
     X_vr = Parameter("N/(m/s)/(rad/s)", "surge force per sway velocity times yaw rate")

@@ -32,6 +32,7 @@ class NetBuoyancy(Wrench):
         surplus, most = values.get("B_net", 0.0), (limits.buoyancy - 1) * values.get("m", 0.0) * values["g"]
         if most and abs(surplus) > most and "B_net" not in moved:
             yield (
-                f"B_net = {surplus:g} N cannot be of a vehicle that weighs {values['m'] * values['g']:.4g} N "
-                f"(possible: up to {most:.4g} N either way): correct it or its unit"
+                f"B_net = {surplus:g} N is impossible for a vehicle that weighs "
+                f"{values['m'] * values['g']:.4g} N (possible: up to {most:.4g} N either way): correct it "
+                "or its unit"
             )

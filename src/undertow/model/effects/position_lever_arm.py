@@ -21,12 +21,14 @@ class PositionLeverArm(Measurement):
     stage = 10
 
     x_fix = Parameter(
-        "m", "place of the antenna, forward", (-200, 200), linear=False, starts=(0.0,), arm_of="1"
+        "m", "position of the antenna, forward", (-200, 200), linear=False, starts=(0.0,), arm_of="1"
     )
     y_fix = Parameter(
-        "m", "place of the antenna, to starboard", (-50, 50), linear=False, starts=(0.0,), arm_of="1"
+        "m", "position of the antenna, to starboard", (-50, 50), linear=False, starts=(0.0,), arm_of="1"
     )
-    z_fix = Parameter("m", "place of the antenna, down", (-50, 50), linear=False, starts=(0.0,), arm_of="1")
+    z_fix = Parameter(
+        "m", "position of the antenna, down", (-50, 50), linear=False, starts=(0.0,), arm_of="1"
+    )
 
     def reported(self, eta: sm.Matrix, nu: sm.Matrix, s: Signals) -> tuple[sm.Matrix, sm.Matrix]:
         swing = rotation(sm.Matrix(s.eta[3:])) * sm.Matrix([self.x_fix, self.y_fix, self.z_fix])

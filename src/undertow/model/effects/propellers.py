@@ -26,11 +26,11 @@ class Propellers(Wrench):
     K_T0 = PerThruster("1", "thrust coefficient at rest", (0, inf))
     K_T1 = PerThruster("1", "change of the thrust coefficient with the advance ratio", (-inf, 0))
     wake_fraction = PerThruster(
-        "1", "share of the speed ahead that the wake takes", (-1, 1), linear=False, default=0.0, neutral=None
+        "1", "wake fraction of the speed ahead", (-1, 1), linear=False, default=0.0, neutral=None
     )
     thrust_deduction = PerThruster(
         "1",
-        "share of the thrust that the hull takes back by its drag",
+        "share of the thrust lost to added drag of the hull",
         (-1, 1),
         linear=False,
         default=0.0,

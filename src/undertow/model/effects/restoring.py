@@ -74,7 +74,7 @@ class Restoring(Wrench):
     ) -> Iterator[str]:
         weight, most = values.get("W", 0.0), limits.buoyancy
         if weight <= 0:
-            yield f"W = {weight:g} N cannot be: every vehicle has a weight; remove it, so that it is m g"
+            yield f"W = {weight:g} N is impossible: every vehicle has a weight; remove W to use m g"
             return
         others = {"m g": values.get("m", weight / values["g"]) * values["g"], "B": values.get("B", 0.0)}
         for name, force in others.items():

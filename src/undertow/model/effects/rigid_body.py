@@ -22,7 +22,7 @@ class RigidBody(Wrench):
     family = "inertia"
     weighed = True
     reference = "Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 3"
-    signature = "acceleration answers a change of force by another amount than the mass says"
+    signature = "acceleration responds to a change of force by a different amount than the mass implies"
 
     taken = tuple(
         Taken(f"{a}_g", "restoring", (symbol(f"{a}_g"),), "m", unless=(f"m{a}_g",), only_where_silent=True)
@@ -78,7 +78,7 @@ class RigidBody(Wrench):
         low, high = limits.mass
         if not low <= values.get("m", 1.0) <= high:
             possible = f"possible: {low:g} to {high:g} kg"
-            yield f"m = {values['m']:g} kg cannot be ({possible}): correct it or its unit"
+            yield f"m = {values['m']:g} kg is impossible ({possible}): correct it or its unit"
             return
         axes = [a for a in "xyz" if f"I_{a}" in values]
         tensor = _about_centre(values)
@@ -108,7 +108,7 @@ def _moment(
 ) -> Iterator[str]:
     name, stated = f"I_{axis}", values[f"I_{axis}"]
     if stated <= 0:
-        yield f"{name} = {stated:g} kg m^2 cannot be: every body has some; give it about the body origin"
+        yield f"{name} = {stated:g} kg m^2 is impossible: every body has some; give it about the body origin"
     elif about <= 0:
         yield (
             f"{name} = {stated:g} kg m^2 about the body origin leaves {about:.3g} about the centre of "
@@ -133,7 +133,7 @@ def _triangle(tensor: list[list[float]], rounding: float) -> Iterator[str]:
             b, c = (a for a in "xyz" if a != axis)
             yield (
                 f"I_{axis} = {moments[i]:.4g} kg m^2 about the centre of gravity is more than I_{b} + I_{c} "
-                f"= {others:.4g}, which no body has: correct one of them"
+                f"= {others:.4g}, which is impossible: correct one of them"
             )
             return
     spread = [[sum(moments) / 2 * (i == j) - tensor[i][j] for j in range(3)] for i in range(3)]

@@ -22,7 +22,7 @@ class RudderDrag(Wrench):
         "Yasukawa and Yoshimura (2015), MMG standard method (surge force by steering, deduction t_R); "
         "Fossen (2021), chapter 9 (rudder forces)"
     )
-    signature = "the vehicle slows down whenever a rudder is deflected, to either side alike"
+    signature = "the vehicle slows down whenever a rudder is deflected, the same to either side"
     requires = ("rudder_force",)
     dissipative = True
 

@@ -23,12 +23,12 @@ class Slosh(Wrench):
     reference = (
         "Ibrahim (2005), Liquid Sloshing Dynamics: Theory and Applications (equivalent mechanical models)"
     )
-    signature = "after a change of thrust the speed swings at one frequency that no other term has"
+    signature = "after a change of thrust the speed oscillates at one frequency that no other term has"
 
     m_slosh = Parameter("kg", "mass that swings", (0, inf))
     slosh_frequency = Parameter(
         "rad/s",
-        "its angular frequency in a hull held fast",
+        "its angular frequency in a fixed hull",
         (0.1, 30),
         linear=False,
         starts=(0.4, 0.5, 0.63, 0.8, 1, 1.25, 1.6, 2, 2.5, 3.2, 4, 5, 6.3),  # a resonance is narrow

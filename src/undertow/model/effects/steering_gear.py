@@ -14,7 +14,7 @@ class SteeringGear(Actuation):
 
     id = "steering_gear"
     reference = "Fossen (2021), chapter 9 (steering machine: first order, with a limit of the rate)"
-    signature = "the turning answers a step of the rudder late, the more so the larger the step"
+    signature = "the yaw rate responds late to a step of the rudder, the later the larger the step"
     stage = 40
     of_surfaces = True
     requires = ("control_surfaces",)

@@ -12,7 +12,7 @@ class ThrusterDeadband(Actuation):
     reference = (
         "dead zone, output c - w sgn(c) outside |c| < w; Khalil (2002), Nonlinear Systems, section 1.2"
     )
-    signature = "no answer at all to small commands, and a constant shortfall at large ones"
+    signature = "no response at all to small commands, and a constant shortfall at large ones"
     stage = 14
 
     deadband_width = Parameter(

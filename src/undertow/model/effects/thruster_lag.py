@@ -10,7 +10,7 @@ class ThrusterLag(Actuation):
 
     id = "thruster_lag"
     reference = "first-order propulsor dynamics; Fossen (2021), chapter 9"
-    signature = "the vehicle answers a step of thrust softly and late, with the right final speed"
+    signature = "the vehicle responds smoothly and late to a step of thrust, with the right final speed"
     stage = 40
 
     T_lag = Parameter("s", "time constant", (0.01, 20.0), linear=False, starts=(0.1, 0.4, 1.5), neutral=None)

@@ -16,7 +16,7 @@ class Thrusters(Wrench):
     id = "thrusters"
     family = "actuation"
     reference = "Fossen (2021), thruster configuration matrix"
-    signature = "no motion in answer to a command"
+    signature = "no motion in response to a command"
     built_in = True
 
     thrust = PerThruster("N/command", "thrust per unit of command", (0, float("inf")))

@@ -19,9 +19,9 @@ class Waterplane(Wrench):
     family = "statics"
     of_shape = True
     reference = "Faltinsen (1990), Sea Loads on Ships and Offshore Structures, chapter 3 (restoring forces)"
-    signature = "heave, roll and pitch swing about a place of rest"
+    signature = "heave, roll and pitch oscillate about a rest position"
 
-    Z_z = Parameter("N/m", "heave force per depth below the place of rest", (-inf, 0))
+    Z_z = Parameter("N/m", "heave force per depth below the rest position", (-inf, 0))
     K_phi = Parameter("N m/rad", "righting moment per roll angle", (-inf, 0))
     M_theta = Parameter("N m/rad", "righting moment per pitch angle", (-inf, 0))
     Z_theta = Parameter("N/rad", "heave force per pitch angle, and pitch moment per depth")

@@ -68,7 +68,7 @@ class WaveExcitation(Wrench):
     family = "water"
     of_shape = True
     reference = "Faltinsen (1990), Sea Loads on Ships and Offshore Structures, chapters 3 and 5"
-    signature = "forces swing at the frequency of the waves, and a push remains in their direction"
+    signature = "forces oscillate at the frequency of the waves, with a mean force in their direction"
 
     swell_cos = Parameter(
         "m", "elevation at the origin at the start", (-20, 20), linear=False, default=0.0, per_run=True

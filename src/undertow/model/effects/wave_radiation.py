@@ -11,11 +11,11 @@ _TIMES = column([f"T_rad_{v}" for v in VELOCITY])
 
 
 def _frequency(motion: str) -> Parameter:
-    return _of_kernel("rad/s", f"frequency at which {motion} sends most waves out")
+    return _of_kernel("rad/s", f"frequency at which {motion} radiates the largest waves")
 
 
 def _time(motion: str) -> Parameter:
-    return _of_kernel("s", f"time in which the memory of {motion} fades")
+    return _of_kernel("s", f"decay time of the memory of {motion}")
 
 
 def _of_kernel(unit: str, meaning: str) -> Parameter:

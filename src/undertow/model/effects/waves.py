@@ -23,7 +23,7 @@ class Waves(Flow, Wrench):
 
     id = "waves"
     reference = "Faltinsen (1990), Sea Loads on Ships and Offshore Structures, chapter 2 (linear wave theory)"
-    signature = "velocity and acceleration swing at one frequency, whatever the commands"
+    signature = "velocity and acceleration oscillate at one frequency, whatever the commands"
     requires = ("rigid_body",)
 
     wave_cos = Parameter(

@@ -29,13 +29,13 @@ class Wind(Wrench):
         "Fossen (2021), chapter 10 (wind forces, C_X with the cosine and C_Y with the sine of the angle)"
     )
     former_keys = ("W_N", "W_E", "wind_aspect")
-    signature = "a force on surface vessels that points to one side of the world, at all speeds alike"
+    signature = "a force on surface vessels in a fixed direction over ground, the same at all speeds"
 
     area_frontal = Parameter("m^2", "frontal area times its drag coefficient", (0, inf))
     area_lateral = Parameter("m^2", "lateral area times its drag coefficient", (0, inf))
     wind_from = Parameter(
         "rad",
-        "where the wind comes from, from north clockwise",
+        "wind direction (where it comes from), from north clockwise",
         (-7, 7),
         linear=False,
         starts=(0.0, 1.6, 3.1, -1.6),
@@ -53,9 +53,9 @@ class Wind(Wrench):
         logged=True,
         without_log="apparent_wind_speed",
     )
-    apparent_wind_speed = LoggedOnly("m/s", "speed of the wind as it is felt aboard", (0, 100))
+    apparent_wind_speed = LoggedOnly("m/s", "apparent wind speed", (0, 100))
     apparent_wind_angle = LoggedOnly(
-        "rad", "where the wind seems to come from, from the bow to starboard", with_log="apparent_wind_speed"
+        "rad", "apparent wind direction, from the bow to starboard", with_log="apparent_wind_speed"
     )
     air_density = Parameter(
         "kg/m^3", "density of the air", (0.5, 2), linear=False, default=_DENSITY, neutral=None
