@@ -32,7 +32,7 @@ from undertow.identification.report.scaffold import effect_file, suggested
 from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.contract import check_effect
 from undertow.model.loading import load_vehicle
-from undertow.model.symbols import signals
+from undertow.model.symbols import signals, symbol
 
 Undertow = Callable[..., tuple[int, str, str]]
 EVIL = 'x"""\nimport os\nos.system("rm")\n"""\\'
@@ -222,8 +222,16 @@ def test_a_vehicle_without_the_thruster_is_reported(tmp_path: Path) -> None:
     cls = _checked(tmp_path, _left(depends_on=[_reported([["command f9"]])]))
     from undertow.errors import UndertowError
 
-    with pytest.raises(UndertowError, match="effect 'mine' needs a thruster called 'f9'"):
+    with pytest.raises(UndertowError, match="effect 'mine' needs a thruster or surface called 'f9'"):
         cls(("f1",)).wrench(signals(("f1",)))
+
+
+def test_a_term_of_a_rudder_takes_its_angle(tmp_path: Path) -> None:
+    ship = load_vehicle("kvlcc2")
+    cls = _checked(tmp_path, _left("sway", depends_on=[_reported([["command rudder", "u"]])]))
+    effect = cls(ship.composition.thrusters, ship.surfaces)
+    s = signals(effect.thrusters, effect.surface_names)
+    assert effect.wrench(s)[1] == symbol("Y_rudder_u") * s.deflection[0] * s.nu_r[0]
 
 
 def test_a_period_becomes_a_wave_whose_frequency_is_searched(tmp_path: Path) -> None:

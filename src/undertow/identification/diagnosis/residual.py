@@ -32,7 +32,9 @@ from .associations import (
     Peak,
     Sample,
     Samples,
+    Term,
     coefficient_unit,
+    command_of,
     difference,
     highest_peak,
     label_of,
@@ -543,6 +545,13 @@ def forgetful(r: Array, data: WeakData) -> float:
     return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
 
 
+def _statable(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:
+    """Terms without logged inputs: those are for the effects that declare them, no other can state them."""
+    for term in terms:
+        if not {command_of(f) for c in term.columns for f in c} & {*vehicle.inputs}:
+            yield term
+
+
 class Characteriser:
     """Residual forces of a fitted model, on the data of the fit and on validation data."""
 
@@ -550,8 +559,8 @@ class Characteriser:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
         self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
-        times = self._clocks[0].t
-        self._terms = (*terms_of(vehicle, measured_pose(validation)), *steps_of(times))
+        steps = steps_of(self._clocks[0].t)
+        self._terms = (*_statable(terms_of(vehicle, measured_pose(validation)), vehicle), *steps)
         self._prior = prior_of(fit.model)[1]
 
     @cached_property
