@@ -32,7 +32,7 @@ from undertow.identification.report.scaffold import effect_file, suggested
 from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.contract import check_effect
 from undertow.model.loading import load_vehicle
-from undertow.model.symbols import signals
+from undertow.model.symbols import signals, symbol
 
 Undertow = Callable[..., tuple[int, str, str]]
 EVIL = 'x"""\nimport os\nos.system("rm")\n"""\\'
@@ -222,8 +222,16 @@ def test_a_vehicle_without_the_thruster_is_reported(tmp_path: Path) -> None:
     cls = _checked(tmp_path, _left(depends_on=[_reported([["command f9"]])]))
     from undertow.errors import UndertowError
 
-    with pytest.raises(UndertowError, match="effect 'mine' needs a thruster called 'f9'"):
+    with pytest.raises(UndertowError, match="effect 'mine' needs a thruster or surface called 'f9'"):
         cls(("f1",)).wrench(signals(("f1",)))
+
+
+def test_a_term_of_a_rudder_takes_its_angle(tmp_path: Path) -> None:
+    ship = load_vehicle("kvlcc2")
+    cls = _checked(tmp_path, _left("sway", depends_on=[_reported([["command rudder", "u"]])]))
+    effect = cls(ship.composition.thrusters, ship.surfaces)
+    s = signals(effect.thrusters, effect.surface_names)
+    assert effect.wrench(s)[1] == symbol("Y_rudder_u") * s.deflection[0] * s.nu_r[0]
 
 
 def test_a_period_becomes_a_wave_whose_frequency_is_searched(tmp_path: Path) -> None:
@@ -234,6 +242,22 @@ def test_a_period_becomes_a_wave_whose_frequency_is_searched(tmp_path: Path) -> 
     assert omega.starts[1] == pytest.approx(2 * np.pi / 10.0, rel=1e-4)
     assert omega.starts[2] - omega.starts[1] == pytest.approx(np.pi / 120.0, rel=1e-2)
     assert {p.name for p in cls.specimen().parameters} == {"Y_cos", "Y_sin", "omega_Y"}
+
+
+def test_a_step_in_time_becomes_a_force_whose_beginning_is_searched(tmp_path: Path) -> None:
+    steps = [_reported([[f"step(t - {t})"]], f"a step at {t} s") for t in ("24.0", "36.0")]
+    cls = _checked(tmp_path, _left("heave", depends_on=steps))
+    effect = cls.specimen()
+    assert {p.name for p in effect.parameters} == {"Z_step_240", "Z_step_360", "t_Z_240", "t_Z_360"}
+    time = next(p for p in effect.parameters if p.name == "t_Z_360")
+    assert (time.unit, time.linear) == ("s", False)
+    low, high = time.bounds
+    assert low < min(time.starts) < 36.0 < max(time.starts) < high
+    s = signals()
+    values = {"Z_step_240": 1.0, "Z_step_360": 10.0, "t_Z_240": 24.0, "t_Z_360": 36.0}
+    force = effect.wrench(s).subs({sm.Symbol(n, real=True): v for n, v in values.items()})[2]
+    at = [float(sm.sympify(force).subs(s.t, t)) for t in (20.0, 30.0, 40.0)]
+    assert at == pytest.approx([0.0, 1.0, 11.0], abs=0.2)
 
 
 def test_names_that_are_taken_are_not_taken_again(tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.associations import (
+    STEP,
+    STEP_TIMES,
     Along,
     Association,
     Sample,
@@ -20,6 +22,7 @@ from undertow.identification.diagnosis.associations import (
     coefficient_unit,
     difference,
     highest_peak,
+    steps_of,
     terms_of,
     without_waves,
 )
@@ -38,18 +41,22 @@ HEADING, COMMANDS = ("turning_drag", "heading_force"), ("thruster_interference",
 
 
 @cache
-def _simulated(effects: tuple[str, ...], seed: int) -> tuple[dict[str, dict[str, float]], Vehicle, list[Run]]:
-    """A model ship with something that its model lacks: what was drawn, the model, and four runs of 60 s."""
-    case = make_case("usv", effects, seed, duration=60.0)
+def _simulated(
+    effects: tuple[str, ...], seed: int, of: str = "usv"
+) -> tuple[dict[str, dict[str, float]], Vehicle, list[Run]]:
+    """A vehicle with something that its model lacks: what was drawn, the model, and four runs of 60 s."""
+    case = make_case(of, effects, seed, duration=60.0)
     vehicle = vehicle_from_table(VehicleTable.model_validate(case.vehicle), catalogue())
     columns = [(n, dict(c)) for n, c in case.runs.items()]
     return case.truth["values"], vehicle, [Run(n, c.pop("t"), c, source=n) for n, c in columns]
 
 
 @cache
-def _fitted(effects: tuple[str, ...], seed: int) -> tuple[dict[str, dict[str, float]], WeakFit, WeakData]:
+def _fitted(
+    effects: tuple[str, ...], seed: int, of: str = "usv"
+) -> tuple[dict[str, dict[str, float]], WeakFit, WeakData]:
     """What was drawn, the model refitted to three of the runs, and the fourth."""
-    values, vehicle, runs = _simulated(effects, seed)
+    values, vehicle, runs = _simulated(effects, seed, of)
     return values, *_refitted(vehicle, runs[:3], runs[3:])
 
 
@@ -59,8 +66,10 @@ def _refitted(vehicle: Vehicle, runs: list[Run], aside: list[Run]) -> tuple[Weak
 
 
 @cache
-def _left(*effects: str, seed: int = 1) -> tuple[dict[str, dict[str, float]], dict[str, Remaining]]:
-    values, fit, aside = _fitted(effects, seed)
+def _left(
+    *effects: str, seed: int = 1, of: str = "usv"
+) -> tuple[dict[str, dict[str, float]], dict[str, Remaining]]:
+    values, fit, aside = _fitted(effects, seed, of)
     return values, {r.degree_of_freedom: r for r in remaining(fit, fit.data, aside)}
 
 
@@ -131,6 +140,19 @@ def test_a_drag_that_grows_is_a_trend() -> None:
     rate = values["growing_drag"]["rate"]
     assert trend.change == pytest.approx(100.0 * rate * fit.values["N_r"] / (1 + 30.0 * rate), rel=0.3)
     assert "the more the longer the run lasts" in left["yaw"].summary
+
+
+def test_a_weight_that_is_dropped_is_a_step() -> None:
+    values, left = _left("dropped_weight", seed=2, of="float")
+    reported, true = left["heave"].depends_on[0], values["dropped_weight"]
+    step = STEP.fullmatch(reported.columns[0][0])
+    assert step is not None
+    assert float(step[1]) == pytest.approx(true["t_0"], abs=2 * 60.0 / STEP_TIMES)
+    # Lighter by dW is a force of -dW in heave, which is positive down.
+    assert reported.coefficients[0] == pytest.approx(-true["dW"], rel=0.1)
+    assert reported.units == ["N"]
+    assert f"a step at {step[1]} s (" in left["heave"].summary
+    assert left["heave"].summary.count("N from then on") == 1
 
 
 def test_a_complete_model_shows_nothing() -> None:
@@ -296,6 +318,17 @@ def test_terms_are_made_of_what_the_vehicle_has() -> None:
     assert "sin and cos of psi" not in {t.label for t in terms_of(load_vehicle("mini-auv"), ())}
 
 
+@pytest.mark.parametrize("first", [0.0, -50.0, 1.7e9])
+def test_steps_lie_evenly_within_the_logs(first: float) -> None:
+    found = [STEP.fullmatch(t.columns[0][0]) for t in steps_of(first + np.arange(0.0, 100.0, 0.5))]
+    times = np.array([float(m[1]) for m in found if m is not None])
+    assert len(times) == len(found) >= STEP_TIMES - 1
+    assert first < times[0]
+    assert times[-1] < first + 100.0
+    assert np.all(times != 0.0)
+    assert np.diff(times).max() < 2.1 * 100.0 / STEP_TIMES
+
+
 @pytest.mark.parametrize(
     ("column", "unit"),
     [
@@ -307,6 +340,7 @@ def test_terms_are_made_of_what_the_vehicle_has() -> None:
         (("z", "cos(psi)"), "N m/m"),
         (("command f1", "|r|"), "N m/(command (rad/s))"),
         (("command tau_N",), "N m/(N m)"),
+        (("step(t - 35.5)",), "N m"),
     ],
 )
 def test_units_of_coefficients(column: tuple[str, ...], unit: str) -> None:
@@ -321,6 +355,7 @@ def test_columns_along_a_log() -> None:
     assert along.smooth(("|u|", "u")).tolist() == [1.0, -4.0]
     assert along.smooth(("sin(2 psi)", "t")) == pytest.approx([0.0, 3.0])
     assert along.smooth(()).tolist() == [1.0, 1.0]
+    assert along.smooth(("step(t - 2.5)",)).tolist() == [0.0, 1.0]
     assert along.held(("|command f1|", "u", "command f2")).tolist() == [10.0, 2.0]
     assert along.held(("u",)) is None
 

@@ -14,7 +14,7 @@ from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.residual import remaining, unknown_to
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.selection import surpassed
+from undertow.identification.diagnosis.selection import size_beside
 from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
@@ -35,8 +35,8 @@ class _Tried(NamedTuple):
         return contradiction([self.finding], fits, self.bench, self.validator)
 
     @property
-    def surpassed(self) -> bool:
-        """Whether a force made of what else remains does better, and nothing is gained beside it."""
+    def size(self) -> float:
+        """Size of the effect beside a force made of what else remains, as a share of that without it."""
         vehicle, train = self.bench.base.model.functions.vehicle, self.bench.train
         base = self.validator.final(self.bench.base)[0]
         left = unknown_to({"u", "v"}, remaining(base, train, train), vehicle)
@@ -44,12 +44,12 @@ class _Tried(NamedTuple):
         assert effect.about().startswith("a force that goes with")
         other = try_all(self.bench, {effect.id: effect}, lambda done, words: None).findings[0]
         assert other.explained > 0.5
-        return surpassed([self.finding], other, self.bench, self.validator)
+        return size_beside([self.finding], other, self.bench, self.validator)
 
 
 @cache
-def _tried(hidden: tuple[str, ...], effect: str) -> _Tried:
-    case = make_case("usv", hidden, 5, duration=50.0)
+def _tried(hidden: tuple[str, ...], effect: str, of: str = "usv") -> _Tried:
+    case = make_case(of, hidden, 5, duration=50.0)
     given, runs = vehicle_of(case), runs_of(case)
     train = prepare(runs[:3], given)
     bench = open_bench(given, train, prepare(runs[3:], given, sigma=train.sigma))
@@ -62,14 +62,21 @@ def test_an_effect_that_leaves_the_force_as_large_is_in_doubt() -> None:
     assert _tried(("periodic_side_force",), "lift").doubt.startswith("it improves only the simulations")
 
 
-def test_a_periodic_force_does_better_than_what_makes_up_for_a_part_of_it() -> None:
-    assert _tried(("periodic_side_force",), "lift").surpassed
+def test_what_makes_up_for_a_part_of_a_periodic_force_is_not_there_beside_it() -> None:
+    assert abs(_tried(("periodic_side_force",), "lift").size) < 0.2
 
 
 def test_a_periodic_force_beside_an_effect_takes_nothing_of_it() -> None:
     tried = _tried(("lift", "periodic_side_force"), "lift")
-    assert not tried.surpassed
+    assert tried.size == pytest.approx(1.0, abs=0.45)
     assert tried.doubt == ""
+
+
+def test_buoyancy_does_not_fall_with_depth_where_a_weight_was_dropped() -> None:
+    """A vehicle that sinks from then on is deeper, the later it is."""
+    doubt = _tried(("dropped_weight",), "hull_compressibility", "float").doubt
+    assert doubt.startswith("beside a force that goes with a step at 3")
+    assert "its size would drop to" in doubt
 
 
 def test_nothing_speaks_against_an_effect_that_is_there() -> None:
@@ -83,4 +90,4 @@ def test_a_rudder_is_not_blamed_for_a_periodic_force() -> None:
     runs, known = runs_of(case), {"rudder_force": catalogue()["rudder_force"]}
     found = diagnose(vehicle_of(case), runs[:3], runs[3:], known=known).diagnosis
     assert found.effects == []
-    assert any("a period of 11.6 s predicts better" in added.doubt for added in found.added)
+    assert any("a period of 11.6 s its size would drop to" in added.doubt for added in found.added)

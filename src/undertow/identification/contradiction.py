@@ -13,7 +13,7 @@ from .diagnosis.evidence import FoundEffect
 from .diagnosis.residual import remaining, unknown_to
 from .diagnosis.result import Remaining
 from .diagnosis.rounds import try_all
-from .diagnosis.selection import surpassed
+from .diagnosis.selection import size_beside
 from .diagnosis.trial import Bench
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import ONLY_SIMULATIONS, share_explained
@@ -37,7 +37,7 @@ def contradiction(
     without, with_them = (bench.judge(f) for f in fits)
     if share_explained((without, with_them), bench.noise_level, bench) <= 0.0:
         return ONLY_SIMULATIONS
-    return _surpassed(found, validator.final(fits[0])[0], bench, validator)
+    return _hardly_there(found, validator.final(fits[0])[0], bench, validator)
 
 
 def _unknown_to(found: Sequence[FoundEffect], left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
@@ -48,21 +48,23 @@ def _unknown_to(found: Sequence[FoundEffect], left: list[Remaining], vehicle: Ve
     return unknown_to(own, left, vehicle, periodic=any(states_time(*vehicles) for _, *vehicles in grown))
 
 
-def _surpassed(
+def _hardly_there(
     found: Sequence[FoundEffect], before: Fitted, bench: Bench, validator: SimulationValidator
 ) -> str:
-    """Whether a force made of what the model leaves, as `undertow effects new` does, predicts better.
+    """Whether effects lose their size beside a force made of what the model leaves, in words; empty if not.
 
-    It is found on the training data, and judged as every effect is on the validation data.
+    It is the force that `undertow effects new` makes, of what the effects do not know, found on the training
+    data. What only stood in for such a force is hardly there beside it, what is the cause stays.
     """
     left = _unknown_to(found, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
     if not left:
         return ""
     effect = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
     other = try_all(bench, {effect.id: effect}, lambda done, words: None).findings[0]
-    if not other.trial.kept or not surpassed(found, other, bench, validator):
+    size = size_beside(found, other, bench, validator) if other.trial.kept else 1.0
+    if size >= 1.0 - bench.settings.size_spread:
         return ""
     return (
-        f"{effect.about().rstrip('.')} predicts better, and with it nothing is gained by this effect "
+        f"beside {effect.about().rstrip('.')} its size would drop to {max(size, 0.0):.0%} of the fitted one "
         "(undertow effects new makes an effect of that force)"
     )

@@ -23,6 +23,9 @@ Column = tuple[str, ...]
 _COMMAND = "command "
 _ANGLES = ("psi", "phi", "theta")
 WAVE = re.compile(r"(sin|cos)\((2 )?(psi|phi|theta)\)")
+STEP = re.compile(r"step\(t - (-?\d+(?:\.\d+)?)\)")
+# Times between which a force is tried to begin or end, evenly over the logs.
+STEP_TIMES = 24
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,11 @@ class Term:
 
     label: str
     columns: tuple[Column, ...]
+
+    @property
+    def is_step(self) -> bool:
+        """Whether it is a step in time, to which those at neighbouring times are alike."""
+        return bool(self.columns[0]) and STEP.fullmatch(self.columns[0][0]) is not None
 
 
 def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
@@ -64,13 +72,25 @@ def _by_commands(commands: list[str], velocities: tuple[str, ...]) -> Iterator[C
         yield from ((c, d), (f"|{c}|", f"|{d}|"))
 
 
+def steps_of(t: Array) -> list[Term]:
+    """Steps, at times that all runs have in common, evenly over the times t (K,) of the logs, s."""
+    times = np.linspace(t.min(), t.max(), STEP_TIMES + 2)[1:-1]
+    decimals = max(0, int(np.ceil(1.0 - np.log10(times[1] - times[0]))))
+    # A step at zero would have no time that it could be a share of (see the effect that is made of it).
+    names = [f"{time:.{decimals}f}" for time in times if abs(time) > 10.0**-decimals]
+    columns = [(f"step(t - {name})",) for name in names]
+    return [Term(label_of(c), (c,)) for c in columns]
+
+
 def _heading(angle: str, *factors: str) -> Term:
     both = tuple((*factors, f"{f}({angle})") for f in ("sin", "cos"))
     return Term(" ".join([*factors, f"sin and cos of {angle}"]), both)
 
 
 def label_of(column: Column) -> str:
-    """A column as people write it: ``|r| u``, ``t |u| u``."""
+    """A column as people write it: ``|r| u``, ``t |u| u``, ``a step at 35 s``."""
+    if column and (step := STEP.fullmatch(column[0])):
+        return f"a step at {step[1]} s"
     return " ".join(f.replace(_COMMAND, "") for f in column) or "a constant"
 
 
@@ -90,7 +110,7 @@ def unit_of(factor: str) -> str:
     name = command_of(factor)
     if name is not None:
         return UNITS.get(name, "command")
-    if WAVE.fullmatch(factor):
+    if WAVE.fullmatch(factor) or STEP.fullmatch(factor):
         return "1"
     plain = plain_of(factor)
     return "s" if factor == "t" else {**UNITS, "t": ""}[plain]
@@ -136,13 +156,15 @@ class Along:
         if wave:
             angle = (2 if wave[2] else 1) * self.values[wave[3]]
             return np.asarray(np.sin(angle) if wave[1] == "sin" else np.cos(angle))
+        if step := STEP.fullmatch(factor):
+            return np.asarray(self.values["t"] >= float(step[1]), dtype=float)
         value = self.values[plain_of(factor)]
         return np.abs(value) if factor.startswith("|") else value
 
 
 def is_factor(text: str) -> bool:
     """Whether a text is a factor."""
-    return bool(WAVE.fullmatch(text)) or text in ("t", *POSE[:3]) or _is_motion(text)
+    return bool(WAVE.fullmatch(text) or STEP.fullmatch(text)) or text in ("t", *POSE[:3]) or _is_motion(text)
 
 
 def _is_motion(text: str) -> bool:
@@ -269,7 +291,8 @@ class Association:
         by_chance = np.max([t.gain(*signs) for t in tried], axis=0)
         order = np.argsort(-gains)
         best = float(gains[order[0]])
-        alike = tuple(tried[i].term.label for i in order[1:] if gains[i] > _ALIKE * best)
+        first, *others = (tried[i].term for i in order if gains[i] > _ALIKE * best)
+        alike = tuple(t.label for t in others if not (t.is_step and first.is_step))
         chance = (1 + int(np.sum(by_chance >= best))) / (1 + _PATTERNS)
         return self._found(tried[order[0]], best, chance, alike)
 

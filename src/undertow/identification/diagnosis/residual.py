@@ -23,6 +23,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .associations import (
+    STEP,
     Along,
     Association,
     Clock,
@@ -31,11 +32,14 @@ from .associations import (
     Peak,
     Sample,
     Samples,
+    Term,
     coefficient_unit,
+    command_of,
     difference,
     highest_peak,
     label_of,
     plain_of,
+    steps_of,
     terms_of,
     without_waves,
 )
@@ -491,6 +495,8 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
         return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
+    if STEP.fullmatch(column[0]):
+        return f"{coefficients[0]:+.2g} {unit} from then on"
     own = VELOCITY[DOFS.index(degree_of_freedom)]
     others = [f for f in column if f != own]
     even = all(f == "t" or f.startswith("|") for f in others)
@@ -539,6 +545,13 @@ def forgetful(r: Array, data: WeakData) -> float:
     return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
 
 
+def _statable(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:
+    """Terms without logged inputs: those are for the effects that declare them, no other can state them."""
+    for term in terms:
+        if not {command_of(f) for c in term.columns for f in c} & {*vehicle.inputs}:
+            yield term
+
+
 class Characteriser:
     """Residual forces of a fitted model, on the data of the fit and on validation data."""
 
@@ -546,7 +559,8 @@ class Characteriser:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
         self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
-        self._terms = tuple(terms_of(vehicle, measured_pose(validation)))
+        steps = steps_of(self._clocks[0].t)
+        self._terms = (*_statable(terms_of(vehicle, measured_pose(validation)), vehicle), *steps)
         self._prior = prior_of(fit.model)[1]
 
     @cached_property

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from undertow.identification.estimation.by_run import plain
+from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
@@ -116,25 +118,30 @@ def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
 Beside = Callable[[FoundEffect, FoundEffect], Worth]
 
 
-def surpassed(
+def size_beside(
     found: Sequence[FoundEffect], other: FoundEffect, bench: Bench, validator: SimulationValidator
-) -> bool:
-    """Whether another effect predicts better in nearly all resamples, and these add nothing to it.
+) -> float:
+    """Size of effects beside another one, as a share of that without it.
 
-    Resamples of the weak residual and of the simulation have half each, as in `_Selector`; where the first
-    leave no room for the second to decide, nothing is simulated.
+    One where predictions do not get better with the other one beside them.
     """
-    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-    alone, given = (fitted(vehicle, fs, bench).fit for fs in ([other], found))
-    by_residual = inclusion([linear(f, bench) for f in (alone, given)], settings)
-    if by_residual[0] < 2.0 * settings.best_share - 1.0:
-        return False
-    fits = alone, given, fitted(vehicle, [other, *found], bench).fit
-    of_other, of_given, of_both = (validator.squares_ahead(validator.final(f)[0]) for f in fits)
-    by_simulation = best_in_resamples([compared(s, found, validator) for s in (of_other, of_given)], settings)
-    often = 0.5 * float(by_residual[0] + by_simulation[0])
-    adds = gained(of_other, of_both, found, validator)
-    return often >= settings.best_share and not adds.enough(settings.worth)
+    vehicle = bench.base.model.functions.vehicle
+    given, both = (validator.final(fitted(vehicle, fs, bench).fit)[0] for fs in (found, [other, *found]))
+    adds = gained(validator.squares_ahead(given), validator.squares_ahead(both), found, validator)
+    if not adds.enough(bench.settings.worth):
+        return 1.0
+    names = {p.name: p.linear for f in found for p in f.trial.candidate.effect(()).parameters}
+    own = [n for n in given.model.free if plain(n) in names]
+    return _size(given, both, [n for n in own if names[plain(n)]] or own)
+
+
+def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
+    """Parameters in a second fit as a share of those in the first, each as far as the first knows it."""
+    errors = given.standard_errors
+    own = [n for n in names if errors[n] > 0.0 and np.isfinite(errors[n])]
+    weight = np.array([given.values[n] / errors[n] ** 2 for n in own])
+    first, second = (np.array([f.values[n] for n in own]) for f in (given, both))
+    return float(weight @ second / max(weight @ first, 1e-300))
 
 
 def alternatives(

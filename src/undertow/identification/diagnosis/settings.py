@@ -251,9 +251,12 @@ class Settings:
         one_case="roll decay of examples/kvlcc2.md",
     )
     size_spread: float = _number(
-        0.25, "standard deviation of the size of an effect above which it is not constant",
-        "an effect that begins in mid-run", off=_NEVER,
-    )  # fmt: skip
+        0.5,
+        "standard deviation of the size of an effect between parts of the logs, relative to the size, above "
+        "which it is not constant; also the largest fall of its size beside a force made of the residual",
+        "below it 97.5 % of the parts have the same sign",
+        off=_NEVER,
+    )
 
     # --- where more than noise is left --------------------------------------------------------
     worth: float = _number(

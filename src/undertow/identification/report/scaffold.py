@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from math import isfinite, pi
+from math import ceil, copysign, isfinite, log10, pi
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,6 +19,8 @@ from jinja2 import Template
 from undertow.errors import UndertowError, listed
 from undertow.files import templates
 from undertow.identification.diagnosis.associations import (
+    STEP,
+    STEP_TIMES,
     WAVE,
     Column,
     coefficient_unit,
@@ -39,17 +41,38 @@ from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.effect import Effect
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, signal_units, signals
 
+# How long a step takes, as a share of the time between two that were tried.
+_QUICK = 0.125
+
 
 @dataclass(frozen=True)
-class Wave:
-    """Angular frequency of a periodic force, a parameter of its own, rad/s.
+class InTime:
+    """A parameter by which a force depends on the time: an angular frequency, or the time of a step.
 
-    `near` is half the distance at which the logs can tell two frequencies apart.
+    `near` is how far from `value` a fit begins as well: half of what the logs can tell apart. `sharpness` is
+    the time of a step over how long it takes.
     """
 
     name: str
+    unit: str
+    about: str
     value: float
     near: float
+    bounds: tuple[float, float]
+    sharpness: float = 0.0
+
+    @property
+    def starts(self) -> tuple[float, ...]:
+        """Where a fit begins, within the bounds."""
+        low, high = self.bounds
+        inner = 0.01 * (high - low)
+        near = (self.value - self.near, self.value, self.value + self.near)
+        return tuple(min(max(x, low + inner), high - inner) for x in near)
+
+    def rounded(self, values: Sequence[float]) -> str:
+        """Values as they are written, with the digits that tell `near` apart."""
+        digits = max(0, ceil(3.0 - log10(self.near)))
+        return ", ".join(f"{x:.{digits}f}" for x in values)
 
 
 @dataclass(frozen=True)
@@ -57,8 +80,8 @@ class Coefficient:
     """One term of a force: a parameter times factors.
 
     `row` is which of the six forces and moments it is part of, `column` the factors as the diagnosis writes
-    them; with a `wave` that the term swings with, ``("cos",)`` or ``("sin",)``. With `per_run` the parameter
-    has a value in every run.
+    them; with an angular frequency `in_time` that the term swings with, ``("cos",)`` or ``("sin",)``. With
+    `per_run` the parameter has a value in every run.
     """
 
     name: str
@@ -66,7 +89,7 @@ class Coefficient:
     about: str
     row: int
     column: Column
-    wave: Wave | None = None
+    in_time: InTime | None = None
     per_run: bool = False
 
 
@@ -148,23 +171,23 @@ def _labels(left: Remaining) -> Iterator[str]:
 # --- terms ------------------------------------------------------------------------------------
 def terms_of(remaining: Iterable[Remaining], seconds: float) -> tuple[Coefficient, ...]:
     """Terms for all that residual forces were found to correlate with, of logs as long as `seconds`."""
-    return tuple(_distinct([t for left in remaining for t in _terms(left, pi / (2 * seconds))]))
+    return tuple(_distinct([t for left in remaining for t in _terms(left, seconds)]))
 
 
-def _terms(left: Remaining, near: float) -> Iterator[Coefficient]:
+def _terms(left: Remaining, seconds: float) -> Iterator[Coefficient]:
     if left.degree_of_freedom not in DOFS:
         raise UndertowError(f"'{left.degree_of_freedom}' is not a degree of freedom: is this a diagnosis?")
     row = DOFS.index(left.degree_of_freedom)
     by_run = [t for found in left.between_runs for t in _differing(found, row)]
     known = {t.column for t in by_run}
     for found in left.depends_on:
-        yield from (t for t in _dependent(found, row) if t.column not in known)
+        yield from (t for t in _dependent(found, row, seconds) if t.column not in known)
     if left.spectrum is not None:
-        yield from _periodic(left.spectrum, row, near)
+        yield from _periodic(left.spectrum, row, seconds)
     yield from by_run
 
 
-def _dependent(dependence: Dependence, row: int) -> Iterator[Coefficient]:
+def _dependent(dependence: Dependence, row: int, seconds: float) -> Iterator[Coefficient]:
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
     d = dependence
     for factors, value, error in zip(d.columns, d.coefficients, d.standard_errors, strict=False):
@@ -172,7 +195,21 @@ def _dependent(dependence: Dependence, row: int) -> Iterator[Coefficient]:
         about = f"{what} per {label_of(column)}" if column else what
         unit = coefficient_unit(FORCE_UNITS[row], column)
         found = f"{about}; found {value:.3g} with standard error {error:.1g}"
-        yield Coefficient(_name(FORCE[row], column), unit, found, row, column)
+        in_time = _step(step[1], FORCE[row], seconds) if (step := _step_in(column)) else None
+        yield Coefficient(_name(FORCE[row], column), unit, found, row, column, in_time)
+
+
+def _step(found: str, force: str, seconds: float) -> InTime:
+    """When a step is, which a fit finds more closely than the times that were tried lie apart."""
+    time, apart = float(found), seconds / STEP_TIMES
+    low, high = sorted((0.1 * time, time + copysign(apart, time)))
+    bounds = max(low, time - apart), min(high, time + apart)
+    name = f"t_{force}_{identifier(found)}"
+    return InTime(name, "s", "time of the step", time, 0.5 * apart, bounds, abs(time) / (_QUICK * apart))
+
+
+def _step_in(column: Column) -> re.Match[str] | None:
+    return STEP.fullmatch(column[0]) if column else None
 
 
 def _checked(factors: Sequence[str]) -> Column:
@@ -182,15 +219,17 @@ def _checked(factors: Sequence[str]) -> Column:
     return tuple(factors)
 
 
-def _periodic(spectrum: Spectrum, row: int, near: float) -> Iterator[Coefficient]:
+def _periodic(spectrum: Spectrum, row: int, seconds: float) -> Iterator[Coefficient]:
     if not (isfinite(spectrum.period) and spectrum.period > 0):
         raise UndertowError(f"a period of {spectrum.period} s is impossible: is this a diagnosis?")
-    wave = Wave(f"omega_{FORCE[row]}", 2 * pi / spectrum.period, near)
+    omega = 2 * pi / spectrum.period
+    bounds, near = (0.5 * omega, 2 * omega), pi / (2 * seconds)
+    in_time = InTime(f"omega_{FORCE[row]}", "rad/s", "angular frequency", omega, near, bounds)
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
     for part in ("cos", "sin"):
         about = f"{what}, {part} part; found an amplitude of {spectrum.amplitude:.3g}"
         name = f"{FORCE[row]}_{part}"
-        yield Coefficient(name, FORCE_UNITS[row], about, row, (part,), wave, not spectrum.in_step)
+        yield Coefficient(name, FORCE_UNITS[row], about, row, (part,), in_time, not spectrum.in_step)
 
 
 def _differing(found: BetweenRuns, row: int) -> Iterator[Coefficient]:
@@ -209,6 +248,8 @@ def _name(force: str, column: Column) -> str:
 
 
 def _in_name(factor: str) -> str:
+    if step := STEP.fullmatch(factor):
+        return f"step_{identifier(step[1])}"
     size = "abs" if factor.startswith("|") else ""
     name = command_of(factor)
     return size + identifier(factor if name is None else name)
@@ -302,7 +343,7 @@ def _content(effect_id: str, file: str, suggestion: Suggestion) -> dict[str, Any
         "reference": _split(suggestion.reference),
         "signature": _split(suggestion.signature),
         "parameters": [(t.name, literal(t.unit), _split(t.about), t.per_run) for t in suggestion.terms],
-        "waves": list({t.wave.name: t.wave for t in suggestion.terms if t.wave is not None}.values()),
+        "in_time": list({t.in_time.name: t.in_time for t in suggestion.terms if t.in_time}.values()),
         "commands": [literal(c) for c in commands if not _is_force(c)],
         "signals": list(_signals(suggestion.terms, variables)),
         "forces": [(DOFS[i], [_code(t, variables) for t in row]) for i, row in enumerate(rows) if row],
@@ -352,8 +393,13 @@ def _signals(terms: tuple[Coefficient, ...], variables: dict[str, str]) -> Itera
 
 
 def _code(term: Coefficient, variables: dict[str, str]) -> str:
-    if term.wave is not None:
-        return f"self.{term.name} * sm.{term.column[0]}(self.{term.wave.name} * s.t)"
+    if term.in_time is not None:
+        when = f"self.{term.in_time.name}"
+        if _step_in(term.column):
+            sharpness = f"{term.in_time.sharpness:.4g}"
+            # The sine of an arc tangent, x / sqrt(1 + x^2), feels its time from afar, as a tanh does not.
+            return f"self.{term.name} * (1 + sm.sin(sm.atan({sharpness} * (s.t / {when} - 1)))) / 2"
+        return f"self.{term.name} * sm.{term.column[0]}({when} * s.t)"
     return " * ".join([f"self.{term.name}", *(_factor(f, variables) for f in term.column)])
 
 
