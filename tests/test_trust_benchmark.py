@@ -320,11 +320,11 @@ def test_the_page_tells_all(tmp_path: Path) -> None:
     assert "7 cases: 2 with one effect hidden, 1 with two, 2 complete models, 1 with" in text
     assert f"`{LOST}`" in text
     assert "ValueError: no" in text
-    few = "no failure, which takes 29 cases to show"
+    few = "no failure (29 cases are needed to show it)"
     assert f"strong: truth ranked first | 1 of 1: 100 % (20.7 to 100) | 100 % | {few}" in text
 
 
-@pytest.mark.parametrize(("cases", "said"), [(19, "no failure, which takes 20 cases to show"), (20, "met")])
+@pytest.mark.parametrize(("cases", "said"), [(19, "no failure (20 cases are needed to show it)"), (20, "met")])
 def test_a_goal_is_met_from_as_many_cases_on_as_show_it(cases: int, said: str) -> None:
     one = record(LIFT, "unexplained", truth=("lift",), known=False, grade="strong")
     found = {g.name: g for g in goals(scored([one] * cases))}

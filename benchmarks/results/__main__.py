@@ -22,9 +22,9 @@ INTRODUCTION = """\
 # Results
 
 How often the diagnosis is right on simulated logs, and how fast everything is. Real logs: tables in
-[real.md](real.md), four vehicles at length in the [examples](examples/README.md). What is true is read for
-these tables only; wrong answers stay in. This page is made by programs (last section) and is not edited by
-hand.
+[real.md](real.md), four vehicles in detail in the [examples](examples/README.md). The true answers are used
+for these tables only; wrong answers are included. This page is made by programs (last section); do not edit
+it by hand.
 """
 
 

@@ -104,15 +104,14 @@ HEAD = (
 WORDS = """\
 ## Simulated logs with one hidden effect
 
-Thirteen cases of an independent simulator: 3 × 100 s to identify, 100 s to validate. The vehicle files hold
+Thirteen cases of an independent simulator: 3 × 100 s to identify, 100 s to validate. The vehicle files have
 exact rigid body and allocation, and guesses of added mass and damping good to 15 %. `null`: nothing is
-hidden, `adequate` is right; what no catalogue has should end in `unexplained`: `helps_prediction` names no
-cause, and counts as wrong here all the same.
+hidden, and `adequate` is right. An effect outside the catalogue should end in `unexplained`;
+`helps_prediction` names no cause, but counts as wrong here.
 
 Before → after the named effects (in brackets: after effects that were tried and not named), on the validation
-run. Velocity error: of simulations from the measured state over horizons that follow from the time constants
-of the vehicle, in % of the motion. Times the noise: the force that the model leaves; 1 is the noise of the
-sensors.
+run. Velocity error: of simulations from the measured state over horizons derived from the time constants of
+the vehicle, in % of the motion. Times the noise: the residual force; 1 is the noise of the sensors.
 """
 
 

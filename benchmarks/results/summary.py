@@ -5,8 +5,8 @@ from __future__ import annotations
 HEADING = "## How often the diagnosis is right\n"
 SPEED = "## How fast it is\n"
 _ABOUT = """\
-Simulated vehicles with something hidden, nothing hidden, or what no catalogue lists. Every table, the other
-methods on the same data, and every failure: [trust.md](trust.md).
+Simulated vehicles with something hidden, nothing hidden, or an effect outside the catalogue. All tables, the
+other methods on the same data, and every failure: [trust.md](trust.md).
 """
 EMPTY = f"{HEADING}\nNot measured yet: `python -m benchmarks.trust run`, then `report`.\n"
 NOT_TIMED = f"{SPEED}\nNot measured yet: `make bench`.\n"

@@ -45,7 +45,9 @@ class Goal:
             return "no cases"
         if not self.met:
             return "**not met**"
-        return "met" if self.count >= self.needed else f"no failure, which takes {self.needed} cases to show"
+        return (
+            "met" if self.count >= self.needed else f"no failure ({self.needed} cases are needed to show it)"
+        )
 
 
 def goals(cases: Sequence[Scored]) -> list[Goal]:

@@ -268,7 +268,7 @@ def test_numbers_have_their_units() -> None:
         "X_u|u| = (−5.123 ± 0.012) N/(m/s)²",
         "(4.12 ± 0.12) N/(m/s)²",
         "6.25 → 1.02",
-        "error before → after, in times the noise",
+        "error before → after, multiple of the noise",
         "6.25 × noise",
         "31 %",
         "0.125 N",
