@@ -29,7 +29,7 @@ FAULTS = {
     "infinite": ('z = "1 N/m"', "z = inf", ["K_P for z", "finite"]),
     "not a number": ('z = "1 N/m"', "z = nan", ["K_P for z", "finite"]),
     "too large a number": ('z = "1 N/m"', 'z = "1e999 N/m"', ["K_P for z", "finite"]),
-    "wrong unit": ('z = "1 N/m"', 'z = "1 N s/m"', ["K_P for z", "N/m", "fitting unit"]),
+    "wrong unit": ('z = "1 N/m"', 'z = "1 N s/m"', ["K_P for z", "N/m", "matching unit"]),
     "kg/s^2 as printed for K_I": ("0.001, 0.001, 0.001", '"0.001 kg/s^2", 1, 1', ["K_I for x", "N/(m s)"]),
     "no unit at all": ('z = "1 N/m"', 'z = "1 furlongs"', ["K_P for z", "furlongs"]),
     "no quantity": ('z = "1 N/m"', "z = true", ["K_P"]),

@@ -275,7 +275,7 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-_VERBOSE_OPTION = typer.Option(*_VERBOSE, help="Say what is going on (anywhere on the line).")
+_VERBOSE_OPTION = typer.Option(*_VERBOSE, help="Print progress and details (anywhere on the line).")
 _VERSION_OPTION = typer.Option(
     "--version", callback=_show_version, is_eager=True, help="Print the version and exit."
 )

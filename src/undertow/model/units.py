@@ -88,7 +88,7 @@ def scale_offset(unit_from: str, unit_to: str, of: str = "") -> tuple[float, flo
         found = "no unit" if source.dimensionless else f"the dimension {source.dimensionality}"
         wanted = "a pure number" if unit_to.strip() in ("", "1") else f"{unit_to} ({target.dimensionality})"
         raise UndertowError(
-            f"{of or repr(unit_from)} has {found}, but {wanted} is wanted: use a fitting unit"
+            f"{of or repr(unit_from)} has {found}, but {wanted} is needed: use a matching unit"
         )
     return _affine(unit_from, unit_to)
 

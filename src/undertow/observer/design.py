@@ -313,4 +313,6 @@ def _period(value: Quantity, sensor: str) -> float:
 def _refuse_alien(what: str, given: Mapping[str, object], known: tuple[str, ...]) -> None:
     for name in given:
         if name not in known:
-            raise UndertowError(f"{what} '{name}' is none{nearest(name, known)}: they are {', '.join(known)}")
+            raise UndertowError(
+                f"{what} '{name}' does not exist{nearest(name, known)}: they are {', '.join(known)}"
+            )

@@ -240,7 +240,7 @@ def _apart(
         return None
     return (
         f"{name} is {theta[i]:.6g} by {axes[i]} and {theta[j]:.6g} by {axes[j]}, {away(worst):.1f} standard "
-        "deviations apart: one value cannot stand for both"
+        "deviations apart: one value cannot be right for both"
     )
 
 

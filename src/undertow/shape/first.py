@@ -318,7 +318,7 @@ def vehicle_text(
     try:
         vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
     except ValidationError as error:
-        raise UndertowError(f"no vehicle file can be made of it: {error.errors()[0]['msg']}") from error
+        raise UndertowError(f"no vehicle file can be made from it: {error.errors()[0]['msg']}") from error
     return str(text).rstrip() + "\n"
 
 

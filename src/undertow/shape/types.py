@@ -512,7 +512,7 @@ def _ship_lift(size: MainDimensions, clarke: dict[str, float], share: float) -> 
     """What the regression leaves when the Coriolis terms of the added mass are taken off."""
     ahead = _surge_added_mass(size)
     munk = clarke["Y_vdot"] + ahead  # of the moment per u v that the added mass brings in
-    text = f"{_CLARKE}, less what the added mass has of it"
+    text = f"{_CLARKE}, less the part in the added mass"
     yield from _rows({"Y_uv": (clarke["Y_v"], "kg/m")}, share)
     rest = {
         "N_uv": (clarke["N_v"] - munk, "kg", clarke["N_v"]),

@@ -201,7 +201,7 @@ def test_a_twist_that_no_sensor_fills_gives_way(tmp_path: Path) -> None:
     assert run.channels["u"] == pytest.approx(dive().velocity[:, 0], abs=1e-9)
     assert run.channels["r"] == pytest.approx(dive().rates[:, 2], abs=1e-9)
     assert "z" not in run.channels
-    assert any("/pressure: a pressure of 0.2 is none of air and water" in note for note in log.notes)
+    assert any("/pressure: a pressure of 0.2 is neither Pa nor hPa" in note for note in log.notes)
     assert any("no topic is recognised as thruster commands" in note for note in log.notes)
 
 

@@ -181,7 +181,7 @@ def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None
     longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
     wanted = f"{SETTINGS.fewest} samples" if horizon is None else f"{horizon:g} s"
     raise UndertowError(
-        f"no stretch without gaps is long enough to predict over {wanted}: the longest in "
+        f"no gap-free stretch is long enough to predict over {wanted}: the longest in "
         f"{', '.join(repr(r.name) for r in runs)} lasts {longest:g} s; give a longer log or a shorter horizon"
     )
 

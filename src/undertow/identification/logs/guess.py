@@ -566,7 +566,7 @@ def _ignored(
         elif column in dead:
             reason = "never changes: measured by nothing, or held"
         elif set(name.words) & WANTED:
-            reason = "wanted of the vehicle, or about something else"
+            reason = "a set-point, or something else"
         elif name.motion(only) in foreign:
             reason = "a motion that the vehicle does not have"
         elif name.force:

@@ -193,8 +193,8 @@ def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float
     depth = extremes_of(problem, manoeuvre).get("depth", 0.0)
     if spread is not None and depth + spread > problem.motion.depth:
         lines.append(
-            f"in open loop, the depth may differ by {spread:.2g} m from the prediction by the end, with "
-            "present knowledge: hold it by hand or with a controller, and log the commands"
+            f"in open loop, the depth may differ by {spread:.2g} m from the prediction by the end, given "
+            "what is known now: hold it by hand or with a controller, and log the commands"
         )
     return lines
 

@@ -229,8 +229,8 @@ def _checked(effect: str, vehicle: Vehicle, known: Catalogue) -> Candidate:
     candidate = Candidate(cls, vehicle)
     if not candidate.parameters:
         raise UndertowError(
-            f"effect '{effect}' adds no parameter to '{vehicle.name}': leave it out; 'none' stands for the "
-            "model as it is"
+            f"effect '{effect}' adds no parameter to '{vehicle.name}': leave it out; 'none' is the model as "
+            "it is"
         )
     return candidate
 

@@ -178,9 +178,7 @@ def plan_separation(
     request, known = request or PlanRequest(), known or catalogue()
     names = [s.name for s in specs]
     if len(set(names)) < 2:
-        raise UndertowError(
-            "fewer than two models are to be told apart: name two effects, or an effect and 'none'"
-        )
+        raise UndertowError("fewer than two models to tell apart: name two effects, or an effect and 'none'")
     if len(set(names)) < len(names):
         twice = next(n for n in names if names.count(n) > 1)
         raise UndertowError(f"'{twice}' is named twice: name each model once")

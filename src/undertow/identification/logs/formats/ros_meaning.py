@@ -278,8 +278,8 @@ def _take_depth(known: _Understood, topic: Topic, frames: Frames) -> None:
     pascal = 1.0 if usual > _LEAST_PRESSURE else 100.0
     if usual * pascal < _LEAST_PRESSURE:
         known.notes.append(
-            f"{topic.series.name}: a pressure of {usual:.3g} is none of air and water in Pa or hPa, so that "
-            "it is no depth: column fluid_pressure can be z in a mapping file"
+            f"{topic.series.name}: a pressure of {usual:.3g} is neither Pa nor hPa in air or water, so it "
+            "gives no depth: column fluid_pressure can be z in a mapping file"
         )
         return
     down = 1.0 if frames.position == "NED" else -1.0
