@@ -328,6 +328,37 @@ def test_a_current_that_the_model_lacks_is_no_other_unit() -> None:
     assert any("ocean_current" in other for other in doubt.alternatives)
 
 
+def test_a_velocity_sensor_in_the_bow_is_no_axis_with_the_opposite_sign() -> None:
+    """In a turn a ship drifts outwards and its bow does not."""
+    vehicle, rng = load_vehicle("kvlcc2"), np.random.default_rng(115)
+    off = {
+        n: replace(v, value=v.value * (1 + 0.1 * rng.standard_normal()))
+        for n, v in vehicle.values.items()
+        if v.estimate
+    }
+    model = compile_model(vehicle.with_values(off))
+    zigzags = [_zigzag(vehicle, model, np.random.default_rng(seed)) for seed in range(1150, 1153)]
+    runs = [with_channels(r, {"v": r.channels["v"] + 2.8 * r.channels["r"]}) for r in zigzags]
+    examined = examine(vehicle, runs).result
+    assert not examined.mistakes
+    (doubt,) = (f for f in examined.findings if f.id == "flipped_axis")
+    assert any("velocity_lever_arm" in other for other in doubt.alternatives)
+    (arm,) = (f for f in examined.findings if f.id == "velocity_sensor")
+    assert arm.evidence["x_s"] == pytest.approx(2.8, abs=0.02)
+
+
+def _zigzag(vehicle: Vehicle, model: Model, rng: np.random.Generator) -> Run:
+    dt, count = 0.1, 2400
+    half = int(rng.uniform(100, 250))
+    rudder = np.where((np.arange(count) // half) % 2 == 0, 1.0, -1.0) * rng.uniform(0.15, 0.5)
+    u = np.column_stack([np.full(count, 10.0), rudder])
+    start = np.array([{"u": 1.2}.get(n, 0.0) for n in model.states])
+    x = model.simulate(start, u, dt)
+    noise = {"x": 0.01, "y": 0.01, "u": 0.002, "v": 0.002, "psi": 0.001, "r": 0.0005}
+    read = {n: x[:, i] + rng.normal(0.0, noise[n], count) for i, n in enumerate(model.states[:6])}
+    return Run("zigzag", dt * np.arange(count), read | dict(zip(vehicle.command_names, u.T, strict=True)))
+
+
 def test_feet_are_found_all_the_same() -> None:
     vehicle, runs = _torpedo_in((0.0, 0.0))
     feet = [with_channels(r, {n: r.channels[n] / 0.3048 for n in "xyzuvw"}) for r in runs]

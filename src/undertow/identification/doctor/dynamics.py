@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -23,7 +23,7 @@ from undertow.identification.estimation.weak_form import (
 )
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
-from undertow.model.effects.ocean_current import OceanCurrent
+from undertow.model.effect import Effect
 from undertow.model.hardware import Curve
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
@@ -158,17 +158,22 @@ class Dynamics:
         fit = self.refitted(undo=mistake.undo)
         return fit is None or self.gain(fit).overall >= 1.0
 
-    def in_a_current(self, mistake: Mistake) -> bool:
-        """Whether a current that the model lacks explains the motion as well as undoing a mistake does."""
-        if any(issubclass(type(e), OceanCurrent) for e in self.vehicle.effects):
-            return False
-        names = [p.name for p in OceanCurrent(()).parameters]
+    def explained_as_well(self, mistake: Mistake, effects: Iterable[type[Effect]]) -> list[type[Effect]]:
+        """Those effects that the vehicle lacks which explain the motion as well as undoing a mistake does."""
         undone = self.refitted(undo=mistake.undo)
-        moved = self.refitted(vehicle=self.vehicle.with_effect(OceanCurrent, {}), free=names)
-        if undone is None or moved is None:
-            return False
-        unit, current = (self.gain(with_reestimated_noise(fit)).overall for fit in (undone, moved))
-        return current * SETTINGS.as_good > unit
+        if undone is None:
+            return []
+        gain = self.gain(with_reestimated_noise(undone)).overall
+        return [e for e in effects if self._gain_with(e) * SETTINGS.as_good > gain]
+
+    def _gain_with(self, effect: type[Effect]) -> float:
+        """What the model is better by with an effect; 0 where it has that or none of its parameters shows."""
+        if any(e.id == effect.id for e in self.vehicle.effects):
+            return 0.0
+        vehicle = self.vehicle.with_effect(effect, {})
+        names = [n for n in vehicle.parameter_names if n not in self.vehicle.parameter_names]
+        fit = self.refitted(vehicle=vehicle, free=names)
+        return 0.0 if fit is None else self.gain(with_reestimated_noise(fit)).overall
 
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""

@@ -13,6 +13,9 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
+from undertow.model.effect import Effect
+from undertow.model.effects.ocean_current import OceanCurrent
+from undertow.model.effects.velocity_lever_arm import VelocityLeverArm
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Progress
 from undertow.version import __version__
@@ -76,7 +79,11 @@ _MOST_MISTAKES = 3
 # In one motion alone, or for all of them alike, this does the same as a unit.
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
 _MODEL = "a term that the model lacks, or a controller that responds to the motion"
-_CURRENT = "a current that the vehicle file lacks (ocean_current), which explains as much"
+# What may make a motion look as if it were read in another unit or with another sign.
+_INSTEAD: dict[type[Effect], str] = {
+    OceanCurrent: "a current that the vehicle file lacks (ocean_current), which explains as much",
+    VelocityLeverArm: "a velocity sensor away from the origin (velocity_lever_arm), which explains as much",
+}
 
 
 @dataclass(frozen=True)
@@ -262,7 +269,7 @@ class _Examiner:
             found = self._model_mistake(at)
             if found is None:
                 break
-            if others := self._instead_of_unit(at, found.mistake):
+            if others := self._instead_of(at, found.mistake):
                 self._doubt(found, others)
                 break
             self._undo(found)
@@ -271,13 +278,13 @@ class _Examiner:
         if at is not None:
             self._look_at_numbers(at)
 
-    def _instead_of_unit(self, at: Dynamics, mistake: Mistake) -> list[str]:
-        """What else than another unit of the motion explains how the model does."""
-        if mistake.id not in UNITS_OF_MOTION:
+    def _instead_of(self, at: Dynamics, mistake: Mistake) -> list[str]:
+        """What else than another unit or sign of the motion explains how the model does."""
+        if mistake.id not in (*UNITS_OF_MOTION, "flipped_axis"):
             return []
-        if len(self.vehicle.dof_indices) == 1:
+        if len(self.vehicle.dof_indices) == 1 and mistake.id in UNITS_OF_MOTION:
             return [_WEAK_THRUSTERS]
-        return [_CURRENT] if at.in_a_current(mistake) else []
+        return [_INSTEAD[e] for e in at.explained_as_well(mistake, _INSTEAD)]
 
     def _model_mistake(self, at: Dynamics) -> Explanation | None:
         """What the fit of the model shows, and, where that leaves much, what the signs of commands do."""
