@@ -100,7 +100,7 @@ def test_an_effect_says_what_it_is(vehicle: ut.Vehicle) -> None:
 
 
 def test_the_same_log_for_fit_and_validation_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:
-    with pytest.raises(ut.UndertowError, match="have the same content: give each once"):
+    with pytest.raises(ut.UndertowError, match="have the same content: give each only once"):
         ut.fit(vehicle, [run], [run])
 
 

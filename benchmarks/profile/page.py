@@ -97,7 +97,7 @@ def _meaning(profile: Profile) -> str:
     (longest, first), (next_, second), (_, third), *_ = used.items()
     searched = sum(t for s, t in used.items() if s.startswith("search")) / whole
     return (
-        f"{searched:.0%} of the work is the search for the effect, {1 - searched:.0%} stands around\n"
+        f"{searched:.0%} of the work is the search for the effect, {1 - searched:.0%} is around\n"
         f"it (examining the logs, simulating the result). The longest stage, *{longest}*,\n"
         f"takes {first / whole:.0%}, the next, *{next_}*, {second / whole:.0%}. Without any one of the\n"
         f"others the diagnosis would be at most {whole / (whole - third):.2f} times as fast."

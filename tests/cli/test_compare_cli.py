@@ -91,7 +91,7 @@ def test_what_is_unexplained_comes_last_in_the_budget(case: Path, capsys: pytest
 
 def test_a_log_given_twice_is_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", *LOG, "train.csv"]) == 2
-    assert "have the same content: give each once" in capsys.readouterr().err
+    assert "have the same content: give each only once" in capsys.readouterr().err
 
 
 def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:

@@ -125,7 +125,7 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
 ) -> None:
     (case / "own.csv").write_text("u,v\n1,2\n0,1\n1,1\n")
     assert main(["map", "new", "own.csv", "--out", "log.toml"]) == 2
-    assert "no column counts the time" in capsys.readouterr().err
+    assert "no column contains the time" in capsys.readouterr().err
     assert not (case / "log.toml").exists()
 
 
@@ -217,7 +217,7 @@ def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None
     t[500], t[-1] = t[499], np.nan
     found = guess_table(pl.DataFrame({"Timestamp(s)": t, "u": np.sin(t)}), Path("own.csv"))
     assert found.time.entry == {"column": "Timestamp(s)", "unit": "s", "disorder": "drop"}
-    assert found.time.doubt == "0.10% of the rows are no later than one before: leave them out?"
+    assert found.time.doubt == "0.10% of the rows are not later than an earlier one: leave them out?"
 
 
 SHIP = """
@@ -270,7 +270,7 @@ def test_a_clock_that_stands_still_is_named_with_its_row(
     (case / "own.csv").write_text("t,u,v\n998,1,2\n1000,0,1\n1000,1,1\n1010,1,0\n")
     assert main(["map", "new", "own.csv", "--out", "log.toml"]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "column 't' does not rise in 1 of 4 rows, first from 1000 to 1000 in row 3" in said
+    assert "column 't' does not increase in 1 of 4 rows, first from 1000 to 1000 in row 3" in said
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("rev/s", None), ("rpm", 60.0), ("rad/s", 2 * np.pi)])
@@ -342,7 +342,7 @@ def test_a_wrench_is_read_or_asked_about(tmp_path: Path) -> None:
     assert [guesses[f].column for f in FORCES] == [*columns]
     assert [guesses[f].entry["unit"] for f in FORCES] == ["N"] * 3 + ["N m"] * 3
     assert [guesses[n].column for n in ("phi", "theta", "psi")] == [*turned]
-    assert "less than the earth turns" in guesses["r"].doubt
+    assert "less than the earth's rotation" in guesses["r"].doubt
     thruster = '[[thrusters]]\nname = "bow"\nwrench = [1, 0, 0, 0, 0, 0]\n'
     _, found = _guesses(tmp_path, ROV + thruster, **columns)
     assert any("a thruster with a wrench for each" in q for q in found.questions)

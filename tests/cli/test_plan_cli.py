@@ -150,7 +150,7 @@ REFUSED = {
     "an effect that is there": (["--between", "linear_damping,lift"], "adds no parameter"),
     "goal without models": (["--goal", "separate"], "--between"),
     "models without the goal": (["--goal", "parameters", "--between", "lift"], "--goal separate"),
-    "two sources of models": (["--between", "lift", "--diagnosis", "found.json"], "give one of them"),
+    "two sources of models": (["--between", "lift", "--diagnosis", "found.json"], "give only one"),
     "parameters and models": (["--between", "lift", "--only", "X_u"], "--only"),
     "no diagnosis": (["--diagnosis", "usv.toml"], "is not a diagnosis"),
     "a missing diagnosis": (["--diagnosis", "nothing.json"], "nothing.json"),

@@ -129,7 +129,7 @@ def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surg
     (found,) = equivalents(off, bench, possible)
     assert found.effects == ["entrained_water"]
     assert found.parameters == ["X_udot", "Y_vdot"]
-    assert "X_udot and Y_vdot from elsewhere" in found.separated_by
+    assert "determine X_udot and Y_vdot by other means" in found.separated_by
     right = open_bench(model, train, bench.test)
     assert equivalents(model, right, possible) == []
 

@@ -78,7 +78,7 @@ def test_nothing_but_arithmetic_is_taken(text: str) -> None:
     [
         (
             'f1 = "2 * /imu/list.data[1]"',
-            "no arithmetic (invalid syntax): write numbers, columns (column('its",
+            "not arithmetic (invalid syntax): write numbers, columns (column('its",
         ),
         ('f1 = "pwm9 - 1"', "has no column of expression 'pwm9 - 1', 'pwm9'"),
         ('f1 = "eval(pwm1)"', "function 'eval' is not known"),

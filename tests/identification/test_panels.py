@@ -126,7 +126,7 @@ def test_radiation_damping_of_a_small_deep_sphere(monkeypatch: pytest.MonkeyPatc
         ({"crease": float("nan")}, "crease = nan degrees is impossible: choose between 0 and 180"),
         ({"crease": 0.0}, "crease = 0 degrees is impossible"),
         ({"crease": 180.0}, "crease = 180 degrees is impossible"),
-        ({"omegas": [1.0]}, "say how deep the hull is"),
+        ({"omegas": [1.0]}, "give the depth of the hull"),
         ({"omegas": [-1.0], "depth": 2.0}, "omega = -1 rad/s is impossible"),
         ({"depth": 0.1}, "would stand out of the water"),
         ({"depth": float("nan")}, "would stand out of the water"),

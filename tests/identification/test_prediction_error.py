@@ -121,7 +121,7 @@ def test_a_pose_alone_is_enough() -> None:
 def test_what_it_cannot_follow_is_reported() -> None:
     case = make_case("usv", (), 4, duration=20.0, runs=("steps",))
     late = with_effect(vehicle_of(case), "sensor_delay", velocity_delay=0.05)
-    with pytest.raises(UndertowError, match="reports late"):
+    with pytest.raises(UndertowError, match="delayed sensor"):
         fit_prediction_error(late, runs_of(case))
     t = np.arange(70_000) * 0.1
     long = Run("long", t, {"u": np.sin(t), "tau_X": np.cos(t)})

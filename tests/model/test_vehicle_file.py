@@ -164,7 +164,7 @@ REFUSED = [
     (
         '"10 kg"',
         '"10 m"',
-        r"rigid_body\] m: '10 m' has the dimension \[length\], but kg \(\[mass\]\) is wanted",
+        r"rigid_body\] m: '10 m' has the dimension \[length\], but kg \(\[mass\]\) is needed",
     ),
     ('"10 kg"', '"ten kg"', r"rigid_body\] m: 'ten kg' is not a number with a unit"),
     ('"10 kg"', "nan", r"rigid_body\] m: 'nan' is not a finite quantity: give a number in kg"),

@@ -223,7 +223,7 @@ def test_a_filter_that_settles_has_the_gain_of_the_loop() -> None:
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"sensors": {"q": {"noise": 0.1}}}, "sensor 'q' is none"),
+        ({"sensors": {"q": {"noise": 0.1}}}, "sensor 'q' does not exist"),
         ({"disturbance": {"u": 0.1}}, r"\[disturbance\] lacks v"),
         ({"sensors": {}}, r"\[sensors\] is empty"),
         ({"sensors": {"x": {"noise": 0.0}}}, "give a standard deviation above zero"),

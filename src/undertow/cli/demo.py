@@ -1,4 +1,4 @@
-"""Work through shipped examples: where models fail, what is missing, and how the error falls.
+"""Work through bundled examples: where models fail, what is missing, and how the error falls.
 
 First an AUV whose model lacks something, then a box hull in a flow solver that no simple model explains, then
 an AUV in a virtual towing tank. Pictures, reports and vehicle files go into a folder; open its index.html.

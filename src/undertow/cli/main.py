@@ -226,7 +226,7 @@ def _drop_unwritable_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-_ABOUT = "Shows where a model of a vehicle in water fails on real logs, names the missing effect and adds it."
+_ABOUT = "Show where the model of a marine vehicle fails on real logs, name the missing effect, and add it."
 _VERBOSE = ("-v", "--verbose")
 
 _app = typer.Typer(help=_ABOUT, rich_markup_mode=None)

@@ -1,4 +1,4 @@
-"""Find mistakes in logs and in how they are read, before physics is blamed for them.
+"""Find mistakes in logs and in how they are read, before you blame the physics.
 
 The doctor checks the clock and the samples, the rate of the pose against the body velocities, and the motion
 against the commands. Where they disagree, it tries the usual mistakes one after the other: degrees for

@@ -1,4 +1,4 @@
-"""Years of logs from many vehicles: what changed month by month, and how sure simulations are.
+"""Analyse years of logs from many vehicles: what changed, month by month, and how uncertain simulations are.
 
 The work is spread over the processors of this machine, or over a Dask cluster (--scheduler). Needs pip
 install "undertow[fleet]".

@@ -1,4 +1,4 @@
-"""Turn a log as a vehicle wrote it into a table, with the mapping file by which it was understood.
+"""Convert a vehicle log into a table, with a mapping file that says how it was read.
 
     undertow import dive.bin --list
     undertow import dive.bin --vehicle my-rov.toml --out dive.parquet

@@ -43,7 +43,7 @@ def new(
     written = format_of(log)
     if written is not None:
         raise UndertowError(
-            f"log {log} is a {written.name} log, not a table: undertow import {log} --out NEW.parquet "
+            f"log {log} is in {written.name} format, not a table: undertow import {log} --out NEW.parquet "
             "converts it, with a mapping file"
         )
     model = load_vehicle(vehicle) if vehicle else None

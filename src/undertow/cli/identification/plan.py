@@ -1,4 +1,4 @@
-"""Plan the manoeuvre that best determines badly known parameters, or best tells rival effects apart.
+"""Plan the manoeuvre that best determines poorly known parameters, or best tells rival effects apart.
 
 Manoeuvres of many kinds (steps, doublets, multisines, random steps, chirps, reversals, coast-downs, sweeps,
 circles, zigzags; of all motions together, in turn, or actuator by actuator) are simulated with the model and

@@ -1,4 +1,4 @@
-"""Find what does not fit in the equations of the mini-AUV paper, or of a vehicle.
+"""Find errors in the equations of the mini-AUV paper, or of a vehicle.
 
 Without a vehicle, the equations of the paper are compared with those that follow from the effects: the sign
 of the Coriolis matrix (11), the power balance, (8) against (9), the units of the conditions on PID gains, and

@@ -1,4 +1,4 @@
-"""Move a hull through computed water with OpenFOAM, and find its added mass and damping.
+"""Test a hull in a virtual towing tank (OpenFOAM), and find its added mass and damping.
 
     undertow tank new hull.stl --mass 7.5 --motion surge,heave,yaw --prescribed --out tank/
 

@@ -29,9 +29,8 @@ class Finding(ResultTable):
     """One thing that the logs show."""
 
     id: str  # kind of finding; stable between versions
-    severity: (
-        Severity  # a mistake is certain and spoils every result; a warning may; a note is for information
-    )
+    # A mistake is certain and spoils every result; a warning may; a note is for information.
+    severity: Severity
     text: str  # one line with the numbers
     evidence: dict[str, float] = Field(default_factory=dict)  # the numbers behind it, SI
     mapping: str = ""  # lines for the mapping file that correct it, in TOML; empty if none can

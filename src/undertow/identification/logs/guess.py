@@ -157,10 +157,12 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
 _LACKING = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
 _WRENCH = (
     "{} may be the force on the whole vehicle. Where it was computed or measured, state generalised_forces "
-    "in the vehicle file; where a controller asked for it, a thruster with a wrench for each, whose gain can "
-    "then be doubted"
+    "in the vehicle file; if a controller asked for it, state a thruster with a wrench for each, whose "
+    "gain can then be estimated"
 )
-_TEXTS = "'{}' has cells that are no numbers, such as '{}' ({} of them): are they rightly taken as missing?"
+_TEXTS = (
+    "'{}' has cells that are not numbers, such as '{}' ({} of them): is it right to take them as missing?"
+)
 _FLAG = (
     "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
     'fresh = "{0}"'
@@ -178,7 +180,7 @@ def _attitude(quaternion: Sequence[str]) -> list[Guess]:
 
 def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
     """North and east of the first fix, from latitude and longitude."""
-    asked = "x and y: metres from the first fix of this log, if these are degrees; are they?"
+    asked = "x and y: metres from the first fix of this log, if these are degrees: are they?"
     return [
         Guess(
             ", ".join(globe),
@@ -273,7 +275,7 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     late = _late(times)
     if late:
         entry["disorder"] = "drop"
-        asked.append(f"{late:.2%} of the rows are no later than one before: leave them out?")
+        asked.append(f"{late:.2%} of the rows are not later than an earlier one: leave them out?")
     return Guess(found, entry, " ".join(asked))
 
 
@@ -313,13 +315,13 @@ def _no_time(data: Mapping[str, Array]) -> str:
         if is_clock(name) and len(still):
             row = int(still[0])
             return (
-                f"column {name!r} does not rise in {len(still)} of {len(column)} rows, first from "
+                f"column {name!r} does not increase in {len(still)} of {len(column)} rows, first from "
                 f"{column[row]:.15g} to {column[row + 1]:.15g} in row {row + 2}: write the times with more "
                 "digits, or row number times sampling interval, into a column that rises"
             )
     return (
-        "no column counts the time, none rises from row to row; write the log with the time of each row (row "
-        "number times sampling interval, where that is even)"
+        "no column contains the time, since none increases from row to row; write the log with the time of "
+        "each row (row number times sampling interval, if that is constant)"
     )
 
 
@@ -428,7 +430,8 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
         if most < SETTINGS.still:
             return (
                 "rad/s",
-                f"never beyond {most:.2g}: less than the earth turns; if it measures nothing, leave it out",
+                f"never beyond {most:.2g}: less than the earth's rotation; if it measures nothing, "
+                "leave it out",
             )
         return "rad/s", f"never beyond {most:.2g}: rad/s, or slow turns in deg/s?"
     unit = UNITS[channel]
@@ -529,7 +532,9 @@ def _command(
         doubt = f"revolutions: thrust rises with n |n|; what is the force of one ({turn}) squared (scale, N)?"
     elif len(pulses) and low <= np.min(pulses) and most <= high:
         entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})
-        doubt = f"pulses from {np.min(pulses):.4g} to {most:.4g} us, as -1 ... 1 about 1500: is it so?"
+        doubt = (
+            f"pulses from {np.min(pulses):.4g} to {most:.4g} us, read as -1 ... 1 about 1500: is that right?"
+        )
         if unit == "N":
             doubt += (
                 " The vehicle counts it in N: a curve in its file, or the force of a full command as scale"

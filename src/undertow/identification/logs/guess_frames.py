@@ -73,7 +73,9 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
         return Axes(_ENTRIES[_EARTH][0], (_HEADING,) if "psi" in channels else ())
     if not {"x", "y", "psi"} <= channels.keys():
         turning = any(name in channels for name in ("psi", "r", "v", "w", "y", "z"))
-        return Axes(questions=(f"{_WHICH} Position and heading, which tell, are not both logged",) * turning)
+        return Axes(
+            questions=(f"{_WHICH} Position and heading, which would decide, are not both logged",) * turning
+        )
     if "u" not in channels:
         course = "A vehicle that goes ahead moves where its heading points: does it, with these axes?"
         return Axes(questions=(f"{_WHICH} {course}", _HEADING))
@@ -82,11 +84,11 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
         return Axes(questions=(_WHICH, _HEADING))
     best, other, *_ = sorted(left, key=lambda name: left[name])
     shares = f"{best} {left[best]:.0%}, {other} {left[other]:.0%}"
-    finding = f"velocity and heading leave so much of the change of position unexplained: {shares}"
+    finding = f"velocity and heading leave these shares of the change of position unexplained: {shares}"
     if left[best] > SETTINGS.agrees or left[best] > SETTINGS.clearly * left[other]:
-        return Axes(questions=(f"{finding}. That decides nothing: which axes are they?", _HEADING))
+        return Axes(questions=(f"{finding}. That is not decisive: which axes are they?", _HEADING))
     doubts = [_HEADING] if best in (_HERE, _EARTH) else []
-    return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes; is it so?", *doubts))
+    return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes: is that right?", *doubts))
 
 
 def _left(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:

@@ -66,7 +66,9 @@ class GuessedMapping:
 
     def text(self) -> str:
         """The mapping file."""
-        head = [f"# Guessed from {self.log}: every line with '# ?' asks something that the log does not say."]
+        head = [
+            f"# Guessed from {self.log}: every line with '# ?' is a question that the log does not answer."
+        ]
         head += [f"schema = {_toml(SCHEMA)}"]
         plain = LogMapping()
         head += [

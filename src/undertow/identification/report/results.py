@@ -157,7 +157,7 @@ def _what_it_does(addition: Addition) -> str:
     old, new = addition.before.error, addition.after.error
     force = "falls, which may be chance," if new < old else "does not fall"
     return (
-        f"{change}; {errors}, less than an effect has to be worth ({DEFAULT.worth:.0%}), and the error of "
+        f"{change}; {errors}, less than the required {DEFAULT.worth:.0%}, and the error of "
         f"the force {force} ({old:.4g} to {new:.4g} times the noise)."
     )
 
