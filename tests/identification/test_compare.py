@@ -243,6 +243,16 @@ def test_pictures_get_what_they_show(lacking: Comparison, complete: Comparison) 
     assert list(budgets(complete)[0].shares)[-1] == "unexplained"
 
 
+def test_a_free_run_across_gaps_is_called_pieces() -> None:
+    whole = surge_run(0.01, 1)
+    rows = np.ones(len(whole.t), dtype=bool)
+    rows[[*range(40, 60), *range(90, 110)]] = False
+    broken = replace(whole, t=whole.t[rows], channels={n: v[rows] for n, v in whole.channels.items()})
+    one, three = (traces(compare(_true_surge(), [run]), free=True)[0].how for run in (whole, broken))
+    assert one == "simulated without any correction"
+    assert three.startswith("simulated without any correction between gaps, in 3 pieces")
+
+
 def test_shares_of_the_budget_add_up_to_one(lacking: Comparison) -> None:
     for dof in lacking.result.degrees_of_freedom:
         shares = [s.share for s in lacking.result.budget if s.degree_of_freedom == dof]

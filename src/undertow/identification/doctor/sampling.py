@@ -168,6 +168,7 @@ def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
         id="missing_samples",
         severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
         text=f"{worst} has no value in {shares[worst]:.1%} of the rows"
+        + (f", with {out} outliers that were taken out" if (out := run.outliers.get(worst)) else "")
         + (
             f" (missing samples also in {', '.join(n for n in several if n != worst)})"
             if len(several) > 1

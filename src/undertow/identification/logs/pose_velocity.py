@@ -417,6 +417,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         channels={**run.channels, **found},
         sigma={**run.sigma, **sigma},
         derived=run.derived | set(lacking),
+        outliers={name: int(one.outlier.sum()) for name, one in tracks.items()},
         resolution=max((tracks[n].resolution for n in tracks if _moves(run.channels[n])), default=0.0),
     ).with_notes(_summary(tracks, sigma), *(_note(run, name, one) for name, one in tracks.items()))
 

@@ -91,6 +91,8 @@ class Run:
         Motions that a rig held at rest, or moved as their channels say.
     part_of : str
         Name of the run that this is a stretch of; empty for a whole run.
+    outliers : dict of int
+        Samples of the pose that were taken out because the others contradict them.
     dropped : int
         Rows of the file that were left out because their time was not later than that of a row before.
     """
@@ -106,6 +108,7 @@ class Run:
     resolution: float = 0.0
     mapping: LogMapping | None = None
     wrapped: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    outliers: Mapping[str, int] = field(default_factory=dict)
     dropped: int = 0
     part_of: str = ""
     reported: Mapping[str, Flags] = field(default_factory=dict)

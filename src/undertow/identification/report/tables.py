@@ -60,8 +60,18 @@ def traces(
     if given is not None:
         shown["given"] = predict(given, found, compiled=False)
     windows = f"every {before.result.horizon:g} s from the measured motion"
-    how = f"simulated {'without any correction' if free else windows}"
-    return [RunTraces(run.name, tuple(_traces(i, shown)), how) for i, run in enumerate(found.runs)]
+    starts = np.bincount(found.run, minlength=len(found.runs))
+    hows = [_without_correction(int(count)) if free else windows for count in starts]
+    return [
+        RunTraces(run.name, tuple(_traces(i, shown)), f"simulated {how}")
+        for i, (run, how) in enumerate(zip(found.runs, hows, strict=True))
+    ]
+
+
+def _without_correction(starts: int) -> str:
+    if starts < 2:
+        return "without any correction"
+    return f"without any correction between gaps, in {starts} pieces that start from the measured motion"
 
 
 def simulated(vehicle: Vehicle, runs: Sequence[Run], horizon: float | None) -> list[RunTraces]:
