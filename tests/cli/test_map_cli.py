@@ -160,6 +160,9 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("Up_Vel(m_s)", "w", "m/s"),
         ("u_velo", "u", ""),
         ("roll_rate", "p", ""),
+        ("Heave [m]", "z", "m"),
+        ("sway_m", "y", "m"),
+        ("surge", "u", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:

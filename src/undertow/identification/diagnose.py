@@ -275,7 +275,7 @@ class ResultBuilder:
                 tries=self.settings.manoeuvres,
             )
         except UndertowError as error:
-            return f"No manoeuvre can be suggested: {error}", None
+            return f"No manoeuvre can be suggested: {error}", False
 
     def _normalised(self, fit: Fitted) -> float:
         """Error in units of the noise; what unknown first states leave open is left out on both sides."""

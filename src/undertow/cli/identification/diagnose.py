@@ -99,7 +99,7 @@ def diagnose(
         outcome = _diagnosed(part, loaded, line, settings, options)
         if rig:
             say(str(part), "bold")
-        show(outcome)
+        show(outcome, own(json))
         say_long(outcome.diagnosis.long_logs)
         written.append((outcome, own(json), own(report)))
     _write(written, loaded.vehicle, vehicle, apply, rig)
@@ -169,8 +169,8 @@ def _models(outcome: DiagnosisResult, given: Vehicle) -> dict[str, Vehicle]:
 _SHOWN = 6
 
 
-def show(outcome: DiagnosisResult) -> None:
-    """Print verdict, ranking, the falling error and warnings."""
+def show(outcome: DiagnosisResult, written: Path | None = None) -> None:
+    """Print verdict, ranking, the falling error and warnings; `written` is the file of --json."""
     from undertow.identification.diagnosis.floors import in_words
 
     diagnosis = outcome.diagnosis
@@ -196,7 +196,9 @@ def show(outcome: DiagnosisResult) -> None:
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
-        say("an effect made of it: undertow effects new ID --from (the file of --json)", "dim")
+        say(
+            f"an effect made of it: undertow effects new ID --from {written or '(the file of --json)'}", "dim"
+        )
     shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
     for warning in (w for w in diagnosis.warnings if w not in shown):
         say(f"warning: {warning}", "yellow")

@@ -367,7 +367,9 @@ def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference
     # the force across it, and what it gives there is no value of that run.
     scale = np.trace(weights.sum(axis=0)) - np.trace(common @ np.sum(weights @ weights, axis=0))
     between = max(distance - freedom, 0.0) / scale * np.eye(len(mean))
-    own = np.array([between @ inverse_of(between + spread) @ v for spread, v in zip(spreads, off, strict=True)])
+    own = np.array(
+        [between @ inverse_of(between + spread) @ v for spread, v in zip(spreads, off, strict=True)]
+    )
     return Difference(runs, mean + own, float(chi2.sf(distance, freedom)))
 
 

@@ -170,7 +170,7 @@ class Step(ResultTable):
 class Indistinguishable(ResultTable):
     """Effects that these data cannot tell apart, why, and which manoeuvre would.
 
-    `separable` says whether any that was tried would; null where none was.
+    `separable` says whether a run is known that would; null where none was looked for.
     """
 
     effects: list[str]

@@ -200,7 +200,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     apart = (
         ": record the run that tells them apart before one of them is taken for the cause"
         if _separable(diagnosis)
-        else ", and no run that was tried would tell them apart: take any to predict, and none for the cause"
+        else ", and no run is known that would tell them apart: take any to predict, and none for the cause"
     )
     sentences: dict[str, str] = {
         "adequate": f"Nothing is missing that these logs could show: {left}{use}.",
@@ -297,7 +297,7 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
     place = f"most of what is left is in {worst.degree_of_freedom}"
     if not _terms(diagnosis):
         return (
-            f"{place}, and correlates with nothing that was logged: more runs may show what it depends on, "
+            f"{place}, and no variable of the logs stands out in it: more runs may show what it depends on, "
             "and the doctor whether the logs are sound"
         )
     described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
