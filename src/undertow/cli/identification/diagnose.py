@@ -212,6 +212,10 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     model = "model with other values" if diagnosis.freed else "model as it is"
     longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
+    rest = len(diagnosis.ranking) - len(helping)
+    if rest and not helping:
+        say(f"{rest} effects were tried, and none of them helps.", "dim")
+        return
     heads = ("effect", *([f"{longest} error"] if longest else []), "error", "explains", "chance", "sure")
     numbers = (
         [r.effect]
@@ -222,7 +226,6 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     section(
         f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)", table(heads, numbers)
     )
-    rest = len(diagnosis.ranking) - len(helping)
     more = f"{rest} more effects were tried and do not help. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
     say(f"{more}Chance: that the best of all looks as good when nothing is missing.{partly}", "dim")

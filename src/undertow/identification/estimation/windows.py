@@ -179,11 +179,10 @@ def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Win
 
 def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
     longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
-    slow = min(run.step for run in runs)
-    if horizon is not None and horizon < (SETTINGS.fewest - 1) * slow:
+    if horizon is not None and horizon < (least := shortest_horizon(runs)):
         raise UndertowError(
-            f"{horizon:g} s hold fewer than {SETTINGS.fewest} samples of logs with one every {slow:.3g} s: "
-            f"give a horizon of {(SETTINGS.fewest - 1) * slow:.3g} s or more"
+            f"{horizon:g} s hold fewer than {SETTINGS.fewest} samples of "
+            f"{', '.join(repr(r.name) for r in runs)}: give a horizon of {least:.3g} s or more"
         )
     wanted = f"{SETTINGS.fewest} samples" if horizon is None else f"{horizon:g} s"
     raise UndertowError(
@@ -586,7 +585,12 @@ def longest_stretch(vehicle: Vehicle, run: Run) -> float:
 def possible_horizon(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> float:
     """The horizon, s, or half of the longest stretch without gaps; three samples at least."""
     longest = max(longest_stretch(vehicle, run) for run in runs)
-    return max(min(horizon, longest / 2), (SETTINGS.fewest - 1) * min(run.step for run in runs))
+    return max(min(horizon, longest / 2), shortest_horizon(runs))
+
+
+def shortest_horizon(runs: Sequence[Run], samples: int = SETTINGS.fewest) -> float:
+    """Length of a window, s, with so many samples of the run that has the most of them."""
+    return (samples - 1) * min(run.step for run in runs)
 
 
 def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:
