@@ -293,8 +293,8 @@ def _uneven(text: bytes, mapping: LogMapping, where: str) -> UndertowError | Non
         if len(row) > known:
             return UndertowError(
                 f"{where} cannot be read as a table: line {rows.line_num} has {len(row)} cells, the header "
-                f"{known}: delete what is neither the header nor a row below it, or say by `comment` in a mapping "
-                "file what such lines begin with"
+                f"{known}: delete what is neither the header nor a row below it, or say by `comment` in a "
+                "mapping file what such lines begin with"
             )
     return None
 
