@@ -160,6 +160,9 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("Up_Vel(m_s)", "w", "m/s"),
         ("u_velo", "u", ""),
         ("roll_rate", "p", ""),
+        ("Heave [m]", "z", "m"),
+        ("sway_m", "y", "m"),
+        ("surge", "u", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -210,6 +213,9 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     assert {"left_pwm", "right_pwm"} <= {g.channel for g in found.columns}
     nowhere = {"t": t, "latitude": 0.0 * t, "longitude": 0.0 * t}
     assert not guess_table(pl.DataFrame(nowhere), Path("own.csv")).columns
+    minutes = {"t": t, "Lat": 4854.595 + 0.001 * north, "Lon": -13036.243 + 0.001 * east}
+    (reason,) = guess_table(pl.DataFrame(minutes), Path("own.csv")).ignored
+    assert "degrees and minutes" in reason
 
 
 def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None:

@@ -309,6 +309,22 @@ def test_runs_that_are_too_short_are_not_compared() -> None:
     assert found.values[:, 0] == pytest.approx([0.0, 0.6], abs=0.25)
 
 
+def test_what_a_run_leaves_open_is_no_value_of_it() -> None:
+    """A run on one heading says what the force is along it, and nothing of the force across."""
+    rng, run = np.random.default_rng(7), np.repeat(np.arange(4), 400)
+    heading = np.where(run == 3, 0.4 + 1e-4 * rng.standard_normal(1600), rng.uniform(0, 2 * np.pi, 1600))
+    columns = np.column_stack([np.sin(heading), np.cos(heading)])
+    true = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.5], [0.5, 0.5]])
+    r = 0.2 * rng.standard_normal(1600) - np.einsum("mk,mk->m", columns, true[run])
+    found = difference(r, columns, run, np.arange(1600) // 20)
+    assert found is not None
+    assert found.chance < 1e-6
+    assert found.values[:3] == pytest.approx(true[:3], abs=0.1)
+    along = np.array([np.sin(0.4), np.cos(0.4)])
+    assert found.values[3] @ along == pytest.approx(true[3] @ along, abs=0.1)
+    assert np.linalg.norm(found.values[3]) < 1.5
+
+
 # --- terms and words -----------------------------------------------------------------------------------
 def test_terms_are_made_of_what_the_vehicle_has() -> None:
     labels = {t.label for t in terms_of(load_vehicle("mini-auv"), ("z", "psi"))}

@@ -243,6 +243,34 @@ def test_pictures_get_what_they_show(lacking: Comparison, complete: Comparison) 
     assert list(budgets(complete)[0].shares)[-1] == "unexplained"
 
 
+def test_a_model_with_values_by_run_stands_beside_one_without(case: Case, complete: Comparison) -> None:
+    """It is judged by the last two thirds of every run, and drawn at their times."""
+    vehicle = true_vehicle(case)
+    name = next(n for n in vehicle.values if n.startswith("X_u") and not n.endswith("dot"))
+    own = replace(vehicle.value_of(name), per_run=True, estimate=True, sigma=1.0)
+    by_run = compare(vehicle.with_values({name: own}), runs_of(case))
+    for one, other in ((complete, by_run), (by_run, complete)):
+        for run, log in zip(traces(one, other, free=True), runs_of(case), strict=True):
+            for trace in run.traces:
+                assert (
+                    len(trace.t) == len(trace.measured) == len(trace.before) == len(trace.after) == len(log.t)
+                )
+            psi = next(t for t in run.traces if t.channel == "psi")
+            late = psi.after if other is by_run else psi.before
+            assert np.isnan(late[psi.t < psi.t[0] + 0.3 * np.ptp(psi.t)]).all()
+            assert np.nanmax(np.abs(late - psi.measured)) < 0.3
+
+
+def test_a_free_run_across_gaps_is_called_pieces() -> None:
+    whole = surge_run(0.01, 1)
+    rows = np.ones(len(whole.t), dtype=bool)
+    rows[[*range(40, 60), *range(90, 110)]] = False
+    broken = replace(whole, t=whole.t[rows], channels={n: v[rows] for n, v in whole.channels.items()})
+    one, three = (traces(compare(_true_surge(), [run]), free=True)[0].how for run in (whole, broken))
+    assert one == "simulated without any correction"
+    assert three.startswith("simulated without any correction between gaps, in 3 pieces")
+
+
 def test_shares_of_the_budget_add_up_to_one(lacking: Comparison) -> None:
     for dof in lacking.result.degrees_of_freedom:
         shares = [s.share for s in lacking.result.budget if s.degree_of_freedom == dof]

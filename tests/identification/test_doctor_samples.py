@@ -24,6 +24,7 @@ from undertow.identification.doctor.findings import (
 from undertow.identification.doctor.sampling import excitation, excitation_findings, sampling, was_filtered
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
 
 RNG = np.random.default_rng(3)
 
@@ -87,6 +88,8 @@ def test_missing_cells_are_reported_for_the_worst_channel() -> None:
     v[:20] = np.nan
     found = _found(_run(t, u=u, v=v))["missing_samples"]
     assert "u has no value in 25.0% of the rows (missing samples also in v)" in found.text
+    outliers = replace(_run(t, u=u, v=v), outliers={"u": 3})
+    assert "of the rows, with 3 outliers that were taken out (" in _found(outliers)["missing_samples"].text
 
 
 def test_a_sensor_slower_than_the_log_gets_a_line() -> None:
@@ -143,6 +146,29 @@ def test_a_motion_that_was_not_excited_is_a_warning() -> None:
     (warning,) = [f for f in excitation_findings(rows, vehicle, [still]) if f.severity == "warning"]
     assert warning.text.startswith("sway (v: rms 0.0")
     assert "cannot show anything" in warning.text
+
+
+def test_one_period_says_no_more_than_two_numbers() -> None:
+    """A hull in a regular wave: its damping is zero, or the wave feeds it; two waves would tell."""
+    case = make_case("usv", (), 2, duration=40.0, runs=("multisine",))
+    vehicle, (run,) = vehicle_of(case), runs_of(case)
+    noise = 0.01 * RNG.standard_normal(len(run.t))
+    one, two = np.sin(2 * np.pi * run.t / 1.25), np.sin(2 * np.pi * run.t / 2.0)
+    sway, yaw = ({**run.channels, name: 0.3 * one + noise} for name in ("v", "r"))
+    hull = replace(vehicle, thrusters=())
+    rows = {
+        n: _cannot(v, replace(run, channels=c))[n]
+        for n, v, c in (("sway", hull, sway), ("yaw", vehicle, yaw))
+    }
+    assert "more than two of inertia, damping and stiffness, nor tell these from a wave" in rows["sway"]
+    assert "(one period only, 1.25 s)" in rows["sway"]
+    assert "damping and stiffness (one period only" in rows["yaw"], "its thrusters turn it"
+    both = replace(run, channels={**run.channels, "v": 0.3 * one + 0.2 * two + noise})
+    assert "period" not in _cannot(hull, both)["sway"]
+
+
+def _cannot(vehicle: Vehicle, run: Run) -> dict[str, str]:
+    return {e.degree_of_freedom: "; ".join(e.cannot) for e in excitation(vehicle, [run])}
 
 
 def test_one_speed_in_one_direction_leaves_drag_open() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ import pytest
 from tests.identification.surge import surge_vehicle
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification import diagnose
+from undertow.identification.diagnose import ResultBuilder
+from undertow.identification.diagnosis.result import Indistinguishable
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import fit_weak, free_parameters
@@ -18,6 +22,7 @@ from undertow.identification.logs.run import Run
 from undertow.identification.planning.manoeuvres import (
     Design,
     MotionLimits,
+    can_be_planned,
     extremes,
     motion_axes,
     pushes,
@@ -391,3 +396,27 @@ def test_a_model_that_misses_the_logs_is_planned_with_as_stated(surge_plan: Plan
     fit = fit_weak(vehicle, prepare([log], vehicle))
     for known in plan.parameters:
         assert known.error_now == pytest.approx(fit.standard_errors[known.name], rel=0.1)
+
+
+def test_only_what_is_commanded_can_be_planned() -> None:
+    """A hull held in waves has no command, and a wind that the log has is chosen by nobody."""
+    otter = load_vehicle("otter")
+    assert can_be_planned(otter)
+    assert not can_be_planned(replace(otter, thrusters=()))
+    assert not can_be_planned(replace(otter, inputs={"wind_speed": "m/s"}))
+
+
+def test_no_plan_is_recommended_that_would_be_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise UndertowError("'section' has no thruster and no known force: nothing can be planned")
+
+    monkeypatch.setattr(diagnose, "suggest", refuse)
+    fit = SimpleNamespace(values={})
+    one = SimpleNamespace(findings=[SimpleNamespace(id="lift", trial=SimpleNamespace(fit=fit))])
+    found = SimpleNamespace(winners=[], effect_set=one, rivals=[[]], vehicle=load_vehicle("otter"))
+    settings, validator = SimpleNamespace(manoeuvres=4), SimpleNamespace(train=[])
+    builder = SimpleNamespace(found=found, validator=validator, settings=settings, _known=None)
+    equals = Indistinguishable(effects=["lift", "wind"], reason="")
+    words, separable = ResultBuilder._separating(builder, 0, equals)  # type: ignore[arg-type]
+    assert "nothing can be planned" in words
+    assert separable is False

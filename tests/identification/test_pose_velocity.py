@@ -99,9 +99,30 @@ def test_outliers_are_found_and_taken_out_of_the_pose(noisy):
     clean, run = (velocities_from_pose(Run("sim", t, one), level) for one in (pose, spoilt))
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(run.channels["x"])), places)
     assert not np.isnan(run.channels["y"]).any()
+    assert run.outliers == {"x": 7, "y": 0, "psi": 0}
     assert any(note.startswith("x: ") and "7 outliers dropped (t = " in note for note in run.notes)
     difference = run.channels["u"] - clean.channels["u"]
     assert np.abs(difference).max() < 4 * run.sigma["u"]
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_what_stands_out_everywhere_is_noise(seed: int) -> None:
+    """A heading polled from a sender that is uneven repeats itself or skips, all along every turn."""
+    rng = np.random.default_rng(seed)
+    sent, t = np.arange(0.0, 90.0, 0.1), np.arange(0.1, 90.0, 0.1)
+    came = np.sort(sent + rng.exponential(0.08, len(sent)))
+    last = np.maximum(np.searchsorted(came, t) - 1, 0)
+    psi = _turns(sent[last]) + 1e-4 * rng.standard_normal(len(sent))[last]
+    run = velocities_from_pose(Run("polled", t, {"psi": psi}), ["yaw"])
+    assert run.outliers == {"psi": 0}
+    assert np.isfinite(run.channels["r"]).all()
+    true = (_turns(t + 1e-4) - _turns(t - 1e-4)) / 2e-4
+    assert np.std(run.channels["r"] - true) < 0.12 * np.std(true)
+
+
+def _turns(t: np.ndarray) -> np.ndarray:
+    """Heading of a boat that turns by 90 degrees now and then, rad."""
+    return sum(sign * 0.8 * np.tanh((t - at) / 1.2) for at, sign in ((15, 1), (32, -1), (50, 1), (68, 1)))
 
 
 def test_a_shift_of_the_origin_is_no_velocity(noisy):

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import shlex
 from math import inf
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from undertow.cli.identification.diagnose import show
 from undertow.identification.diagnosis.result import (
     Dependence,
     Diagnosis,
     Indistinguishable,
+    Ranked,
     Remaining,
     Role,
     RunInfo,
@@ -162,7 +165,7 @@ def test_each_verdict_says_what_to_do() -> None:
     assert "--goal separate --between lift,wind --out plan.csv" in next_command(either, LINE)
     hopeless = [Indistinguishable(effects=["lift", "wind"], reason="", separable=False)]
     never = _diagnosis("indistinguishable", indistinguishable=hopeless, effects=["lift"])
-    assert "no run that was tried would tell them apart" in first_sentence(never)
+    assert "no run is known that would tell them apart" in first_sentence(never)
     assert "undertow add lift" in next_command(never, LINE)
     two = [*equals, Indistinguishable(effects=["slosh", "wind"], reason="")]
     both = _diagnosis("indistinguishable", indistinguishable=two, effects=["lift", "slosh"])
@@ -187,7 +190,7 @@ def test_each_verdict_says_what_to_do() -> None:
 
 def test_what_is_unexplained_says_where_to_look() -> None:
     nothing = _diagnosis("unexplained")
-    assert "most of what is left is in sway, and correlates with nothing that was logged" in first_sentence(
+    assert "most of what is left is in sway, and no variable of the logs stands out in it" in first_sentence(
         nothing
     )
     assert next_command(nothing, LINE) == ("undertow doctor 'my rov.toml' a.csv b.csv c.csv --map log.toml")
@@ -218,3 +221,15 @@ def test_a_refit_that_predicts_worse_than_the_file_is_said_to() -> None:
     assert "a 5-s error of 55 % and a 20-s error of 70 % refitted" in words
     assert refit_is_worse(stated, refitted | {"20 s": 0.61}, 1.025) == ""
     assert refit_is_worse({"5 s": math.inf}, refitted, 1.025) == ""
+
+
+def test_where_no_candidate_helps_no_empty_table_stands(capsys: pytest.CaptureFixture[str]) -> None:
+    useless = Ranked(
+        effect="wind", family="water", about="", parameters=[], error_before=9.0, error_after=9.0,
+        explained=0.0, improvement=0.0, interval=(0.0, 0.0), significant=False,
+    )  # fmt: skip
+    show(SimpleNamespace(diagnosis=_diagnosis("unexplained", ranking=[useless] * 3)))  # type: ignore[arg-type]
+    said = capsys.readouterr().out
+    assert "3 effects were tried, and none of them helps" in said
+    assert "Candidates" not in said
+    assert "fitted values" not in said

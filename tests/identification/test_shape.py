@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 from undertow.errors import UndertowError
 from undertow.shape.bodies import cylinder, ellipsoid, prolate_spheroid, sphere, transformed
+from undertow.shape.first import entry
 
 RHO = 1000.0
 
@@ -116,3 +119,9 @@ def test_energy_does_not_depend_on_axes_or_origin() -> None:
 def test_lengths_are_positive(wrong: float) -> None:
     with pytest.raises(UndertowError, match="must be a positive number"):
         ellipsoid(1.0, wrong, 1.0)
+
+
+def test_what_rounding_leaves_of_an_added_mass_is_none() -> None:
+    """A body of revolution whose middle is off its axis by 1e-18 m adds nothing in roll."""
+    added = replace(ellipsoid(1.0, 0.2, 0.2), matrix=np.diag([2.0, 60.0, 60.0, 1.9e-34, 11.0, 11.0]))
+    assert [entry(added, i, i) for i in range(6)] == [2.0, 60.0, 60.0, 0.0, 11.0, 11.0]

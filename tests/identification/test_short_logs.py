@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.identification.api import Estimator, Method, fit
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import channel_noise
-from undertow.identification.estimation.windows import cut, longest_stretch
+from undertow.identification.estimation.windows import cut, longest_stretch, possible_horizon
 from undertow.identification.logs.run import Run
 
 VEHICLE = surge_vehicle()
@@ -77,11 +77,23 @@ def test_validation_logs_full_of_gaps_are_predicted_as_far_as_they_go() -> None:
     stretch = longest_stretch(VEHICLE, gappy)
     assert stretch == pytest.approx(13 * INTERVAL)
     done = fit(VEHICLE, [run], [gappy], method="weak")
-    assert done.before.windows.horizon == pytest.approx(0.9 * stretch)
-    assert len(done.before.windows) == 10
+    assert done.before.windows.horizon == pytest.approx(0.5 * stretch)
+    assert len(done.before.windows) == 20
     judge = SimulationValidator(VEHICLE, [run], [gappy], channel_noise([gappy], ("x", "u")))
     assert judge.windows.horizon == pytest.approx(stretch)
     assert all(horizon <= stretch for horizon in judge.horizons)
+
+
+def test_a_slow_log_is_predicted_over_samples_that_it_has() -> None:
+    """A glider reports every 20 s: 5 s ahead there is nothing to compare with, in 2 h of log."""
+    t = np.arange(0.0, 7200.0, 20.0)
+    run = Run("glider", t, {"u": np.sin(0.01 * t), "tau_X": np.cos(0.01 * t)})
+    assert possible_horizon(VEHICLE, [run], 5.0) == 40.0
+    assert len(cut([run], VEHICLE, 40.0)) == 179
+    with pytest.raises(UndertowError, match=r"5 s hold fewer than 3 samples of 'glider': .* 40 s or more"):
+        cut([run], VEHICLE, 5.0)
+    judge = SimulationValidator(VEHICLE, [run], [run], channel_noise([run], ("x", "u")))
+    assert judge.windows.horizon == 380.0  # 20 samples
 
 
 def test_short_holes_of_a_fast_log_end_no_window() -> None:

@@ -79,8 +79,12 @@ def test_no_disturbance_acts_between_pose_and_velocity(
     """Forces that nobody knows may be behind an excess in the forces, not behind one between two sensors."""
     trial = SimpleNamespace(candidate=SimpleNamespace(effect=catalogue()[effect]), id=effect)
     finding = FoundEffect(trial, Comparison(0.1, (0.0, 0.2), 0.001), share, 0.001, significant)
-    judgement = error_of_sensors([finding])
+    judgement, alone = (error_of_sensors([finding], compared) for compared in (True, False))
     assert (judgement is not None) == said
     if judgement is not None:
         assert judgement.verdict == "unexplained"
-        assert "water_speed_log removes 57% of the excess over noise" in judgement.headline
+        assert "contradict each other. water_speed_log removes 57% of the excess" in judgement.headline
+        assert alone is not None
+        assert alone.verdict == "unexplained"
+        assert "contradict" not in alone.headline
+        assert "a missing force look alike" in alone.headline

@@ -36,7 +36,7 @@ from .estimation.residual import without_spikes
 from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
-from .estimation.windows import HORIZONS, Prediction, cut, horizons, longest_stretch, prediction_error
+from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
 from .logs.checks import check_fit
 from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
@@ -447,8 +447,7 @@ def fit(
     )
     report(0.8, "predicting validation data")
     refitted, rest = in_runs(found, test)
-    longest = max(longest_stretch(vehicle, run) for run in rest)
-    windows = cut(rest, vehicle, min(horizon, HORIZONS.longest * longest))
+    windows = cut(rest, vehicle, possible_horizon(vehicle, rest, horizon))
     as_given = [adapted(vehicle, run)[0] for run in test]
     before, after = (predict_each(each, windows) for each in (as_given, refitted))
     return Refit(vehicle, found, estimator, train, test, before, after)

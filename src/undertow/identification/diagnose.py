@@ -182,7 +182,8 @@ class ResultBuilder:
             return self.judgement
         if any(r.depends_on or r.spectrum or r.between_runs for r in self._left):
             return self.judgement
-        contradiction = error_of_sensors(self.found.rounds[0].findings, self.settings)
+        compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
+        contradiction = error_of_sensors(self.found.rounds[0].findings, compared, self.settings)
         return contradiction or only_disturbance(self._predictable, self.judgement.share)
 
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
@@ -275,7 +276,7 @@ class ResultBuilder:
                 tries=self.settings.manoeuvres,
             )
         except UndertowError as error:
-            return f"No manoeuvre can be suggested: {error}", None
+            return f"No manoeuvre can be suggested: {error}", False
 
     def _normalised(self, fit: Fitted) -> float:
         """Error in units of the noise; what unknown first states leave open is left out on both sides."""

@@ -51,6 +51,7 @@ class HullRules:
 
 _RULES = HullRules()
 
+_ROUNDING = 1e-12  # of the added masses, or moments, of the other axes
 _HOERNER = "Hoerner (1965), Fluid-Dynamic Drag, chapter 3"
 _CLASSES = {
     "blunt": (1.05, 0.4, f"between a cube face on (1.05) and a long plate; {_HOERNER}"),
@@ -163,9 +164,9 @@ def coupled(matrix: Array) -> list[tuple[int, int]]:
 
 
 def entry(added: AddedMass, i: int, j: int) -> float:
-    """An entry of the matrix; what rounding has made negative on the diagonal is zero."""
-    value = float(added.matrix[i, j])
-    return max(value, 0.0) if i == j else value
+    """An entry of the matrix; what rounding has left on the diagonal is zero."""
+    value, alike = float(added.matrix[i, j]), np.diag(added.matrix)[3 * (i // 3) :][:3]
+    return 0.0 if i == j and value < _ROUNDING * alike.max() else value
 
 
 def derivative(i: int, j: int) -> str:

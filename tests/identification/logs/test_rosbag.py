@@ -293,7 +293,7 @@ def test_bags_of_ros2_itself_are_read(name: str, series: int) -> None:
         pytest.skip(f"the bag of rosbag2 is not at {_REAL / name}")
     log = read_field_log(_REAL / name)
     assert len(log.series) == (2 if "cdr" in name else 8)
-    with pytest.raises(UndertowError, match=r"none of its series is recognised as a motion.*--list"):
+    with pytest.raises(UndertowError, match=r"none of its series is recognised as a motion.*--out"):
         read_log(log.path)
     if "cdr" in name:
         assert list(log.series["/test_topic"].columns["int32_value"]) == [123.0] * 3
@@ -310,7 +310,7 @@ def test_messages_that_are_damaged_are_blank(tmp_path: Path) -> None:
     assert np.isnan(columns["pose.pose.orientation.psi"]).sum() == 1
 
 
-def test_an_import_without_a_motion_says_what_is_left_out_and_how_to_read_it(
+def test_an_import_without_a_motion_has_all_columns_and_asks_what_they_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Lists of numbers have no names: which of them is a rate only those know who made the log."""
@@ -320,15 +320,15 @@ def test_an_import_without_a_motion_says_what_is_left_out_and_how_to_read_it(
         for k in range(30):
             out.write("/thrusters", 0.1 * k, out.commands(np.ones(2)))
             out.write("/imu/list", 0.1 * k, out.commands(np.arange(4.0)))
-    table = tmp_path / "own.parquet"
+    table, meaning = tmp_path / "own.parquet", tmp_path / "own.toml"
     assert main(["import", str(path), "--out", str(table)]) == 0
-    said = capsys.readouterr().out
-    assert "no column is recognised as a motion" in said
-    assert "/imu/list has layout.data_offset, data[0-3]" in said
-    line = next(part for part in said.split("`") if "channel =" in part)
-    (tmp_path / "log.toml").write_text(f'schema = "undertow/mapping/1"\n[columns]\n{line}\n')
-    words = ["import", str(path), "--map", str(tmp_path / "log.toml"), "--out", str(table), "--force"]
-    assert main(words) == 0
-    assert "no column is recognised" not in capsys.readouterr().out
-    run = read_log(table, read_mapping(tmp_path / "own.toml"))
+    assert "no column is recognised as a motion" in capsys.readouterr().out
+    asked = meaning.read_text()
+    assert all(f'"/imu/list.data[{k}]",' in asked for k in range(4))
+    said = '"/imu/list.data[3]" = { channel = "r", unit = "deg/s" }'
+    meaning.write_text(
+        asked.replace('    "/imu/list.data[3]",\n', "").replace("[columns]", f"[columns]\n{said}")
+    )
+    run = read_log(table, read_mapping(meaning))
     np.testing.assert_allclose(run.channels["r"], np.radians(3.0))
+    np.testing.assert_allclose(run.channels["/thrusters.data[0]"], 1.0)

@@ -102,7 +102,7 @@ def diagnose(
         outcome = _diagnosed(part, loaded, line, settings, options)
         if rig:
             say(str(part), "bold")
-        show(outcome)
+        show(outcome, own(json))
         say_long(outcome.diagnosis.long_logs)
         written.append((outcome, own(json), own(report)))
     _write(written, loaded.vehicle, vehicle, apply, rig)
@@ -172,8 +172,8 @@ def _models(outcome: DiagnosisResult, given: Vehicle) -> dict[str, Vehicle]:
 _SHOWN = 6
 
 
-def show(outcome: DiagnosisResult) -> None:
-    """Print verdict, ranking, the falling error and warnings."""
+def show(outcome: DiagnosisResult, written: Path | None = None) -> None:
+    """Print verdict, ranking, the falling error and warnings; `written` is the file of --json."""
     from undertow.identification.diagnosis.floors import in_words
 
     diagnosis = outcome.diagnosis
@@ -199,7 +199,10 @@ def show(outcome: DiagnosisResult) -> None:
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
-        say("to make an effect of it: undertow effects new ID --from (the file of --json)", "dim")
+        say(
+            f"to make an effect of it: undertow effects new ID --from {written or '(the file of --json)'}",
+            "dim",
+        )
     shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
     for warning in (w for w in diagnosis.warnings if w not in shown):
         say(f"warning: {warning}", "yellow")
@@ -213,6 +216,10 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     model = "model with fitted values" if diagnosis.freed else "model as it is"
     longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
+    rest = len(diagnosis.ranking) - len(helping)
+    if rest and not helping:
+        say(f"{rest} effects were tried, and none of them helps.", "dim")
+        return
     heads = ("effect", *([f"{longest} error"] if longest else []), "error", "explains", "chance", "sure")
     numbers = (
         [r.effect]
@@ -223,7 +230,6 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     section(
         f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)", table(heads, numbers)
     )
-    rest = len(diagnosis.ranking) - len(helping)
     more = f"{rest} more effects were tried and do not help. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
     say(

@@ -240,11 +240,12 @@ def _process_noise(fit: Fitted) -> list[str]:
 def _combined(fit: Fitted, given: CommandLine) -> list[str]:
     """What is known only in sums, and which run would determine more."""
     from undertow.identification.estimation.fitted import base_parameters, verdicts
+    from undertow.identification.planning.manoeuvres import can_be_planned
 
     sums = base_parameters(fit.gram, fit.model.free)
     lines = [f"only these combinations can be identified: {', '.join(map(str, sums))}"] if sums else []
     lacking = [name for name, verdict in verdicts(fit).items() if verdict != "identified"]
-    if lacking:
+    if lacking and can_be_planned(fit.model.functions.vehicle):
         plan = given.looking(["plan"], "--only", ",".join(lacking), "--out", "plan.csv")
         lines.append(f"to plan a better run: {plan}")
     return lines

@@ -5,7 +5,8 @@
 
 Every command that takes a log reads such files directly. An imported log is read faster, needs no extra
 library and can be passed on. The mapping file beside it (dive.toml) says which column became which channel;
-correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml.
+correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml. If no column is recognised as a
+motion, the table has all of them, and the mapping file asks what they are, as undertow map new does.
 
 --list shows what the file holds: series, how often they report, from when to when, and the longest gap.
 """
@@ -24,9 +25,12 @@ from undertow.errors import UndertowError
 
 from .._options import MapOption, NewForceOption, new_file
 from .._terminal import progress, say, section, table, write_files
+from .map import show_guesses
 
 if TYPE_CHECKING:
-    from undertow.identification.logs.formats.fieldlog import FieldLog, Series
+    from polars import DataFrame
+
+    from undertow.identification.logs.formats.fieldlog import Series
     from undertow.identification.logs.mapping import LogMapping
 
 _OUT = typer.Option(metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
@@ -52,7 +56,9 @@ def import_(
     force: NewForceOption = False,
 ) -> None:
     from undertow.identification.logs.formats.registry import read_field_log
-    from undertow.identification.logs.mapping import read_mapping
+    from undertow.identification.logs.guess import guess_table
+    from undertow.identification.logs.mapping import LogMapping, mapping_text, read_mapping
+    from undertow.identification.logs.opening import columns_read
     from undertow.model.loading import load_vehicle
 
     if not (out or list_):
@@ -60,7 +66,7 @@ def import_(
     target = None if out is None or list_ else new_file(out, force, [log, *filter(None, [map])])
     beside = None if target is None else new_file(target.with_suffix(".toml"), force, filter(None, [map]))
     given = read_mapping(map) if map else None
-    commands = load_vehicle(vehicle).command_names if vehicle else ()
+    model = load_vehicle(vehicle) if vehicle else None
     with progress("reading", None):
         found = read_field_log(log, messages or (given.messages if given else None))
     for note in found.notes:
@@ -68,12 +74,17 @@ def import_(
     if target is None or beside is None:
         section(f"{log}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()]))
         return
-    meaning = given or found.mapping_for(commands)
-    _write(found, meaning, target, beside)
-    read = [(name, column.channel, column.unit or "") for name, column in meaning.columns.items()]
-    section(f"{log}: {found.format}", table(("column", "channel", "unit"), read))
-    for line in _without_motion(found, meaning, log, target):
-        say(line, "yellow")
+    meaning = given or found.mapping_for(model.command_names if model else ())
+    if given or _has_motion(meaning):
+        _write(found.table(columns_read(meaning)), target, mapping_text(meaning), beside)
+        read = [(name, column.channel, column.unit or "") for name, column in meaning.columns.items()]
+        section(f"{log}: {found.format}", table(("column", "channel", "unit"), read))
+    else:
+        rows = found.table(f"{s.name}.{column}" for s in found.series.values() for column in s.columns)
+        guessed = guess_table(rows, target, model, LogMapping(missing_commands="hold"))
+        _write(rows, target, guessed.text(), beside)
+        say(f"no column is recognised as a motion: {target} has all of them", "yellow")
+        show_guesses(guessed, log)
     say(f"the meaning of the columns is in {beside}: correct it there if it is wrong")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")
 
@@ -101,33 +112,17 @@ def _elements_together(columns: Iterable[str]) -> list[str]:
     return [name.replace("[]", f"[{end}]") for name, end in ends.items()]
 
 
-def _without_motion(log: FieldLog, meaning: LogMapping, path: Path, out: Path) -> list[str]:
-    """What to do where no motion is among the columns that a mapping reads."""
+def _has_motion(meaning: LogMapping) -> bool:
     from undertow.identification.logs.run import MEASURED
 
-    read = {column.channel for column in meaning.columns.values()} | {*meaning.channels}
-    if read & MEASURED:
-        return []
-    used = {name.rpartition(".")[0] for name in meaning.columns}
-    others = [series for series in log.series.values() if series.name not in used and series.columns]
-    holds = "; ".join(f"{s.name} has {', '.join(_elements_together(s.columns))}" for s in others)
-    example = f"{others[0].name}.{[*others[0].columns][-1]}" if others else "SERIES.column"
-    line = f'"{example}" = {{ channel = "r", unit = "deg/s" }}'
-    return [
-        f"no column is recognised as a motion, so {out} was not written: {holds}",
-        f"say what the columns are in a mapping file, with lines like `{line}`: undertow import {path} "
-        f"--map FILE --out {out} --force",
-    ]
+    return bool(MEASURED & {*(column.channel for column in meaning.columns.values()), *meaning.channels})
 
 
-def _write(log: FieldLog, meaning: LogMapping, out: Path, beside: Path) -> None:
-    """Write the columns that a mapping reads as a table, and the mapping beside it."""
-    from undertow.identification.logs.mapping import mapping_text
-    from undertow.identification.logs.opening import columns_read
-
-    rows, cells = log.table(columns_read(meaning)), BytesIO()
+def _write(rows: DataFrame, out: Path, meaning: str, beside: Path) -> None:
+    """Write a table, and beside it the mapping file that says what its columns mean."""
+    cells = BytesIO()
     if out.suffix == ".csv":
         rows.write_csv(cells)
     else:
         rows.write_parquet(cells)
-    write_files((out, lambda _: cells.getvalue()), (beside, mapping_text(meaning)))
+    write_files((out, lambda _: cells.getvalue()), (beside, meaning))

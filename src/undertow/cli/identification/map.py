@@ -10,7 +10,7 @@ the file is a question; `undertow doctor VEHICLE LOG --map log.toml` then tries 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,9 @@ from undertow.errors import UndertowError
 
 from .._options import NewForceOption, new_file
 from .._terminal import progress, say, section, table
+
+if TYPE_CHECKING:
+    from undertow.identification.logs.guessed import GuessedMapping
 
 app = typer.Typer(add_completion=False)
 
@@ -50,10 +53,15 @@ def new(
     with progress("reading"):
         guessed = guess_mapping(log, model)
     write_whole(out, guessed.text())
+    show_guesses(guessed, log)
+    left = sum(len(names) for names in guessed.ignored.values())
+    say(f"wrote {out}: {len(guessed.columns)} columns read, {left} left out; look at every line with '# ?'")
+    say(f"then: undertow doctor {vehicle or 'VEHICLE'} {log} --map {out}")
+
+
+def show_guesses(guessed: GuessedMapping, log: Path) -> None:
+    """The columns of a log that were understood, and what is asked of them and of the others."""
     rows = [(g.column, g.channel, str(g.entry.get("unit", ""))) for g in guessed.columns]
     section(f"{log}: guesses", table(("column", "channel", "unit"), rows))
     if guessed.asked:
         section("Questions", table(("",), ((question,) for question in guessed.asked)))
-    left = sum(len(names) for names in guessed.ignored.values())
-    say(f"wrote {out}: {len(rows)} columns read, {left} left out; look at every line with '# ?'")
-    say(f"then: undertow doctor {vehicle or 'VEHICLE'} {log} --map {out}")

@@ -14,9 +14,9 @@ from scipy.special import chdtrc
 from undertow.codegen.functions import Functions
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.adaptation import adapted
-from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.predictor import Predictor, predict_each
-from undertow.identification.estimation.windows import Prediction, cut, prediction_error
+from undertow.identification.estimation.windows import Prediction, cut, possible_horizon, prediction_error
 from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import UNITS, Run
 from undertow.identification.long_logs.result import LongLogs, ResultTable
@@ -383,7 +383,7 @@ def compare(
     forces = residual_forces(functions, runs, data, vehicles)
     progress(0.4, "simulating")
     predictor = Predictor(functions, compiled=compiled)
-    horizon = _possible(horizon, data)
+    horizon = possible_horizon(vehicle, runs, horizon)
     ahead = predict_each(vehicles, cut(runs, vehicle, horizon), predictor)
     free_run = predict_each(vehicles, cut(runs, vehicle, None), predictor)
     progress(0.9, "error map")
@@ -425,12 +425,6 @@ def supplied(vehicle: Vehicle, better: Vehicle, runs: Sequence[Run]) -> list[Pro
 
 def _measured_pose(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
-
-
-def _possible(horizon: float, data: WeakData) -> float:
-    """The horizon, or half of the longest stretch where no stretch holds two horizons."""
-    longest = max(float(s.t[-1] - s.t[0]) for s in data.segments)
-    return min(horizon, longest / 2)
 
 
 def _compared(run: Run) -> ComparedRun:

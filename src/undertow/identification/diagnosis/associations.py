@@ -356,7 +356,7 @@ class Difference:
     """Coefficients of the same columns in every run that is long enough.
 
     runs: (g,), numbers of these runs.
-    values: (g, k), the coefficients.
+    values: (g, k), the coefficients; what a run leaves open is that of all runs.
     chance: chance of so large differences when all runs are alike.
     """
 
@@ -380,10 +380,20 @@ def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference
         return None
     fits = [_fitted(r[g], columns[g], block[g]) for g in groups]
     values = np.array([value for value, _ in fits])
-    weights = [inverse_of(spread) for _, spread in fits]
-    mean = inverse_of(np.sum(weights, axis=0)) @ np.einsum("gij,gj->i", np.array(weights), values)
-    distance = sum(float((v - mean) @ w @ (v - mean)) for v, w in zip(values, weights, strict=True))
-    return Difference(runs, values, float(chi2.sf(distance, (len(groups) - 1) * columns.shape[1])))
+    spreads = np.array([spread for _, spread in fits])
+    weights = np.array([inverse_of(spread) for spread in spreads])
+    common = inverse_of(weights.sum(axis=0))
+    mean = common @ np.einsum("gij,gj->i", weights, values)
+    off = values - mean
+    distance, freedom = float(np.einsum("gi,gij,gj->", off, weights, off)), (len(groups) - 1) * len(mean)
+    # Variance between runs, as DerSimonian and Laird (1986) estimate it. A run on one heading says nothing of
+    # the force across it, and what it gives there is no value of that run.
+    scale = np.trace(weights.sum(axis=0)) - np.trace(common @ np.sum(weights @ weights, axis=0))
+    between = max(distance - freedom, 0.0) / scale * np.eye(len(mean))
+    own = np.array(
+        [between @ inverse_of(between + spread) @ v for spread, v in zip(spreads, off, strict=True)]
+    )
+    return Difference(runs, mean + own, float(chi2.sf(distance, freedom)))
 
 
 def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:

@@ -163,7 +163,7 @@ class Indistinguishable(ResultTable):
     effects: list[str]
     reason: str  # why
     separated_by: str = ""  # manoeuvre that would tell them apart
-    separable: bool | None = None  # whether any manoeuvre that was tried would; null if none was tried
+    separable: bool | None = None  # whether a run is known that would; null if none was looked for
 
 
 class Equivalent(ResultTable):

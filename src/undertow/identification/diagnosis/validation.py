@@ -31,6 +31,7 @@ from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.estimation.windows import (
+    HORIZONS,
     Prediction,
     Windows,
     cut,
@@ -38,6 +39,7 @@ from undertow.identification.estimation.windows import (
     longest_stretch,
     position_error,
     prediction_error,
+    shortest_horizon,
 )
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
@@ -226,6 +228,9 @@ class SimulationValidator:
         return self._cut(self.settings.long_windows)
 
     def _cut(self, horizon: float) -> Windows:
+        # Of a slow log, windows in which more than the start is left to judge.
+        if horizon < shortest_horizon(self.test):
+            horizon = shortest_horizon(self.test, HORIZONS.fewest_samples)
         length = min(horizon, self.shortest)
         return cut(self.test, self._vehicle, length, sigma=self.sigma, skip=self._unknown)
 

@@ -149,20 +149,27 @@ def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
     return Judgement("adequate", text, [], [], share)
 
 
-def error_of_sensors(findings: Iterable[FoundEffect], settings: Settings = DEFAULT) -> Judgement | None:
+def error_of_sensors(
+    findings: Iterable[FoundEffect], compared: bool, settings: Settings = DEFAULT
+) -> Judgement | None:
     """That the sensors contradict each other, where an effect of theirs is there beyond chance.
 
     Pose and velocities follow from each other without a force: what lies between them is no disturbance, also
-    where it changes no predicted velocity.
+    where it changes no predicted velocity. Where only one of them was measured they are not `compared`, and
+    what a sensor would explain may as well be a force.
     """
     own = (f for f in findings if f.significant and f.of_sensors)
     most = max(own, key=lambda f: f.explained, default=None)
     if most is None or most.explained < settings.sensor_share:
         return None
+    takes = f"{most.id} removes {most.explained:.0%} of the excess over noise"
+    lowers = "but lowers the error of no predicted velocity or position by enough to matter"
     text = (
-        f"Unexplained: the sensors contradict each other. {most.id} removes {most.explained:.0%} of the "
-        "excess over noise, where no disturbance acts, but lowers the error of no predicted velocity or "
-        "position by enough to matter: see what undertow doctor says about the logs."
+        f"Unexplained: the sensors contradict each other. {takes}, where no disturbance acts, {lowers}: see "
+        "what undertow doctor says about the logs."
+        if compared
+        else f"Unexplained: {takes}, {lowers}. Pose and velocity were not both measured: an error of the "
+        "sensor and a missing force look alike."
     )
     return Judgement("unexplained", text, [], [], most.explained)
 

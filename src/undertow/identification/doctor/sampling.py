@@ -38,6 +38,8 @@ class SamplingSettings:
     one_way: float = 0.05  # share of the motion below which a direction was not excited
     # Squared correlation of speed and its square beyond which drag laws cannot be told apart.
     alike: float = 0.985
+    periodic: float = 0.9  # share of the power of a motion in one line of its spectrum: one period only
+    periods: int = 10  # of that line in the longest log; below, a line is a step or a drift as well
     reversals: int = 2  # changes of direction that dead band and dry friction need
     headings: float = np.radians(60.0)  # span that tells a current from a constant force, rad
     # Noise by differences of the highest order over that by lower ones below which it is not white: of white
@@ -168,6 +170,7 @@ def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
         id="missing_samples",
         severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
         text=f"{worst} has no value in {shares[worst]:.1%} of the rows"
+        + (f", with {out} outliers that were taken out" if (out := run.outliers.get(worst)) else "")
         + (
             f" (missing samples also in {', '.join(n for n in several if n != worst)})"
             if len(several) > 1
@@ -306,9 +309,29 @@ class _Motion:
         return self.all[np.abs(self.all) > self.threshold]
 
     @property
+    def only_period(self) -> float | None:
+        """Period, in samples, of a motion that has only one; None of any other."""
+        longest = max(map(len, self.parts))
+        spectra = [np.abs(np.fft.rfft(_windowed(part), longest)) ** 2 for part in self.parts]
+        power = np.sum(spectra, axis=0)
+        lines = np.convolve(power, np.ones(_LINE), mode="valid")
+        first, bins = int(np.argmax(lines)), np.arange(_LINE)
+        only = first >= SETTINGS.periods and lines[first] > SETTINGS.periodic * np.sum(power)
+        return longest / (first + bins @ power[first : first + _LINE] / lines[first]) if only else None
+
+    @property
     def reversals(self) -> int:
         """Changes of direction, of speeds that stand out only."""
         return sum(_sign_changes(part[np.abs(part) > self.threshold]) for part in self.parts)
+
+
+_LINE = 5  # bins of the spectrum that a line takes up, through a Hann window
+
+
+def _windowed(part: Array) -> Array:
+    there = np.isfinite(part)
+    mean = np.mean(part[there]) if there.any() else 0.0
+    return np.asarray(np.hanning(len(part)) * np.where(there, part - mean, 0.0))
 
 
 def _sign_changes(values: Array) -> int:
@@ -345,7 +368,7 @@ def _excitation_of(vehicle: Vehicle, place: int, motion: _Motion, runs: Sequence
         positive=float(np.mean(moving > 0)) if len(moving) else 0.0,
         reversals=motion.reversals,
         command_range=span,
-        cannot=list(_cannot(motion)),
+        cannot=list(_cannot(motion, runs[0].step, bool(_acting_on(vehicle, vehicle.dof_indices[place])))),
     )
 
 
@@ -360,7 +383,8 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
     return float((np.nanmax(force) - np.nanmin(force)) / (2 * largest))
 
 
-def _cannot(motion: _Motion) -> Iterator[str]:
+def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:
+    """What a motion, sampled every `step` s, leaves open; `driven`: whether a command acts on it."""
     moving, means, noise = motion.moving, motion.means, motion.noise_of_means
     if not len(moving) or not len(means) or np.sqrt(np.mean(means**2)) < SETTINGS.excited * noise:
         yield "anything: the motion does not exceed its noise"
@@ -372,6 +396,11 @@ def _cannot(motion: _Motion) -> Iterator[str]:
     speed = np.abs(moving)
     if _alike(speed):
         yield "linear and quadratic drag separately (one speed only)"
+    if (period := motion.only_period) is not None:
+        # A sine has two numbers, its size and its phase, to be explained.
+        wave = "" if driven else ", nor tell these from a wave that keeps it swinging"
+        only = f"(one period only, {period * step:.3g} s)"
+        yield f"more than two of inertia, damping and stiffness{wave} {only}"
     if motion.reversals < SETTINGS.reversals:
         yield "dead band and dry friction (hardly any reversals)"
 

@@ -179,6 +179,11 @@ def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Win
 
 def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
     longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
+    if horizon is not None and horizon < (least := shortest_horizon(runs)):
+        raise UndertowError(
+            f"{horizon:g} s hold fewer than {SETTINGS.fewest} samples of "
+            f"{', '.join(repr(r.name) for r in runs)}: give a horizon of {least:.3g} s or more"
+        )
     wanted = f"{SETTINGS.fewest} samples" if horizon is None else f"{horizon:g} s"
     raise UndertowError(
         f"no gap-free stretch is long enough to predict over {wanted}: the longest in "
@@ -575,6 +580,17 @@ def longest_stretch(vehicle: Vehicle, run: Run) -> float:
         (float(run.t[s.stop - 1] - run.t[s.start]) for s in run.segments(names, across=GAPS.harmless)),
         default=0.0,
     )
+
+
+def possible_horizon(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> float:
+    """The horizon, s, or half of the longest stretch without gaps; three samples at least."""
+    longest = max(longest_stretch(vehicle, run) for run in runs)
+    return max(min(horizon, longest / 2), shortest_horizon(runs))
+
+
+def shortest_horizon(runs: Sequence[Run], samples: int = SETTINGS.fewest) -> float:
+    """Length of a window, s, with so many samples of the run that has the most of them."""
+    return (samples - 1) * min(run.step for run in runs)
 
 
 def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:

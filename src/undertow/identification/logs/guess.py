@@ -57,6 +57,7 @@ class GuessSettings:
     spin: float = (
         6.0  # a turning rate beyond this is in degrees: vehicles in water turn once a second at most
     )
+    globe: float = 180.0  # no latitude or longitude is larger, degrees
     still: float = 7e-5  # no turning rate stays below that of the earth, rad/s
     repeated: float = (
         0.6  # share of rows that repeat the one before, from which a sensor is slower than its log
@@ -139,7 +140,9 @@ def guess_table(
         time,
         tuple(read),
         axes,
-        _ignored(table.columns, used, names, dead, only, {*motion} - {g.channel for g in read}),
+        _ignored(
+            table.columns, used, names, dead, only, {*motion} - {g.channel for g in read}, _no_degrees(data)
+        ),
         reading.model_copy(update={"not_numbers": "missing"}) if lost else reading,
         tuple(questions),
     )
@@ -551,6 +554,12 @@ def _quantities() -> dict[str, str]:
     return {d.name: d.about for cls in catalogue().values() for d in logged(cls)}
 
 
+def _no_degrees(data: Mapping[str, Array]) -> tuple[str, ...]:
+    """Latitude and longitude, where one of them is beyond half a turn."""
+    found = latitude_and_longitude(data)
+    return found if any(np.nanmax(np.abs(data[n]), initial=0.0) > SETTINGS.globe for n in found) else ()
+
+
 def _ignored(
     columns: Sequence[str],
     used: set[str],
@@ -558,6 +567,7 @@ def _ignored(
     dead: set[str],
     only: int | None,
     foreign: set[str],
+    no_degrees: Sequence[str],
 ) -> dict[str, tuple[str, ...]]:
     """Columns that are left out, by the reason; `foreign`: channels that the vehicle does not have."""
     found: dict[str, list[str]] = {}
@@ -576,6 +586,8 @@ def _ignored(
             reason = "a motion that the vehicle does not have"
         elif name.force:
             reason = "a force on the vehicle, which its thrusters make"
+        elif column in no_degrees:
+            reason = "? a latitude or longitude that is not in degrees (degrees and minutes as 4854.6?)"
         elif name.motion(only) or column in latitude_and_longitude(columns):
             reason = "another column looks more like the measurement"
         else:

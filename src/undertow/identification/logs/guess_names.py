@@ -45,6 +45,7 @@ _MOVES = {
     "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
     "vm": 1,  # v_m of the MMG model: sway velocity at midship
 }  # fmt: skip
+_NAMED = {"surge", "sway", "heave"}
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
 _OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "linear", "twist"}
 _OF_RATE = {"rate", "rates", "dot", "gyro", "angular", "omega", "angvel", "rotational"}
@@ -191,7 +192,8 @@ class Name:
         rate = self.unit in RATES or bool(words & _OF_RATE)
         for word in self.words:
             if word in _MOVES:
-                return VELOCITY[_MOVES[word]]
+                place = word in _NAMED and self.unit in _LENGTHS  # of a hull that swings in waves
+                return (POSE if place else VELOCITY)[_MOVES[word]]
             if word in _TURNS:
                 return (VELOCITY if rate or speed else POSE)[3 + _TURNS[word]]
             if word in _PLACES:

@@ -73,7 +73,7 @@ class GuessedMapping:
         plain = LogMapping()
         head += [
             f"{key} = {_toml(getattr(self.reading, key))}"
-            for key in ("delimiter", "not_numbers")
+            for key in ("delimiter", "not_numbers", "missing_commands")
             if getattr(self.reading, key) != getattr(plain, key)
         ]
         head += ["ignore = [", *(line for part in self._ignored() for line in part), "]"]

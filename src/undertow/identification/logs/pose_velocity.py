@@ -41,6 +41,9 @@ class SmootherSettings:
     rounds: int = 40  # of taking out outliers
     apart: int = 3  # samples by which what is found at once lies apart at least
     estimates: int = 6  # times the noise is estimated anew after outliers were taken out
+    # Share of samples that may be outliers or shifts. Every one taken out lowers the noise that is estimated
+    # anew, so that more stand out: where ever more of them do, they are the noise, not exceptions to it.
+    exceptions: float = 0.1
     lanes_at_once: int = 96
     uncertain: float = 10.0  # times the median standard deviation: such a rate is as good as unknown
     fewest: int = 10  # samples of a pose channel
@@ -287,6 +290,11 @@ def track(t: Array, y: Array) -> Track:
         changed, state = _cleaned(
             signal, ratio, max(float(np.sqrt(variance)), SETTINGS.small * _usual_change(y))
         )
+        if np.sum(np.isnan(signal.y) & np.isfinite(y) | signal.jump) > SETTINGS.exceptions * len(y):
+            signal = _Signal(t, y.copy(), np.zeros(len(y), dtype=bool))
+            ratio, variance = signal.likely()
+            state = signal.smoothed(ratio)[0]
+            break
         if not changed:
             break
     step = _usual_step(t)
@@ -409,6 +417,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         channels={**run.channels, **found},
         sigma={**run.sigma, **sigma},
         derived=run.derived | set(lacking),
+        outliers={name: int(one.outlier.sum()) for name, one in tracks.items()},
         resolution=max((tracks[n].resolution for n in tracks if _moves(run.channels[n])), default=0.0),
     ).with_notes(_summary(tracks, sigma), *(_note(run, name, one) for name, one in tracks.items()))
 

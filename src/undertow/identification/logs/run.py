@@ -90,6 +90,8 @@ class Run:
         Motions held at rest, or moved as logged, by a rig.
     part_of : str
         Name of the run that this is a stretch of; empty for a whole run.
+    outliers : dict of int
+        Samples of the pose that were taken out because the others contradict them.
     dropped : int
         Rows of the file that were left out because their time was not later than that of an earlier row.
     """
@@ -105,6 +107,7 @@ class Run:
     resolution: float = 0.0
     mapping: LogMapping | None = None
     wrapped: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    outliers: Mapping[str, int] = field(default_factory=dict)
     dropped: int = 0
     part_of: str = ""
     reported: Mapping[str, Flags] = field(default_factory=dict)

@@ -270,13 +270,33 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     # Polars would give the second of two columns of one name another one.
     _refuse_doubled(next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter)), where)
-    return pl.read_csv(
-        text,
-        infer_schema=False,
-        separator=mapping.delimiter,
-        comment_prefix=mapping.comment,
-        null_values=[*_ALWAYS_MISSING, *(value for value in mapping.missing if isinstance(value, str))],
-    )
+    try:
+        return pl.read_csv(
+            text,
+            infer_schema=False,
+            separator=mapping.delimiter,
+            comment_prefix=mapping.comment,
+            null_values=[*_ALWAYS_MISSING, *(value for value in mapping.missing if isinstance(value, str))],
+        )
+    except _UNREADABLE as error:
+        raise (_uneven(text, mapping, where) or error) from error
+
+
+def _uneven(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
+    """That a line has more cells than the header names; None where none has."""
+    lines = io.TextIOWrapper(io.BytesIO(text), encoding="utf-8-sig", newline="")
+    rows, known = csv.reader(lines, delimiter=mapping.delimiter), 0
+    for row in rows:
+        if not row or (mapping.comment and row[0].startswith(mapping.comment)):
+            continue
+        known = known or len(row)
+        if len(row) > known:
+            return UndertowError(
+                f"{where} cannot be read as a table: line {rows.line_num} has {len(row)} cells, the header "
+                f"{known}: delete what is neither the header nor a row below it, or say by `comment` in a "
+                "mapping file what such lines begin with"
+            )
+    return None
 
 
 def header_of(text: bytes, mapping: LogMapping) -> bytes:

@@ -338,6 +338,11 @@ class CommandLimits:
     source: tuple[str, ...]  # where each comes from
 
 
+def can_be_planned(vehicle: Vehicle) -> bool:
+    """Whether a manoeuvre can be chosen: something is commanded, and nothing else drives the vehicle."""
+    return bool(vehicle.command_names) and not vehicle.inputs
+
+
 def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> CommandLimits:
     """Largest commands: what was asked for, else the vehicle file, else the largest in the logs.
 

@@ -202,7 +202,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
         ": record the run that tells them apart before taking one of them for the cause"
         if _separable(diagnosis)
         else (
-            ", and no run that was tried would tell them apart: use any of them to predict, and take "
+            ", and no run is known that would tell them apart: use any of them to predict, and take "
             "none for the cause"
         )
     )
@@ -301,7 +301,7 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
     place = f"most of what is left is in {worst.degree_of_freedom}"
     if not _terms(diagnosis):
         return (
-            f"{place}, and correlates with nothing that was logged: more runs may show what it depends on; "
+            f"{place}, and no variable of the logs stands out in it: more runs may show what it depends on; "
             "undertow doctor checks the logs"
         )
     described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]

@@ -60,8 +60,18 @@ def traces(
     if given is not None:
         shown["given"] = predict(given, found, compiled=False)
     windows = f"every {before.result.horizon:g} s from the measured motion"
-    how = f"simulated {'without any correction' if free else windows}"
-    return [RunTraces(run.name, tuple(_traces(i, shown)), how) for i, run in enumerate(found.runs)]
+    starts = np.bincount(found.run, minlength=len(found.runs))
+    hows = [_without_correction(int(count)) if free else windows for count in starts]
+    return [
+        RunTraces(run.name, tuple(_traces(i, shown)), f"simulated {how}")
+        for i, (run, how) in enumerate(zip(found.runs, hows, strict=True))
+    ]
+
+
+def _without_correction(starts: int) -> str:
+    if starts < 2:
+        return "without any correction"
+    return f"without any correction between gaps, in {starts} pieces that start from the measured motion"
 
 
 def simulated(vehicle: Vehicle, runs: Sequence[Run], horizon: float | None) -> list[RunTraces]:
@@ -75,24 +85,27 @@ def simulated(vehicle: Vehicle, runs: Sequence[Run], horizon: float | None) -> l
 
 
 def _traces(run: int, models: Mapping[str, Prediction]) -> Iterator[Trace]:
-    first = models["before"]
-    log = first.windows.runs[run]
-    simulated = {which: _on_clock(prediction, run) for which, prediction in models.items()}
-    for i, name in enumerate(first.names):
+    # A model with values by run has the first part of a log for them: it is judged by the rest alone.
+    log = max((m.windows.runs[run] for m in models.values()), key=lambda own: len(own.t))
+    simulated = {which: _on_clock(prediction, run, log) for which, prediction in models.items()}
+    for i, name in enumerate(models["before"].names):
         if log.has(name):
             along = log.channels[name]
             lines = {which: _like(values[:, i], along, name) for which, values in simulated.items()}
             yield Trace(name, UNITS[name], log.t, log.reports(name), **lines)
 
 
-def _on_clock(prediction: Prediction, run: int) -> Array:
-    """Predictions at the samples of a run; NaN where none reaches, and at the end of every window."""
+def _on_clock(prediction: Prediction, run: int, log: Run) -> Array:
+    """Predictions at the samples of a log; NaN where none reaches, and at the end of every window."""
     windows = prediction.windows
-    result = np.full((len(windows.runs[run].t), len(windows.names)), np.nan)
+    result = np.full((len(log.t), len(windows.names)), np.nan)
+    before = int(
+        np.searchsorted(log.t, windows.runs[run].t[0])
+    )  # samples of the log, of which the run is a part
     inside = windows.inside.copy()
     # A window ends where the next begins; that sample shows the new start, and one before it breaks the line.
     for k in np.flatnonzero(windows.run == run).tolist():
-        rows = windows.samples[k][inside[k]]
+        rows = before + windows.samples[k][inside[k]]
         result[rows[:-1]] = prediction.predicted[k][inside[k]][:-1]
         result[rows[-1]] = np.nan
     return result

@@ -133,7 +133,7 @@ class FieldLog:
         if not asked:
             raise UndertowError(
                 f"log {self.path}: none of its series is recognised as a motion; undertow import {self.path} "
-                "--list shows what it contains: say what it means in a mapping file (--map)"
+                "--out NEW.parquet writes all of it as a table, with a mapping file that asks what it means"
             )
         kept, t, places = self._rows(asked, window)
         times = [self.series[name].t[rows] for name, rows in kept.items()]
