@@ -515,7 +515,8 @@ def _require(run: Run, names: list[str], vehicle: str) -> None:
         if not run.has(name):
             raise UndertowError(
                 f"run '{run.name}' has no channel '{name}', which vehicle '{vehicle}' needs; the run has "
-                f"{', '.join(run.channels)}; name the column in a mapping file (--map)"
+                f"{', '.join(run.channels)}; name the column in a mapping file (--map), or, from Python, "
+                "give read_log commands=vehicle.command_names"
             )
 
 
