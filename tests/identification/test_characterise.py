@@ -26,7 +26,8 @@ from undertow.identification.diagnosis.associations import (
     terms_of,
     without_waves,
 )
-from undertow.identification.diagnosis.residual import ForceRows, how, remaining, sentence
+from undertow.identification.diagnosis.force_rows import ForceRows
+from undertow.identification.diagnosis.residual import how, remaining, sentence
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
 from undertow.identification.diagnosis.splitting import split_into_pieces
 from undertow.identification.estimation.data import WeakData, prepare

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
-from undertow.identification.contradiction import contradiction
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.residual import remaining, unknown_to
@@ -19,6 +18,7 @@ from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.scaffold import effect_of
+from undertow.identification.result_builder import contradiction
 from undertow.model.catalogue import catalogue
 
 

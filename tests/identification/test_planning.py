@@ -12,8 +12,7 @@ import pytest
 from tests.identification.surge import surge_vehicle
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification import diagnose
-from undertow.identification.diagnose import ResultBuilder
+from undertow.identification import result_builder
 from undertow.identification.diagnosis.result import Indistinguishable
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
@@ -40,6 +39,7 @@ from undertow.identification.planning.problem import (
 )
 from undertow.identification.planning.rivals import RivalSpec, rival_models
 from undertow.identification.planning.separation import Separations, plan_separation, suggest
+from undertow.identification.result_builder import ResultBuilder
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, load_vehicle, resolve_vehicle, vehicle_from_table
 from undertow.model.vehicle import Vehicle
@@ -410,7 +410,7 @@ def test_no_plan_is_recommended_that_would_be_refused(monkeypatch: pytest.Monkey
     def refuse(*_: object, **__: object) -> None:
         raise UndertowError("'section' has no thruster and no known force: nothing can be planned")
 
-    monkeypatch.setattr(diagnose, "suggest", refuse)
+    monkeypatch.setattr(result_builder, "suggest", refuse)
     fit = SimpleNamespace(values={})
     one = SimpleNamespace(findings=[SimpleNamespace(id="lift", trial=SimpleNamespace(fit=fit))])
     found = SimpleNamespace(winners=[], effect_set=one, rivals=[[]], vehicle=load_vehicle("otter"))

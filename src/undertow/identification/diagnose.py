@@ -2,386 +2,47 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.identification.diagnosis.parallel import in_background, one_thread
 from undertow.identification.diagnosis.splitting import (
     Runs,
     normalised,
-    repeats,
     training_and_validation,
     with_velocities,
 )
 from undertow.identification.doctor.dynamics import without_refuted
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.findings import Examination
-from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import Fitted, notes
+from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.logs.run import Run
-from undertow.identification.planning.separation import suggest
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
-from undertow.typing import Array, Progress
-from undertow.version import __version__
+from undertow.typing import Progress
 
 from .compare.comparison import compare
-from .contradiction import contradiction
-from .diagnosis.candidates import possible
-from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
-from .diagnosis.floors import noise_floors
-from .diagnosis.reference import is_disturbance, predictable
-from .diagnosis.residual import remaining
 from .diagnosis.result import (
-    AddedEffect,
     Diagnosis,
-    Equivalent,
-    Indistinguishable,
-    Predictability,
-    Ranked,
-    Remaining,
     Role,
-    RunInfo,
-    Step,
     run_info,
 )
-from .diagnosis.search import Search, last_fit, search
+from .diagnosis.search import Search, search
 from .diagnosis.selection import Selection, select, selected
 from .diagnosis.settings import DEFAULT, Settings
-from .diagnosis.trial import Score, comparable_mean_squares, error_of, noise_ratio, scored
+from .diagnosis.trial import noise_ratio
 from .diagnosis.validation import SimulationValidator
-from .diagnosis.verdict import (
-    Judgement,
-    Relief,
-    Remainder,
-    absorbing,
-    changed_values,
-    equivalents,
-    error_of_sensors,
-    estimate,
-    estimates,
-    instead_of_effects,
-    judge,
-    judge_selection,
-    only_disturbance,
-    reliefs,
-    unique_ids,
-    values_by_run,
-    with_values,
-)
-from .diagnosis.worth import Worth, gained
 from .report.data import ReportData
-from .report.sentences import refit_is_worse, summarised
-
-
-class ResultBuilder:
-    """The outcome of a search, judged under one noise model for all steps and by simulation."""
-
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        found: Search,
-        validator: SimulationValidator,
-        known: Catalogue,
-        selection: Selection | None = None,
-    ) -> None:
-        self.vehicle, self.validator, self._known = vehicle, validator, known
-        self._selection = selection
-        self.found = found = validated(found, validator) if selection is None else _with_last_fit(found)
-        self.bench, self.settings = found.bench, found.bench.settings
-        weak = found.steps()
-        refined = [validator.final(f) for f in weak]
-        self.fits = [fit for fit, _ in refined]
-        self.simulated = [squares for _, squares in refined]
-        self.base, final = self.fits[0], self.fits[-1]
-        #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = validator.final(self.bench.fit(vehicle))[0] if found.freed else self.base
-        # All models are shown in units of the same noise, that of the sensors alone.
-        self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
-        self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
-        self._weak = weak
-
-    @cached_property
-    def judgement(self) -> Judgement:
-        """The verdict with its reasons."""
-        noise, residual_is_noise = self.bench.noise_level, self._residual_is_noise
-        scores = self.bench.judge(self._weak[0]), self.bench.judge(self._weak[-1])
-        selection = self._selection
-        if selection is not None and not (residual_is_noise and selection.all_but_one_established):
-            judged = judge_selection(self.found, scores, noise, selection)
-            weak = self._weak[0], self._weak[len(judged.effects)]
-            if doubt := contradiction(judged.effects, weak, self.bench, self.validator):
-                doubted = [replace(g, doubt=g.doubt or doubt) for g in selection.graded]
-                self._selection = replace(selection, graded=doubted)
-                judged = judge_selection(self.found, scores, noise, self._selection)
-            return judged
-        left = Remainder(
-            residual_is_noise=residual_is_noise,
-            confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
-            nearly=residual_is_noise
-            or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
-        )
-        return judge(self.found, scores, noise, left)
-
-    def worth(self) -> list[Worth]:
-        """What every effect that was added does to predictions, between the fits of the result."""
-        ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
-        steps = zip(pairwise(ahead), self.found.effect_set.findings, strict=True)
-        return [gained(before, after, [f], self.validator) for (before, after), f in steps]
-
-    def regrade(self, worth: Sequence[Worth]) -> None:
-        """Take over what the effects that were selected are worth in the fits of the result."""
-        if self._selection is not None:
-            graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
-            self._selection = replace(self._selection, graded=graded)
-
-    @property
-    def leaves_only_noise(self) -> bool:
-        """Whether the model with what is named, or as it is where nothing is missing, leaves only noise."""
-        named = bool(self.judgement.effects) or self.judgement.verdict == "adequate"
-        return named and self._residual_is_noise
-
-    @property
-    def after(self) -> Fitted:
-        """The fit with what is named, or the refitted model where nothing is."""
-        return self.fits[len(self.judgement.effects)]
-
-    @property
-    def tried(self) -> dict[str, Fitted]:
-        """The fits with the candidates of the first round that have parameters other than zero."""
-        return {f.id: f.trial.fit for f in self.found.rounds[0].findings if f.trial.kept}
-
-    @cached_property
-    def _left(self) -> list[Remaining]:
-        return remaining(self.after, self.bench.train, self.bench.test)
-
-    @cached_property
-    def _predictable(self) -> list[Predictability]:
-        """What of the remaining forces depends on the logged signals, where more than noise is left."""
-        if self._residual_is_noise:
-            return []
-        return predictable(self.after, self.bench.train, self.bench.test)
-
-    @cached_property
-    def _verdict(self) -> Judgement:
-        """The judgement, or that nothing is missing which these logs could show."""
-        noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
-        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable, noisy):
-            return self.judgement
-        if any(r.depends_on or r.spectrum or r.between_runs for r in self._left):
-            return self.judgement
-        compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
-        contradiction = error_of_sensors(self.found.rounds[0].findings, compared, self.settings)
-        return contradiction or only_disturbance(self._predictable, self.judgement.share)
-
-    def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
-        """The diagnosis."""
-        equivalent = self._equivalents()
-        doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
-        doubts += self._repeated_commands() if self.judgement.effects else []
-        doubts += self._nowhere_alone(self._left)
-        return Diagnosis(
-            undertow=__version__,
-            vehicle=self.vehicle.name,
-            degrees_of_freedom=list(self.vehicle.degrees_of_freedom),
-            signs=self.vehicle.signs,
-            runs=infos,
-            verdict=self._verdict.verdict,
-            headline=" ".join([self._headline(), *doubts]),
-            effects=unique_ids(self.judgement.effects),
-            helps=unique_ids(self.judgement.helps),
-            added=self._added(),
-            ranking=[self._ranked(f) for f in self._in_order()],
-            steps=self._steps(),
-            indistinguishable=self._sets(),
-            equivalent=equivalent,
-            warnings=self._warnings(equivalent),
-            remaining=self._left,
-            predictable=self._predictable,
-            parameters=estimates(self.after, self.vehicle),
-            by_run=values_by_run(self.after, self.vehicle),
-            false_alarm_rate=self.settings.false_alarm_rate,
-            noise=dict(zip(self.bench.train.names, self.bench.train.sigma.tolist(), strict=True)),
-            floors=noise_floors(self.after, self.bench.train),
-            seconds=seconds,
-        )
-
-    def _added(self) -> list[AddedEffect]:
-        graded = [] if self._selection is None else self._selection.graded
-        return [
-            AddedEffect(effect=winner.id, falls=g.worth.by_horizon, doubt=g.doubt)
-            for winner, g in zip(self.found.winners, graded, strict=False)
-        ]
-
-    def _headline(self) -> str:
-        values = changed_values(self.vehicle, self.after, self.found.freed)
-        return with_values(self._verdict, values, self._residual_is_noise)
-
-    def _equivalents(self) -> list[Equivalent]:
-        model, bench = self.found.vehicle, self.bench
-        if self.judgement.effects and self._residual_is_noise:
-            return instead_of_effects(self.found.effect_set, model, bench, self.validator.residual_is_noise)
-        if self.judgement.verdict != "adequate":
-            return []
-        derived = bench.train.derived_names
-        runs = origins(bench.train.runs)
-        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived, runs=runs))
-
-    def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
-        nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
-        if not nothing_found or any(r.excess_rms > 0.0 for r in left):
-            return []
-        return ["In no single degree of freedom does the residual force exceed its noise."]
-
-    def _repeated_commands(self) -> list[str]:
-        return [
-            f"But {kept} repeats the commands of {fitted}, so that an effect fitted to this manoeuvre alone "
-            "would look as good: validate on another one."
-            for kept, fitted in repeats(
-                self.vehicle, self.validator.train, self.validator.test, self.settings
-            )
-        ]
-
-    def _sets(self) -> list[Indistinguishable]:
-        """The sets, each with the manoeuvre that would tell its effects apart."""
-        places = [i for i, rivals in enumerate(self.found.rivals) if rivals]
-        return [
-            s.model_copy(update=dict(zip(("separated_by", "separable"), self._separating(i, s), strict=True)))
-            for i, s in zip(places, self.judgement.sets, strict=False)
-        ]
-
-    def _separating(self, place: int, equals: Indistinguishable) -> tuple[str, bool | None]:
-        others = [f for i, f in enumerate(self.found.winners) if i != place]
-        effect_sets = [self.found.effect_set, *self.found.rivals[place]]
-        values = {c.findings[place].id: c.findings[place].trial.fit.values for c in effect_sets}
-        try:
-            return suggest(
-                with_effects(self.found.vehicle, others),
-                equals.effects,
-                self.validator.train,
-                values,
-                known=self._known,
-                tries=self.settings.manoeuvres,
-            )
-        except UndertowError as error:
-            return f"No manoeuvre can be suggested: {error}", False
-
-    def _normalised(self, fit: Fitted) -> float:
-        """Error in units of the noise; what unknown first states leave open is left out on both sides."""
-        before, data = self._left_before, self.bench.test
-        after = scored(fit, data, self._whitening, before.r)
-        without, with_it = map(error_of, comparable_mean_squares(before, after, data))
-        return self._before * with_it / without
-
-    @cached_property
-    def _left_before(self) -> Score:
-        return scored(self.base, self.bench.test, self._whitening)
-
-    @cached_property
-    def _before(self) -> float:
-        return self._left_before.error
-
-    def _steps(self) -> list[Step]:
-        ids, freed = [w.id for w in self.found.winners], list(self.found.freed)
-        steps = [self._step(ids[:i], fit, self.simulated[i], freed) for i, fit in enumerate(self.fits)]
-        first = [self._step([], self.given, self.validator.squares(self.given))] if freed else []
-        return [*first, *steps]
-
-    def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
-        ahead, position = self.validator.ahead(fit)
-        prediction, channels = self.validator.prediction(fit)
-        simulation = float(np.sqrt(np.mean(squares)))
-        return Step(
-            added=added,
-            error=self._normalised(fit),
-            prediction=prediction,
-            channels=channels,
-            simulation=simulation if math.isfinite(simulation) else None,
-            ahead=ahead,
-            position=position,
-            freed=list(freed),
-        )
-
-    def _in_order(self) -> list[FoundEffect]:
-        """The candidates as they look beside the model as it is, led by the one that was chosen in the end.
-
-        Where simulation decided, those that it saw are in the order of what they do to long predictions.
-        """
-        leader = next(iter(unique_ids([*self.judgement.effects, *self.judgement.helps])), None)
-        worth = {} if self._selection is None else self._selection.worth
-        falls = {i: w.falls[max(w.falls)] for i, w in worth.items()}
-        unseen = -math.inf
-        return sorted(
-            self.found.rounds[0].findings,
-            key=lambda f: (f.id != leader, not self._shown(f), -falls.get(f.id, unseen)),
-        )
-
-    def _ranked(self, finding: FoundEffect) -> Ranked:
-        trial = finding.trial
-        helps = self._shown(finding) or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
-        names = finding.parameters if helps and trial.kept else ()
-        return Ranked(
-            effect=finding.id,
-            family=trial.candidate.effect.family,
-            about=trial.candidate.effect.about(),
-            parameters=[estimate(trial.fit, n, self.vehicle) for n in names],
-            error_before=self._before,
-            error_after=self._normalised(trial.fit) if helps else self._before,
-            explained=max(finding.explained, 0.0),
-            improvement=finding.evidence.mean,
-            interval=finding.evidence.interval,
-            # Where nothing is missing the simulation, which has the last word, needs none of them.
-            significant=self._shown(finding) and self.judgement.verdict != "adequate",
-            p_value=finding.p_value if helps else None,
-            inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
-            not_named=self._reason(finding.id),
-            falls=self._falls(finding.id),
-        )
-
-    def _shown(self, finding: FoundEffect) -> bool:
-        """Whether a candidate is beyond chance, by the residual alone or with the simulation's word."""
-        return finding.significant or (self._selection is not None and finding.id in self._selection.worth)
-
-    @cached_property
-    def _claimed(self) -> set[str]:
-        """Effects that the verdict names, alone or in a set."""
-        return {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
-
-    def _reason(self, effect: str) -> str:
-        if self._selection is None or effect in self._claimed:
-            return ""
-        return self._selection.reasons.get(effect, "")
-
-    def _falls(self, effect: str) -> dict[str, float]:
-        seen = {} if self._selection is None else self._selection.worth
-        return seen[effect].by_horizon if effect in seen else {}
-
-    def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
-        named = tuple(unique_ids(self.judgement.effects))
-        helpers = [h for h in reliefs(self.found.rounds[0].findings) if self._claimed.issuperset(h.effects)]
-        if len(named) > 1:
-            helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
-        alike = {name: e.effects for e in equivalent for name in e.parameters}
-        stated, refitted = (self.validator.ahead(m)[0] for m in (self.vehicle, self.given))
-        worse = refit_is_worse(stated, refitted, self.settings.notably_worse)
-        return [
-            *([worse] if worse else []),
-            *absorbing(self.vehicle, self.base, helpers, alike, self.settings),
-            *(f"{line[:1].upper()}{line[1:]}." for line in notes(self.after)),
-        ]
-
+from .report.sentences import summarised
+from .result_builder import ResultBuilder
 
 # Share of the time that the search takes: nine tenths where little is left (docs/profile.md), else less.
 _SEARCH = 0.7
@@ -426,72 +87,6 @@ def _confirmed(
         return _confirmed(vehicle, found, validator, known, selection.without(lacking))
     builder.regrade(worth)
     return builder
-
-
-def validated(found: Search, validator: SimulationValidator) -> Search:
-    """The search as far as it stands up to simulation.
-
-    An effect goes when the model simulates the validation runs to within the noise before it is added to
-    others. All of a set of equally good effects are fitted by output error, started from the weak form, and
-    simulate the validation runs; the best of them leads, and gets a last fit.
-    """
-    found = _without_surplus(found, validator)
-    for place in range(len(found.rivals)):
-        if found.rivals[place]:
-            equals = [found.effect_set, *found.rivals[place]]
-            best, *others = validator.surviving([validator.contender(c) for c in equals])
-            rivals: list[list[EffectSet]] = list(found.rivals)
-            rivals[place] = others
-            found = replace(found, effect_set=best, rivals=rivals)
-    return _with_last_fit(found)
-
-
-def _with_last_fit(found: Search) -> Search:
-    """The search with its effects fitted once more."""
-    if not found.winners:
-        return found
-    effect_set, bench = found.effect_set, found.bench
-    fit = last_fit(effect_set.fit, [f.trial.candidate for f in effect_set.findings], bench.settings)
-    return replace(found, effect_set=replace(effect_set, fit=fit, score=bench.judge(fit)))
-
-
-def _without_surplus(found: Search, validator: SimulationValidator) -> Search:
-    """The search without effects that the simulation does not need."""
-    if _hidden_in_noise(found, validator):
-        return replace(found, effect_set=fitted(found.vehicle, [], found.bench), rivals=[])
-    for place in range(len(found.winners)) if len(found.winners) > 1 else ():
-        kept = [i for i in range(len(found.winners)) if i != place]
-        shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
-        if validator.leaves_only_noise(shorter.fit) and not validator.significantly_worse(
-            shorter.fit, found.effect_set.fit
-        ):
-            rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
-            return _without_surplus(replace(found, effect_set=shorter, rivals=rivals), validator)
-    return found
-
-
-def _hidden_in_noise(found: Search, validator: SimulationValidator) -> bool:
-    """Whether the model as it is leaves only noise, and simulates no worse than with what was found.
-
-    Where a motion is nearly as fast as the sampling, or the noise next to nothing, the weak form has an error
-    of its own that an effect can take up.
-    """
-    if not found.winners or not validator.residual_is_noise(found.bench.base, found.bench.test):
-        return False
-    without = fitted(found.vehicle, [], found.bench)
-    squares = [validator.contender(c).squares for c in (without, found.effect_set)]
-    return not (
-        validator.worse_by_rank_test(*squares)
-        or validator.significantly_worse(without.fit, found.effect_set.fit)
-    )
-
-
-def _only(effect_set: EffectSet, places: list[int]) -> EffectSet:
-    return replace(effect_set, findings=tuple(effect_set.findings[i] for i in places))
-
-
-def _either(equivalent: Equivalent) -> str:
-    return " or ".join(["wrong stated values", *equivalent.effects])
 
 
 @dataclass(frozen=True, repr=False)

@@ -19,7 +19,7 @@ from undertow.model.symbols import FORCE, FORCE_UNITS
 from undertow.typing import Array
 
 from .associations import Clock
-from .residual import ForceRow, ForceRows
+from .force_rows import ForceRow, ForceRows
 from .result import ChannelNoise, DisturbanceLevel, Floors, Predictability
 
 

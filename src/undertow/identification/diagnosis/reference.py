@@ -29,8 +29,9 @@ from undertow.model.symbols import FORCE_UNITS, POSE
 from undertow.typing import Array, Flags, Index
 
 from .associations import WAVE, Along, Clock, Column, command_of, plain_of, terms_of
+from .force_rows import ForceRow, ForceRows, sliding, tested
 from .parallel import one_thread
-from .residual import ForceRow, ForceRows, forgetful, measured_pose, sliding, tested
+from .residual import forgetful, measured_pose
 from .result import Predictability
 
 
