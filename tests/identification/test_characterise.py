@@ -11,8 +11,8 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.associations import (
+    SETTINGS,
     STEP,
-    STEP_TIMES,
     Along,
     Association,
     Sample,
@@ -148,7 +148,7 @@ def test_a_weight_that_is_dropped_is_a_step() -> None:
     reported, true = left["heave"].depends_on[0], values["dropped_weight"]
     step = STEP.fullmatch(reported.columns[0][0])
     assert step is not None
-    assert float(step[1]) == pytest.approx(true["t_0"], abs=2 * 60.0 / STEP_TIMES)
+    assert float(step[1]) == pytest.approx(true["t_0"], abs=2 * 60.0 / SETTINGS.step_times)
     # Lighter by dW is a force of -dW in heave, which is positive down.
     assert reported.coefficients[0] == pytest.approx(-true["dW"], rel=0.1)
     assert reported.units == ["N"]
@@ -339,11 +339,11 @@ def test_terms_are_made_of_what_the_vehicle_has() -> None:
 def test_steps_lie_evenly_within_the_logs(first: float) -> None:
     found = [STEP.fullmatch(t.columns[0][0]) for t in steps_of(first + np.arange(0.0, 100.0, 0.5))]
     times = np.array([float(m[1]) for m in found if m is not None])
-    assert len(times) == len(found) >= STEP_TIMES - 1
+    assert len(times) == len(found) >= SETTINGS.step_times - 1
     assert first < times[0]
     assert times[-1] < first + 100.0
     assert np.all(times != 0.0)
-    assert np.diff(times).max() < 2.1 * 100.0 / STEP_TIMES
+    assert np.diff(times).max() < 2.1 * 100.0 / SETTINGS.step_times
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,23 @@ _COMMAND = "command "
 _ANGLES = ("psi", "phi", "theta")
 WAVE = re.compile(r"(sin|cos)\((2 )?(psi|phi|theta)\)")
 STEP = re.compile(r"step\(t - (-?\d+(?:\.\d+)?)\)")
-# Times between which a force is tried to begin or end, evenly over the logs.
-STEP_TIMES = 24
+
+
+@dataclass(frozen=True)
+class AssociationSettings:
+    """How a residual force is searched for what it correlates with."""
+
+    step_times: int = 24  # times at which a step is tried, evenly over the logs: within 2 % of their length
+    patterns: int = 1999  # sign patterns for the chance of the best term: shows 0.05 %
+    news: float = 1e-4  # least share of a column that the model's own columns must leave of it
+    alike: float = 0.9  # share of the gain of the best term from which another is named with it
+    fewest_blocks: int = 4  # blocks of a run that is compared with others
+    fine: int = 8  # frequencies tried per one that the longest run resolves
+    fewest_periods: float = 3.0  # periods in the shortest run above which a frequency is not a trend
+    band: float = 0.1  # half width of a line, as a share of its frequency
+
+
+SETTINGS = AssociationSettings()
 
 
 @dataclass(frozen=True)
@@ -74,7 +89,7 @@ def _by_commands(commands: list[str], velocities: tuple[str, ...]) -> Iterator[C
 
 def steps_of(t: Array) -> list[Term]:
     """Steps, at times that all runs have in common, evenly over the times t (K,) of the logs, s."""
-    times = np.linspace(t.min(), t.max(), STEP_TIMES + 2)[1:-1]
+    times = np.linspace(t.min(), t.max(), SETTINGS.step_times + 2)[1:-1]
     decimals = max(0, int(np.ceil(1.0 - np.log10(times[1] - times[0]))))
     # A step at zero would have no time that it could be a share of (see the effect that is made of it).
     names = [f"{time:.{decimals}f}" for time in times if abs(time) > 10.0**-decimals]
@@ -169,13 +184,6 @@ def is_factor(text: str) -> bool:
 
 def _is_motion(text: str) -> bool:
     return plain_of(text) in VELOCITY or command_of(text) is not None
-
-
-_PATTERNS = 1999
-# Share of a column's sum of squares that has to be left beside the model's own columns for it to be news.
-_NEWS = 1e-4
-# Terms that gain this share of what the best one does are named with it.
-_ALIKE = 0.9
 
 
 @dataclass(frozen=True)
@@ -287,13 +295,13 @@ class Association:
         if not np.any(gains > 0):
             return None
         rng = np.random.default_rng(0)
-        signs = [rng.choice([-1.0, 1.0], size=(_PATTERNS, n)) for n in counts]
+        signs = [rng.choice([-1.0, 1.0], size=(SETTINGS.patterns, n)) for n in counts]
         by_chance = np.max([t.gain(*signs) for t in tried], axis=0)
         order = np.argsort(-gains)
         best = float(gains[order[0]])
-        first, *others = (tried[i].term for i in order if gains[i] > _ALIKE * best)
+        first, *others = (tried[i].term for i in order if gains[i] > SETTINGS.alike * best)
         alike = tuple(t.label for t in others if not (t.is_step and first.is_step))
-        chance = (1 + int(np.sum(by_chance >= best))) / (1 + _PATTERNS)
+        chance = (1 + int(np.sum(by_chance >= best))) / (1 + SETTINGS.patterns)
         return self._found(tried[order[0]], best, chance, alike)
 
     def without(self, found: Found) -> Association:
@@ -331,7 +339,7 @@ class Association:
         first, second = self._beside(fitted), self._beside(validation)
         gram, whole = first.T @ fitted.columns, np.sum(fitted.columns**2, axis=0)
         a, b = fitted.by_block(first * fitted.r[:, None]), validation.by_block(second * validation.r[:, None])
-        news = np.diag(gram) > _NEWS * whole
+        news = np.diag(gram) > SETTINGS.news * whole
         return [
             _Tried(t, a[:, c], b[:, c], inverse_of(gram[c, c]), second[:, c].T @ second[:, c])
             for t in self.terms
@@ -346,9 +354,6 @@ class Association:
         scores = fitted.by_block(column * (fitted.r + column @ coefficients)[:, None])
         spread = t.inverse @ (scores.T @ scores) @ t.inverse
         return Found(t.term, coefficients, np.sqrt(np.diag(spread)), gain, chance, alike)
-
-
-_FEWEST_BLOCKS = 4
 
 
 @dataclass(frozen=True)
@@ -373,7 +378,8 @@ def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference
     run, block: (m,), run and block of time of each entry.
     """
     runs = np.array(
-        [i for i in np.unique(run) if len(np.unique(block[run == i])) >= _FEWEST_BLOCKS], dtype=np.intp
+        [i for i in np.unique(run) if len(np.unique(block[run == i])) >= SETTINGS.fewest_blocks],
+        dtype=np.intp,
     )
     groups = [np.flatnonzero(run == i) for i in runs]
     if len(groups) < 2:
@@ -407,12 +413,8 @@ def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:
     return value, inverse * np.outer(inflation, inflation)
 
 
-# Points of the grid for each frequency that a run of that length can resolve from the next.
-_FINE = 8
-_FEWEST_PERIODS = 3.0
 # Median over mean of a power that is scattered like that of noise.
 _MEDIAN = float(np.log(2.0))
-_BAND = 0.1
 
 
 @dataclass(frozen=True)
@@ -455,10 +457,10 @@ class Peak:
 
 def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | None:
     """The frequency with most power above that of its neighbours; None where no run is long enough."""
-    slowest = _FEWEST_PERIODS / min(fitted.length, validation.length)
+    slowest = SETTINGS.fewest_periods / min(fitted.length, validation.length)
     if slowest >= 0.5 * fastest:
         return None
-    grid = np.arange(slowest, fastest, 1.0 / (_FINE * max(fitted.length, validation.length)))
+    grid = np.arange(slowest, fastest, 1.0 / (SETTINGS.fine * max(fitted.length, validation.length)))
     first, second = power(fitted, grid), power(validation, grid)
     place = int(np.argmax(first / _neighbours(first, grid)))
     frequency = _summit(grid, first + second, place)
@@ -478,7 +480,7 @@ def _power_of_run(s: Series, grid: Array) -> Array:
 
 def _neighbours(power: Array, grid: Array) -> Array:
     """Mean power that the neighbourhood suggests: from the median within a factor of two in frequency."""
-    coarse = grid[::_FINE]
+    coarse = grid[:: SETTINGS.fine]
     low, high = np.searchsorted(grid, coarse / 2), np.searchsorted(grid, coarse * 2)
     medians = [np.median(power[a:b]) for a, b in zip(low, high, strict=True)]
     return np.asarray(np.interp(grid, coarse, medians) / _MEDIAN)
@@ -486,13 +488,13 @@ def _neighbours(power: Array, grid: Array) -> Array:
 
 def _summit(grid: Array, power: Array, place: int) -> float:
     """Highest point of both data sets together within the width of the line."""
-    near = slice(max(place - _FINE, 0), place + _FINE + 1)
+    near = slice(max(place - SETTINGS.fine, 0), place + SETTINGS.fine + 1)
     return float(grid[near][np.argmax(power[near])])
 
 
 def _chance(power: Array, grid: Array, place: int, runs: int) -> float:
     """Chance of the highest power within the width of the line, about three independent draws."""
-    near = slice(max(place - _FINE, 0), place + _FINE + 1)
+    near = slice(max(place - SETTINGS.fine, 0), place + SETTINGS.fine + 1)
     ratio = np.max(power[near]) / _neighbours(power, grid)[place]
     return float(min(1.0, 3 * gamma.sf(runs * ratio, runs)))
 
@@ -500,8 +502,8 @@ def _chance(power: Array, grid: Array, place: int, runs: int) -> float:
 def _band_gain(power: Array, frequency: float, grid: Array, length: float) -> float:
     """Sum of squares in the band around a frequency, above that of the neighbours."""
     excess = power - _neighbours(power, grid)
-    wide = max(_BAND * frequency, 1.5 / length)
-    return max(float(np.sum(excess[np.abs(grid - frequency) < wide])) / _FINE, 0.0)
+    wide = max(SETTINGS.band * frequency, 1.5 / length)
+    return max(float(np.sum(excess[np.abs(grid - frequency) < wide])) / SETTINGS.fine, 0.0)
 
 
 def without_waves(r: Array, waves: Array, run: Index) -> tuple[Array, Array]:

@@ -23,12 +23,24 @@ from .associations import (
     Column,
 )
 
-# Mean square, in units of the noise, up to which there is no disturbance to be matched.
-_NOISE_EXPLAINS = 1.3
-_MATCHING_STEPS = 12
-# Test functions that are taken together, and the mean square over noise from which their force stands out.
-_WIDTHS = (1, 2, 4, 8, 16)
-_STANDS_OUT = 1.5
+
+@dataclass(frozen=True)
+class ForceSettings:
+    """When a residual force counts as noise, and how long it is averaged to stand out."""
+
+    noise_limit: float = 1.3  # mean square, in units of the noise, up to which there is no disturbance
+    matching_steps: int = 12  # steps in which the intensity of a disturbance is matched; converged
+    widths: tuple[int, ...] = (
+        1,
+        2,
+        4,
+        8,
+        16,
+    )  # test functions averaged together, one after the other
+    stands_out: float = 1.5  # mean square over noise at which their force stands out
+
+
+SETTINGS = ForceSettings()
 
 
 @dataclass(frozen=True)
@@ -76,9 +88,9 @@ class ForceRow:
     @property
     def excess_rms(self) -> float:
         """Rms of the force beyond the noise, averaged over the shortest time in which it stands out of it."""
-        for width in _WIDTHS:
+        for width in SETTINGS.widths:
             total, noise = self._averaged(width)
-            if total > _STANDS_OUT * noise:
+            if total > SETTINGS.stands_out * noise:
                 break
         return float(np.sqrt(max(total - noise, 0.0)))
 
@@ -102,7 +114,7 @@ class ForceRow:
     @cached_property
     def is_noise(self) -> bool:
         """Whether the noise of the channels explains it."""
-        return self.ratio < _NOISE_EXPLAINS
+        return self.ratio < SETTINGS.noise_limit
 
     @cached_property
     def disturbance(self) -> float:
@@ -110,7 +122,7 @@ class ForceRow:
         if self.is_noise:
             return 0.0
         level = self.rms**2 * self.weight
-        for _ in range(_MATCHING_STEPS):
+        for _ in range(SETTINGS.matching_steps):
             square = float(np.mean(self.whitened(level).r ** 2))
             level *= float(np.clip(square**1.5, 0.02, 50.0))
         return level

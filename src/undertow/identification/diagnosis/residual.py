@@ -40,22 +40,32 @@ from .force_rows import ForceRow, ForceRows
 from .result import BetweenRuns, Dependence, Remaining, Spectrum, Trend
 
 
+@dataclass(frozen=True)
+class DescriptionSettings:
+    """When something is said of a residual force."""
+
+    most_terms: int = 4  # terms that are reported of one residual force
+    chance_of_line: float = 1e-4  # p-value above which a period is not reported; many frequencies are tried
+    chance_of_runs: float = 1e-4  # p-value above which a difference between runs is not reported
+    chance: float = 0.002  # p-value, over all terms of an equation, above which a term is not reported
+    smallest_share: float = 0.1  # share of the excess over noise below which nothing is reported
+    in_step: float = 0.7  # share of what a line removes with one phase for all runs, from which it has one
+    fine: int = 8  # frequencies tried for that phase, per width of the line
+    trend_seconds: float = 100.0  # s over which the change of a coefficient is stated
+    shown_alike: int = 2  # terms that are named beside one that they resemble
+    loud: float = 1.3  # mean square, in units of the noise, above which something is left
+    spreads: float = 5.0  # the same for short logs, in standard deviations of that of noise
+    fewest_blocks: int = 6  # least number of blocks that logs are cut into
+    forgotten: float = 0.3  # autocorrelation below which a residual has forgotten its past
+    memories: float = 3.0  # length of a block in units of that time
+
+
+SETTINGS = DescriptionSettings()
+
+
 def measured_pose(data: WeakData) -> tuple[str, ...]:
     """Pose channels that all runs have."""
     return tuple(n for n in data.names if n in POSE and all(r.has(n) for r in data.runs))
-
-
-MOST_TERMS = 4
-# Chance, over all terms of a degree of freedom, above which an association is not reported.
-_CHANCE = 0.002
-_CHANCE_OF_A_LINE = 1e-4
-_CHANCE_OF_RUNS = 1e-4
-_SMALLEST_SHARE = 0.1
-# Share of what a line takes away with a phase of its own in every run, from which it keeps its phase.
-_IN_STEP = 0.7
-# Frequencies that are tried around a line for a phase that all runs have in common, per width of the line.
-_FINE = 8
-_TREND_SECONDS = 100.0
 
 
 @dataclass
@@ -99,14 +109,14 @@ class Characterisation:
 
     def result(self) -> ResidualDescription:
         """Everything that is found."""
-        while len(self._description.depends_on) < MOST_TERMS and self._next():
+        while len(self._description.depends_on) < SETTINGS.most_terms and self._next():
             pass
         self._description.between_runs = list(filter(None, map(self._between_runs, COMPARED)))
         return self._description
 
     def _next(self) -> bool:
         term, peak = self._left.strongest(), self._peak()
-        if term is not None and term.chance > _CHANCE:
+        if term is not None and term.chance > SETTINGS.chance:
             term = None
         if peak is not None and (term is None or peak.gain > term.gain):
             return self._take_line(peak)
@@ -116,7 +126,7 @@ class Characterisation:
         """Go on with what is left; the share that went away, or zero where it is too small to be reported."""
         fall = self._left.samples.shown.square - after.samples.shown.square
         share = float(np.clip(fall / self._excess, 0.0, 1.0))
-        if share < _SMALLEST_SHARE:
+        if share < SETTINGS.smallest_share:
             return 0.0
         self._left = after
         return share
@@ -140,7 +150,7 @@ class Characterisation:
         peak = highest_peak(
             clocks[0].series(samples.fitted.r), clocks[1].series(samples.validation.r), fastest
         )
-        return peak if peak is not None and peak.chance < _CHANCE_OF_A_LINE else None
+        return peak if peak is not None and peak.chance < SETTINGS.chance_of_line else None
 
     def _take_line(self, peak: Peak) -> bool:
         frequency, in_step = self._phase(peak.frequency)
@@ -166,14 +176,14 @@ class Characterisation:
     def _phase(self, frequency: float) -> tuple[float, bool]:
         """Whether all runs have the same phase since their start; then the frequency that suits them best."""
         width = 1.0 / max(c.series(c.t).length for c in self._force.clocks)
-        near = frequency + width * np.arange(-_FINE, _FINE + 1) / _FINE
+        near = frequency + width * np.arange(-SETTINGS.fine, SETTINGS.fine + 1) / SETTINGS.fine
         fits = [self._common(f) for f in near]
         best = int(np.argmax([fall for fall, _ in fits]))
         validation = self._left.samples.validation
         own = validation.square - squared(
             without_waves(validation.r, self._force.waves(frequency)[1], self._force.clocks[1].log)[0]
         )
-        in_step = fits[best][1] > _IN_STEP * own
+        in_step = fits[best][1] > SETTINGS.in_step * own
         return (float(near[best]) if in_step else frequency), in_step
 
     def _common(self, frequency: float) -> tuple[float, float]:
@@ -202,7 +212,7 @@ class Characterisation:
             np.concatenate(logs),
             np.concatenate([pair[0].block, pair[1].block + pair[0].blocks]),
         )
-        if found is None or found.chance > _CHANCE_OF_RUNS:
+        if found is None or found.chance > SETTINGS.chance_of_runs:
             return None
         values = {names[i]: v.tolist() for i, v in zip(found.runs, found.values, strict=True)}
         return BetweenRuns(of=of, values=values, unit=self._force.unit, chance=found.chance)
@@ -241,13 +251,12 @@ def _trend(dependence: Dependence) -> Trend | None:
     unit = coefficient_unit(dependence.units[0].partition("/")[0], rest)
     return Trend(
         of=label_of(rest),
-        change=_TREND_SECONDS * dependence.coefficients[0],
+        change=SETTINGS.trend_seconds * dependence.coefficients[0],
         unit=unit,
         share=dependence.share,
     )
 
 
-_SHOWN_ALIKE = 2
 _FASTER = {
     "u": "the faster it moves ahead or astern",
     "v": "the faster it moves sideways",
@@ -299,7 +308,7 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
 
 
 def _named(dependence: Dependence) -> str:
-    others = "".join(f" or {a}" for a in dependence.alike[:_SHOWN_ALIKE])
+    others = "".join(f" or {a}" for a in dependence.alike[: SETTINGS.shown_alike])
     return f"{dependence.term}{others}"
 
 
@@ -319,21 +328,12 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-# Mean square in units of the noise from which something is left; for short logs, spreads of that of noise.
-_LOUD = 1.3
-_SPREADS = 5.0
-_FEWEST_BLOCKS = 6
-# A residual has forgotten what is this little correlated with it; blocks are that many times as long.
-_FORGOTTEN = 0.3
-_MEMORIES = 3.0
-
-
 def forgetful(r: Array, data: WeakData) -> float:
     """Length of blocks of data, s, that forget each other where r (K,) is left, but enough of them."""
     covariance = np.correlate(r, r, "full")[len(r) - 1 :]
-    memory = Clock.of(data).step * int(np.argmax(covariance < _FORGOTTEN * covariance[0]))
+    memory = Clock.of(data).step * int(np.argmax(covariance < SETTINGS.forgotten * covariance[0]))
     total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
-    return min(max(data.block_seconds, _MEMORIES * memory), total / _FEWEST_BLOCKS)
+    return min(max(data.block_seconds, SETTINGS.memories * memory), total / SETTINGS.fewest_blocks)
 
 
 def _statable(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:
@@ -363,7 +363,7 @@ class Characteriser:
         """Whether more is left in a degree of freedom than the noise explains."""
         row = self.rows[dof]
         count = sum(len(p.r) for p in row.parts)
-        return row.ratio > max(_LOUD, 1.0 + _SPREADS * float(np.sqrt(2.0 / count)))
+        return row.ratio > max(SETTINGS.loud, 1.0 + SETTINGS.spreads * float(np.sqrt(2.0 / count)))
 
     def of(self, dof: int) -> ResidualDescription:
         """Describe what is left in a degree of freedom, by its place among those of the vehicle."""

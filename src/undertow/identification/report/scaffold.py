@@ -19,8 +19,8 @@ from jinja2 import Template
 from undertow.errors import UndertowError, listed
 from undertow.files import templates
 from undertow.identification.diagnosis.associations import (
+    SETTINGS,
     STEP,
-    STEP_TIMES,
     WAVE,
     Column,
     coefficient_unit,
@@ -201,7 +201,7 @@ def _dependent(dependence: Dependence, row: int, seconds: float) -> Iterator[Coe
 
 def _step(found: str, force: str, seconds: float) -> InTime:
     """When a step is, which a fit finds more closely than the times that were tried lie apart."""
-    time, apart = float(found), seconds / STEP_TIMES
+    time, apart = float(found), seconds / SETTINGS.step_times
     low, high = sorted((0.1 * time, time + copysign(apart, time)))
     bounds = max(low, time - apart), min(high, time + apart)
     name = f"t_{force}_{identifier(found)}"
