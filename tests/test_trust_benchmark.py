@@ -324,7 +324,9 @@ def test_the_page_tells_all(tmp_path: Path) -> None:
     assert f"strong: truth ranked first | 1 of 1: 100 % (20.7 to 100) | 100 % | {few}" in text
 
 
-@pytest.mark.parametrize(("cases", "said"), [(19, "no failure (20 cases are needed to show it)"), (20, "met")])
+@pytest.mark.parametrize(
+    ("cases", "said"), [(19, "no failure (20 cases are needed to show it)"), (20, "met")]
+)
 def test_a_goal_is_met_from_as_many_cases_on_as_show_it(cases: int, said: str) -> None:
     one = record(LIFT, "unexplained", truth=("lift",), known=False, grade="strong")
     found = {g.name: g for g in goals(scored([one] * cases))}

@@ -65,6 +65,6 @@ def _hardly_there(
     if size >= 1.0 - bench.settings.size_spread:
         return ""
     return (
-        f"beside {effect.about().rstrip('.')} its size would drop to {max(size, 0.0):.0%} of the fitted value "
-        "(undertow effects new makes an effect of that force)"
+        f"beside {effect.about().rstrip('.')} its size would drop to {max(size, 0.0):.0%} of the fitted "
+        "value (undertow effects new makes an effect of that force)"
     )
