@@ -10,7 +10,7 @@ import pytest
 
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from tests.quick import first_quick
-from undertow.identification.diagnosis.consistency import agreements, no_step
+from undertow.identification.diagnosis.consistency import agreements, never_turned, no_step
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.trial import open_bench
@@ -63,3 +63,17 @@ def test_friction_that_is_not_there_at_the_speeds_of_the_log_is_none(rate: float
     said = no_step(finding, SimpleNamespace(train=data))  # type: ignore[arg-type]
     assert said.startswith(words)
     assert bool(said) == bool(words)
+
+
+@pytest.mark.parametrize(("free", "told"), [(("V_N",), True), (("V_N@a", "V_N@b"), False)])
+def test_a_current_of_each_run_needs_a_run_that_turns(free: tuple[str, ...], *, told: bool) -> None:
+    """Two straight runs, on two headings: a current that both share shows, one of each is any force."""
+    t = np.arange(0.0, 60.0, 0.1)
+    runs = [Run(name, t, {"psi": at + 0.01 * np.sin(t)}) for name, at in (("a", 0.3), ("b", 2.1))]
+    model = SimpleNamespace(free=free)
+    effect = SimpleNamespace(effect=catalogue()["ocean_current"])
+    trial = SimpleNamespace(candidate=effect, fit=SimpleNamespace(model=model))
+    finding = SimpleNamespace(of_sensors=False, trial=trial)
+    data = (SimpleNamespace(runs=runs[:1]), SimpleNamespace(runs=runs[1:]))
+    bench = SimpleNamespace(train=data[0], test=data[1], settings=DEFAULT)
+    assert (never_turned(finding, bench) == "") is told  # type: ignore[arg-type]
