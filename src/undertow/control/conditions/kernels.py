@@ -20,9 +20,9 @@ class KernelSettings:
 
     first: float = 0.05  # of the time in which the fastest mode changes: the first piece of time
     ratio: float = 1.04  # of the ends of a piece of time
-    finer: int = 8  # pieces of what a push does later, in one of these
+    finer: int = 4  # pieces of what a push does later, in one of these
     last: float = 20.0  # slowest time constants, after which one bound serves for all time
-    dies: float = 0.1  # part of the slowest mode's rate at which everything dies out at last
+    dies: float = 0.02  # part of the slowest mode's rate at which everything dies out at last
 
 
 SETTINGS = KernelSettings()
@@ -80,19 +80,19 @@ def _inverse(T: Interval) -> Interval:
 
 
 class Kernels(NamedTuple):
-    """Integrals over time of bounds, constant by piece, on |responses|, along any axes before time."""
+    """Integrals over time of bounds, constant by piece, on |responses|."""
 
     times: Array
-    integral: Array  # up to each time, (..., times)
+    integral: Array  # up to each time, (times, ...)
     weighted: Array  # over all time with a slow growth beside the response
 
     def up_to(self, lags: Array) -> Array:
-        """The integrals up to other times, (..., lags)."""
+        """The integrals up to other times, (lags, ...)."""
         after = np.clip(np.searchsorted(self.times, lags), 1, len(self.times) - 1)
         start, end = self.times[after - 1], self.times[after]
         share = np.clip((lags - start) / (end - start), 0.0, 1.0)
-        low, high = self.integral[..., after - 1], self.integral[..., after]
-        return np.asarray(low + share * (high - low))
+        low, high = self.integral[after - 1], self.integral[after]
+        return np.asarray(low + share.reshape(-1, *[1] * (low.ndim - 1)) * (high - low))
 
 
 class Responses:
@@ -131,7 +131,7 @@ class Responses:
         rest = within[:, -1:] / ((1 - SETTINGS.dies) * slowest)
         integral = np.cumsum(np.insert(within[:, :-1] * widths, 0, 0.0, axis=1), axis=1)
         weighted = (within[:, :-1] * widths) @ growth[1:] + rest[:, 0] * growth[-1]
-        return Kernels(self.times, integral, weighted * (1 + PROOFS.level))
+        return Kernels(self.times, integral.T, weighted * (1 + PROOFS.level))
 
     def pieces(self, signals: Index, states: Index) -> Array:
         """Bounds on some responses in each piece of time, the last of which has no end, (pairs, pieces)."""

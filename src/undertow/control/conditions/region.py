@@ -225,27 +225,37 @@ def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
 
 
 def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
-    """The level set of a quadratic V, or bounds in time where there is none.
+    """The level set of a quadratic V, or bounds in time.
 
-    With many axes and attitudes in the loop there hardly ever is one; with few, a smaller usual start may
-    have one, which says more than bounds in time.
+    With many axes there hardly ever is a V, and none where attitudes are in the loop: bounds in time come first
+    then. With few, a smaller usual start may have one, which says more than bounds in time.
     """
-    many, refusal = len(problem.coordinates) > PROGRAM.most_full, None
+    many = len(problem.coordinates) > PROGRAM.most_full
+    ways: list[Callable[[], Region | None]] = [lambda: _in_time(problem, box)] if many or stated else []
     if not many or problem.same(("x", "y", "z")):
+        ways.insert(len(ways) if many else 0, lambda: _with_a_form(problem, box))
+    refusals: list[UndertowError] = []
+    for way in ways:
         try:
-            found = search(problem, box)
+            found = way()
         except UndertowError as error:
-            found, refusal = None, error
+            refusals.append(error)
+            continue
         if found is not None:
-            return _of_quadratic(problem, found)
-    bounds = None
-    try:
-        bounds = bounds_in_time(problem, box) if many or stated else None
-    except UndertowError as error:
-        refusal = refusal or error
-    if bounds is None and refusal is not None:
-        raise refusal
-    return None if bounds is None else _of_transient(problem, box, bounds)
+            return found
+    if refusals:
+        raise refusals[0]
+    return None
+
+
+def _with_a_form(problem: Problem, box: Mapping[str, float]) -> Region | None:
+    found = search(problem, box)
+    return found and _of_quadratic(problem, found)
+
+
+def _in_time(problem: Problem, box: Mapping[str, float]) -> Region | None:
+    found = bounds_in_time(problem, box)
+    return found and _of_transient(problem, box, found)
 
 
 def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) -> Region:

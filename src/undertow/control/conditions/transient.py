@@ -36,8 +36,9 @@ class TransientSettings:
     # Where gains tell north from east: ranges of the set-points' headings in half a turn, and how often each
     # is cut in two before it is given up.
     ranges: int = 16
+    looks: int = 8  # single headings that are looked at before any range of them
     cuts: int = 3
-    together: int = 8  # ranges that are looked at together: memory
+    together: int = 16  # ranges that are looked at together: memory
     # Angles up to which what is left over is bounded, times those of the start.
     caps: tuple[float, ...] = (0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
     # What counts as the start of an angle at least, so that it may be moved: a part of the largest, and rad.
@@ -278,7 +279,7 @@ class Tubes:
         self.rest = self.rest + decay * self._every(_times(self.envelope, begun))
         self._kernels()
         many, count = len(self.times) - 1, len(sectors)
-        self.steps = np.zeros((count, self.size, many))  # of the pushes from piece to piece
+        self.rises, self.falls = np.zeros((2, many, count, len(self.states)))  # of the pushes at each piece
         self.lag = np.zeros((count, self.size))  # pushes so far, dying with the slowest mode
         self.last = np.zeros((count, self.size))  # push in the last piece
 
@@ -291,7 +292,7 @@ class Tubes:
         self.pairs = self.signals, self.states = np.nonzero(matters)[0], size - n + np.nonzero(matters)[1]
         finer = grid(self.rates, KERNELS.finer, self.times[-1])
         found = [Responses(s.modes, s.base, finer).kernels(*self.pairs) for s in sectors]
-        self.kernels = Kernels(finer, *(np.array([k[j] for k in found]) for j in (1, 2)))
+        self.kernels = Kernels(finer, *(np.stack([k[j] for k in found], axis=-2) for j in (1, 2)))
         self.crude = self.envelope.copy()  # what the kernels leave out, dying with the slowest mode
         self.crude[:, self.signals, self.states] = 0.0
 
@@ -307,7 +308,8 @@ class Tubes:
             if not self.held.any():
                 break
             found.append(B)
-            self.steps[..., i], self.last = push - self.last, push
+            step = (push - self.last)[:, self.states]
+            self.rises[i], self.falls[i], self.last = np.maximum(step, 0.0), np.maximum(-step, 0.0), push
             self.lag = np.exp(-self.slowest * width) * self.lag + self._filled(width) * push
         else:
             # What was pushed so far dies out, and so does what is pushed from then on.
@@ -339,15 +341,14 @@ class Tubes:
         The integral of |H(t - s)| times a push that is constant by piece is a sum over its steps at the
         beginnings of pieces, times integrals of |H| since then.
         """
-        steps, later = self.steps[:, self.states, :i], self._up_to(i + 1)
-        own = np.einsum("hpi,hpi->hp", later[..., :i], np.maximum(steps, 0.0))
-        own -= np.einsum("hpi,hpi->hp", self.sooner[..., :i], np.maximum(-steps, 0.0))
+        later, rises, falls = self._up_to(i + 1), self.rises[:i], self.falls[:i]
+        own = np.einsum("ihp,ihp->hp", later[:i], rises) - np.einsum("ihp,ihp->hp", self.sooner[:i], falls)
         rounding = len(self.kernels.times) * np.finfo(float).eps  # of integrals, which are sums over the pieces
-        own += rounding * self.kernels.integral[..., -1] * np.abs(steps).sum(axis=-1)
+        own += rounding * self.kernels.integral[-1] * (rises.sum(axis=0) + falls.sum(axis=0))
         rest = _times(self.crude, self.lag)
         np.add.at(rest, (slice(None), self.signals), np.maximum(own, 0.0))
         self.sooner = later
-        return rest * (1 + SETTINGS.room), self._spread(later[..., i]), self.last
+        return rest * (1 + SETTINGS.room), self._spread(later[i]), self.last
 
     def _piece(self, i: int, rest: Array, gain: Array, since: Array, crude: Array) -> tuple[Array, Array]:
         """Bounds on signals and pushes that what they let happen does not leave; those that grow are dropped."""
@@ -375,12 +376,18 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
     """
     if problem.gains.schedule.order == "yaw-first":
         return None  # its gate opens in motion, and bounds are for motions from rest
-    motion = Motion(problem)
-    search = Search(motion, np.array([start.get(c, 0.0) for c in problem.coordinates]))
+    search = Search(Motion(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
     if not problem.heading_counts:
-        return search.whole([(0.0, 0.0)])
+        return search.whole([(0.0, 0.0)], 0)
+    if not search.held([(h, 0.0) for h in _middles(SETTINGS.looks)], []).all():
+        return None
     half = 0.5 * np.pi / SETTINGS.ranges
-    return search.whole([((2 * k + 1) * half, half) for k in range(SETTINGS.ranges)])
+    return search.whole([(h, half) for h in _middles(SETTINGS.ranges)], SETTINGS.cuts)
+
+
+def _middles(count: int) -> Array:
+    """The middle of each of so many ranges of headings in half a turn."""
+    return np.asarray((np.arange(count) + 0.5) * np.pi / count)
 
 
 class Search:
@@ -391,25 +398,20 @@ class Search:
         self.caps = _caps(motion, box)
         self.left = motion.leftover(self.caps)
 
-    def whole(self, ranges: Sequence[tuple[float, float]]) -> Transient | None:
+    def whole(self, ranges: Sequence[tuple[float, float]], cuts: int) -> Transient | None:
         """Bounds for all of these (middle, half), which are cut in two where there are none; None if none."""
         found: list[Transient] = []
-        for cut in range(SETTINGS.cuts + 1):
+        for cut in range(cuts + 1):
             lost: list[tuple[float, float]] = []
             for k in range(0, len(ranges), SETTINGS.together):
                 own = ranges[k : k + SETTINGS.together]
-                more = [r for r, held in zip(own, self._stated(own, found), strict=True) if not held]
-                if more and (cut == SETTINGS.cuts or (cut == 0 and not self._in_the_middle(more))):
+                lost += [r for r, held in zip(own, self.held(own, found), strict=True) if not held]
+                if lost and cut == cuts:
                     return None
-                lost += more
             ranges = [(h + side * half / 2, half / 2) for h, half in lost for side in (-1, 1)]
         return _together(found)
 
-    def _in_the_middle(self, ranges: Sequence[tuple[float, float]]) -> bool:
-        """Whether there are bounds for the headings in the middle of all of these."""
-        return all(half for _, half in ranges) and bool(self._stated([(h, 0.0) for h, _ in ranges], []).all())
-
-    def _stated(self, ranges: Sequence[tuple[float, float]], found: list[Transient]) -> Flags:
+    def held(self, ranges: Sequence[tuple[float, float]], found: list[Transient]) -> Flags:
         """Of which ranges there are bounds, which are added to those that were found."""
         motion, widened = self.motion, 1 + PROOFS.room
         sectors = [Sector(motion, self.starts, self.left, h, half * widened) for h, half in ranges]
