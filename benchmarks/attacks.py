@@ -147,7 +147,7 @@ class Target:
         z = np.concatenate([np.einsum("kji,kj->ki", G, part) for part in parts], axis=1)
         P = self.quadratic.at(float(place[self.names.index("psi")]) if "psi" in self.names else 0.0)
         z = z[:, -P.shape[-1] :]
-        return np.asarray(np.einsum("ki,fij,kj->kf", z, P, z).max(axis=1)).reshape(shape)
+        return np.asarray(np.einsum("ki,ij,kj->k", z, P, z)).reshape(shape)
 
     def _turns(self, angles: dict[str, Interval], count: int) -> Array:
         """The rotation of the translations, and nothing of the rotations."""

@@ -24,7 +24,7 @@ from .commands import (
 )
 from .problem import Problem
 from .program import SETTINGS as PROGRAM
-from .quadratic import search
+from .quadratic import Search
 from .result import SETTINGS, Quadratic, Region, Transient
 from .transient import bounds_in_time
 
@@ -225,15 +225,17 @@ def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
 
 
 def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
-    """The level set of a quadratic V, or bounds in time.
+    """The level set of a quadratic V, or bounds in time: what is quickest first.
 
-    With many axes there hardly ever is a V, and none where attitudes are in the loop: bounds in time come first
-    then. With few, a smaller usual start may have one, which says more than bounds in time.
+    With many axes there hardly ever is a V, and none where attitudes are in the loop. With few, a smaller usual
+    start may have one, which says more than bounds in time.
     """
-    many = len(problem.coordinates) > PROGRAM.most_full
-    ways: list[Callable[[], Region | None]] = [lambda: _in_time(problem, box)] if many or stated else []
-    if not many or problem.same(("x", "y", "z")):
-        ways.insert(len(ways) if many else 0, lambda: _with_a_form(problem, box))
+    in_time = [lambda: _in_time(problem, box)]
+    one_reading, every_reading = ([lambda e=e: _with_a_form(problem, box, e)] for e in (False, True))
+    if len(problem.coordinates) > PROGRAM.most_full:
+        ways = in_time + (one_reading if problem.same(("x", "y", "z")) else [])
+    else:
+        ways = one_reading + (in_time if stated else []) + every_reading
     refusals: list[UndertowError] = []
     for way in ways:
         try:
@@ -248,8 +250,8 @@ def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Regio
     return None
 
 
-def _with_a_form(problem: Problem, box: Mapping[str, float]) -> Region | None:
-    found = search(problem, box)
+def _with_a_form(problem: Problem, box: Mapping[str, float], every_reading: bool) -> Region | None:
+    found = Search(problem, box, every_reading).found()
     return found and _of_quadratic(problem, found)
 
 
@@ -290,10 +292,8 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
             f"everywhere: inertia and damping do not depend on speed or attitude; V is proved {_PARAMETERS}",
             quadratic=found,
         )
-    forms = found.P.shape[1]
-    V = "V = z' P z" if forms == 1 else f"V, the largest of {forms} forms z' P z,"
     text = (
-        f"motions that begin with {V} < 1 stay there and come to rest; z holds errors and velocities "
+        f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
         f"every attitude and every motion in it, {_PARAMETERS}"
     )

@@ -8,6 +8,7 @@ order in the start is worked out (`second`), and only what is beyond is bounded,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -125,7 +126,7 @@ class Sector:
         """Motion of second order in the start, and of first order in the heading."""
         at, left = self.signals, self.left
         angles = -np.eye(at.z.stop)[at.error][self.motion.places]
-        pull = self.rows[at.pull].reshape(len(angles), -1, at.z.stop)
+        pull = self.rows[at.pull].reshape(len(angles), self.motion.n, at.z.stop)
         form = Form(angles, pull, left.Gamma, self.pulled)
         found = [second_order(self.modes, self.A, form, self.rows, self.starts, times)]
         if self.half:
@@ -249,9 +250,9 @@ def _form(forms: Array, one: Array, other: Array) -> Array:
 
 def _each(weights: Array, matrices: Array) -> Array:
     """Sums of matrices of each sector by its weights, (sectors, many) and (sectors, many, ...)."""
-    many = weights[0].size
-    found = weights.reshape(-1, 1, many) @ matrices.reshape(len(weights), many, -1)
-    return np.asarray(found.reshape(len(weights), *matrices.shape[weights.ndim :]))
+    many, shape = weights[0].size, matrices.shape[weights.ndim :]
+    found = weights.reshape(len(weights), 1, many) @ matrices.reshape(len(weights), many, math.prod(shape))
+    return np.asarray(found.reshape(len(weights), *shape))
 
 
 def _all(weights: Array, matrices: Array) -> Array:
@@ -269,7 +270,7 @@ class Tubes:
         self.rates, self.slowest, self.times = rates, float(rates.real.min()), grid(rates)
         coarse = [Responses(s.modes, s.rows, self.times) for s in sectors]
         self.sums = sectors[0].sums
-        self.envelope = np.array([of.envelope[: -len(self.sums)] for of in coarse])
+        self.envelope = np.array([of.envelope[: at.commands.start] for of in coarse])
         driven = [s.driven(self.times) for s in sectors]
         decay = np.exp(-self.slowest * self.times)[:, None, None]
         begun = np.array([sum(d.begun for d in own) for own in driven])
