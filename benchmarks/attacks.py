@@ -184,7 +184,10 @@ class BoxTarget(Target):
         # Errors begin at their bounds: within them they say nothing until these have moved.
         still = np.abs(most - both[0]) < self.how.moved * both[0]
         used = [np.where((share <= 1) & still, 0.0, share).max(axis=(1, 2))]
-        largest = found.commands[piece].T[:, None]
+        floor = self.how.alive * found.commands.max(
+            axis=0
+        )  # rounding of simulations is below it, as of states
+        largest = np.maximum(found.commands, floor)[piece].T[:, None]
         return [*used, *(c.max(axis=-1) for c in commands / largest)]
 
     def _slowest_fall(self, t: Array, seen: Array, place: Array) -> list[Array]:

@@ -147,9 +147,7 @@ class Amplitudes(NamedTuple):
     radius: Array
 
 
-def bounds_within(
-    of: Amplitudes, exponents: Array, times: Array, growing: Amplitudes | None = None
-) -> Array:
+def bounds_within(of: Amplitudes, exponents: Array, times: Array, growing: Amplitudes | None = None) -> Array:
     """Bounds on |Re sum of a e^(exponent t)| in each piece of time, the last without end, (rows, pieces).
 
     With `growing` the sum is of (a + t b) e^(exponent t); then the last piece has to begin after the slowest

@@ -18,7 +18,7 @@ from undertow.typing import Array, Index
 from .attitude import ANGLES, Interval, enclose, enclosing
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
-from .embedding import inverse_of_inertia, plain, rotation_of, sign_cases, sizes_and_signs
+from .embedding import inverse_of_inertia, plain, rotation_of, sign_cases, sizes_and_signs, terms_of
 from .problem import Problem
 
 
@@ -95,28 +95,20 @@ class Motion:
 
     # --- what the loop is made of -----------------------------------------------------------------
     def _forces(self) -> Forces:
-        n, plant = self.n, self.plant
-        nu, (sizes, signs) = list(plant.nu), sizes_and_signs(plant)
-        found = Forces(*(np.zeros((n,) * k) for k in (2, 2, 3, 3)))
-        moving = (plain(plant, plant.C + plant.D) * plant.nu).applyfunc(sm.expand)
-        for i, entry in enumerate(moving):
-            if not entry.is_polynomial(*nu, *sizes, *signs):
-                raise UndertowError("damping is no polynomial in velocities and their magnitudes")
-            for powers, value in sm.Poly(entry, *nu, *sizes, *signs).terms():
-                self._add(found, i, powers, float(value))
+        n, found = self.n, Forces(*(np.zeros((self.n,) * k) for k in (2, 2, 3, 3)))
+        products: dict[tuple[int, ...], float] = {}
+        for i, j, powers, value in terms_of(self.plant):
+            key = (i, *(p + (k == j) for k, p in enumerate(powers)))
+            products[key] = products.get(key, 0.0) + value
+        for (i, *own_powers), value in products.items():
+            signed, own = any(own_powers[n:]), [k for k in range(2 * n) for _ in range(own_powers[k])]
+            j, *rest = [k % n for k in own]
+            linear, square = (found.D_signs, found.Q_signs) if signed else (found.D, found.Q)
+            for a, b in [(j, *rest), (*rest, j)] if rest else []:
+                square[i, a, b] += (abs(value) if signed else value) / 2
+            if not rest:
+                linear[i, j] += abs(value) if signed else value
         return found
-
-    def _add(self, found: Forces, i: int, powers: tuple[int, ...], value: float) -> None:
-        n = self.n
-        own = [k for k in range(n) for _ in range(powers[k] + powers[n + k])]
-        signed = any(powers[n:])
-        if len(own) > 2:
-            raise UndertowError("damping grows faster than in proportion to a velocity: no V is searched for")
-        if len(own) == 1:
-            (found.D_signs if signed else found.D)[i, own[0]] += abs(value) if signed else value
-        for j, k in {tuple(own), tuple(own[::-1])} if len(own) == 2 else ():
-            part = value if j == k else value / 2
-            (found.Q_signs if signed else found.Q)[i, j, k] += abs(part) if signed else part
 
     @cached_property
     def _inertias(self) -> Interval:
@@ -209,7 +201,7 @@ class Motion:
     def _turned(
         self, level: dict[str, Interval], at: dict[str, Interval], right: str, matrix: Array, caps: int
     ) -> tuple[Array, Array, Array]:
-        """J matrix J' or J matrix J^-1: first derivatives, half of the second ones, and how far these are off."""
+        """J matrix J' or J matrix J^-1: first derivatives, halves of second ones, how far these are off."""
         count, shape = range(len(self.angles)), (len(self.angles),) * 2 + matrix.shape
         # A multiple of the identity in the block of the translations, or in either block, is not turned.
         left = matrix - self._even(matrix, right == "i")
@@ -238,9 +230,7 @@ class Motion:
             mean[block] = np.diag(matrix)[block].mean() if block.any() else 0.0
         return np.diag(mean)
 
-    def _curved(
-        self, level: dict[str, Interval], at: dict[str, Interval], caps: int
-    ) -> tuple[Array, Array]:
+    def _curved(self, level: dict[str, Interval], at: dict[str, Interval], caps: int) -> tuple[Array, Array]:
         """Gamma on an even keel, and magnitudes of its slopes up to each cap."""
         n, n3, count = self.n, (self.n,) * 3, range(len(self.angles))
         A = enclose(-np.tensordot(self.inverse, self.forces.Q, 1))

@@ -34,7 +34,9 @@ class QuadraticSettings:
     # are halved until they add less.
     slack: float = 0.01
     stated: float = 0.05  # room in what is stated, and proved, of commands below their limits, relative
-    sectors: int = 6  # where A depends on the heading: a V for each of so many ranges of set-points in half a turn
+    sectors: int = (
+        6  # where A depends on the heading: a V for each of so many ranges of set-points in half a turn
+    )
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
     # Matrices of 12 rows that the proofs of one search may look at in vain: seconds. Of larger ones there are
@@ -397,7 +399,10 @@ class Program:
         """What has to stay within its bound: speeds, tilts, half a turn, commands."""
         found = [Row(row, bound) for row, bound in self.fixed_rows()]
         for speeds in self.speed_rows:
-            found += [Row(row, bound, i) for i, (row, bound) in enumerate(zip(speeds, self.bounds.speeds, strict=True))]
+            found += [
+                Row(row, bound, i)
+                for i, (row, bound) in enumerate(zip(speeds, self.bounds.speeds, strict=True))
+            ]
         for commands in self.command_rows:
             found += [Row(row, left) for row, left in zip(commands, self.left, strict=True)]
         kept: dict[bytes, Row] = {}

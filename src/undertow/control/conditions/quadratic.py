@@ -75,10 +75,10 @@ def _lowest(rows: Array, best: _Step, radius: float) -> tuple[Array, float]:
 
 
 class Search:
-    """The search for a proved V whose level set holds every error up to `start` at rest, integrals at zero.
+    """The search for a proved V whose level set holds all errors up to `start` at rest, integrals zero.
 
-    Products of velocities are read in one way, which is quicker, or in every way. The model is refused with an
-    error where it has no form that the method covers, and where the solver is not installed.
+    Products of velocities are read in one way, which is quicker, or in every way. An error says that the
+    model has no form that the method covers, or that the solver is not installed.
     """
 
     def __init__(self, problem: Problem, start: Mapping[str, float], every_reading: bool = True) -> None:

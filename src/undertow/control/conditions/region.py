@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import sympy as sm
@@ -227,15 +228,16 @@ def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
 def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
     """The level set of a quadratic V, or bounds in time: what is quickest first.
 
-    With many axes there hardly ever is a V, and none where attitudes are in the loop. With few, a smaller usual
-    start may have one, which says more than bounds in time.
+    With many axes there hardly ever is a V, and none where attitudes are in the loop. With few, a smaller
+    usual start may have one, which says more than bounds in time.
     """
-    in_time = [lambda: _in_time(problem, box)]
-    one_reading, every_reading = ([lambda e=e: _with_a_form(problem, box, e)] for e in (False, True))
-    if len(problem.coordinates) > PROGRAM.most_full:
-        ways = in_time + (one_reading if problem.same(("x", "y", "z")) else [])
-    else:
-        ways = one_reading + (in_time if stated else []) + every_reading
+    many, in_time = len(problem.coordinates) > PROGRAM.most_full, partial(_in_time, problem, box)
+    one_reading, every_reading = (partial(_with_a_form, problem, box, every) for every in (False, True))
+    ways: list[Callable[[], Region | None]] = [in_time, one_reading]
+    if many and not problem.same(("x", "y", "z")):
+        ways = [in_time]
+    elif not many:
+        ways = [one_reading, in_time, every_reading] if stated else [one_reading, every_reading]
     refusals: list[UndertowError] = []
     for way in ways:
         try:
@@ -252,12 +254,12 @@ def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Regio
 
 def _with_a_form(problem: Problem, box: Mapping[str, float], every_reading: bool) -> Region | None:
     found = Search(problem, box, every_reading).found()
-    return found and _of_quadratic(problem, found)
+    return None if found is None else _of_quadratic(problem, found)
 
 
 def _in_time(problem: Problem, box: Mapping[str, float]) -> Region | None:
     found = bounds_in_time(problem, box)
-    return found and _of_transient(problem, box, found)
+    return None if found is None else _of_transient(problem, box, found)
 
 
 def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) -> Region:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .definite import SETTINGS as PROOFS
 from .kernels import Amplitudes, Modes, bounds_within
@@ -66,7 +66,7 @@ class Starts(NamedTuple):
         return found * (1 + PROOFS.room)
 
     def linear(self, of: Array) -> Array:
-        """The largest sum over errors of a share of each, whose magnitudes are at most these, along axis 0."""
+        """The largest sum over errors of a share of each, of magnitudes along the first axis."""
         reach = self.reach
         rest = [c for c in range(len(reach)) if c not in self.plane]
         found = np.tensordot(reach[rest], of[rest], 1)
@@ -92,7 +92,7 @@ class Starts(NamedTuple):
         return np.asarray(total)
 
     @property
-    def pairs(self) -> tuple[Array, Array]:
+    def pairs(self) -> tuple[Index, Index]:
         """Places of the first and of the second error of each pair."""
         return np.triu_indices(len(self.box))
 
@@ -130,9 +130,7 @@ def absolute(form: Form) -> Form:
     return Form(np.abs(form.angles), form.size, np.abs(form.Gamma), form.size)
 
 
-def second_order(
-    found: Modes, A: Array, form: Form, rows: Array, starts: Starts, times: Array
-) -> Driven:
+def second_order(found: Modes, A: Array, form: Form, rows: Array, starts: Starts, times: Array) -> Driven:
     """z_2 of starts in a box of errors."""
     n, size = len(form.Gamma), len(A)
     of = complex_modes(found)
@@ -208,7 +206,9 @@ def by_heading(found: Modes, A: Array, B: Array, rows: Array, starts: Starts, ti
     at = of.exponents[:, None, None]
     size_Z, size_Y, size_A = np.abs(Z), np.abs(Y), np.abs(A) + np.abs(at) * np.eye(size)
     constant = np.abs(at * Z + Y - A @ Z - pushed) + found.off @ size_Z
-    constant += PROOFS.rounding * (size_A @ size_Z + size_Y + np.abs(B) @ np.abs(of.V).T[:, :, None] * np.abs(own)[:, None])
+    constant += PROOFS.rounding * (
+        size_A @ size_Z + size_Y + np.abs(B) @ np.abs(of.V).T[:, :, None] * np.abs(own)[:, None]
+    )
     constant += (np.abs(B) @ np.abs(of.V)).T[:, :, None] * (radius + PROOFS.rounding * np.abs(own))[:, None]
     growing = np.abs(at * Y - A @ Y) + found.off @ size_Y + PROOFS.rounding * (size_A @ size_Y)
     missed, more = (np.tensordot((m * weights).sum(axis=0), starts.reach, 1) for m in (constant, growing))
@@ -217,7 +217,10 @@ def by_heading(found: Modes, A: Array, B: Array, rows: Array, starts: Starts, ti
     parts = [np.tensordot(rows, m * weights, ([1], [1])).transpose(2, 0, 1) for m in (Z, Y)]
     sizes = [np.tensordot(np.abs(rows), np.abs(m) * weights, ([1], [1])).transpose(2, 0, 1) for m in (Z, Y)]
     shape = (n * len(rows), half)
-    pieces = [Amplitudes(*(m.reshape(shape) for m in (a, s, PROOFS.level * s))) for a, s in zip(parts, sizes)]
+    pieces = [
+        Amplitudes(*(m.reshape(shape) for m in (a, s, PROOFS.level * s)))
+        for a, s in zip(parts, sizes, strict=True)
+    ]
     signals = bounds_within(pieces[0], of.exponents, times, pieces[1]).reshape(n, len(rows), -1)
     return Driven(
         starts.linear(signals).T, decay[:, None] * (missed + later[:, None] * more), begun @ starts.reach

@@ -96,7 +96,9 @@ class Sector:
         self.pulled = np.abs(left.W) @ np.abs(force) + np.abs(left.P) @ rate
         # What the modes miss, and what rounding made of the rows.
         self.off = self.modes.off.copy()
-        self.off[-n:] += PROOFS.rounding * motion.magnitudes[0] @ (np.abs(force) + np.abs(motion.forces.D) @ rate)
+        self.off[-n:] += (
+            PROOFS.rounding * motion.magnitudes[0] @ (np.abs(force) + np.abs(motion.forces.D) @ rate)
+        )
         self.rounded = PROOFS.rounding * np.abs(force)
 
     @property
@@ -168,7 +170,7 @@ class Bounds:
         """Bound on the push on each state that is not known, by sector; infinite beyond the caps."""
         at, B, left, n = self.at, known.whole, self.left, self.motion.n
         angles = self.angles(B)
-        within = (angles[:, None] <= self.caps).all(axis=-1)
+        within = np.asarray((angles[:, None] <= self.caps).all(axis=-1))
         cap = within.argmax(axis=1)
         both, (first, second) = angles[:, :, None] * angles[:, None], self.motion.angle_pairs
         twice = np.where(first == second, 1.0, 2.0) * both[:, first, second]
@@ -275,7 +277,9 @@ class Tubes:
         decay = np.exp(-self.slowest * self.times)[:, None, None]
         begun = np.array([sum(d.begun for d in own) for own in driven])
         self.first = np.array([s.begun(of) for s, of in zip(sectors, coarse, strict=True)]).swapaxes(0, 1)
-        own = [np.array([sum(getattr(d, name) for d in ds) for ds in driven]) for name in ("signals", "missed")]
+        own = [
+            np.array([sum(getattr(d, name) for d in ds) for ds in driven]) for name in ("signals", "missed")
+        ]
         self.rest, self.missed = (m.swapaxes(0, 1) for m in own)
         self.rest = self.rest + decay * self._every(_times(self.envelope, begun))
         self._kernels()
@@ -344,15 +348,17 @@ class Tubes:
         """
         later, rises, falls = self._up_to(i + 1), self.rises[:i], self.falls[:i]
         own = np.einsum("ihp,ihp->hp", later[:i], rises) - np.einsum("ihp,ihp->hp", self.sooner[:i], falls)
-        rounding = len(self.kernels.times) * np.finfo(float).eps  # of integrals, which are sums over the pieces
+        rounding = (
+            len(self.kernels.times) * np.finfo(float).eps
+        )  # of integrals, which are sums over the pieces
         own += rounding * self.kernels.integral[-1] * (rises.sum(axis=0) + falls.sum(axis=0))
         rest = _times(self.crude, self.lag)
-        np.add.at(rest, (slice(None), self.signals), np.maximum(own, 0.0))
+        np.add.at(rest.T, self.signals, np.maximum(own, 0.0).T)
         self.sooner = later
         return rest * (1 + SETTINGS.room), self._spread(later[i]), self.last
 
     def _piece(self, i: int, rest: Array, gain: Array, since: Array, crude: Array) -> tuple[Array, Array]:
-        """Bounds on signals and pushes that what they let happen does not leave; those that grow are dropped."""
+        """Bounds on signals and pushes that what they let happen does not leave; what grows is dropped."""
         most, rest = self.last.copy(), self.rest[i] + self._every(rest)
         for _ in range(SETTINGS.rounds):
             more = _times(gain, np.maximum(most - since, 0.0)) + _times(crude, most)
@@ -449,8 +455,9 @@ def _stated(tubes: Tubes, B: Array, held: Flags) -> list[Transient]:
                 "errors or lower K_P"
             )
     rate = KERNELS.dies * tubes.slowest
-    own = (m[:, held].swapaxes(0, 1) for m in (errors, speeds, largest))
-    return [Transient(tubes.times, *one, rate) for one in zip(*own, strict=True)]
+    return [
+        Transient(tubes.times, errors[:, k], speeds[:, k], largest[:, k], rate) for k in np.flatnonzero(held)
+    ]
 
 
 def _together(found: Sequence[Transient]) -> Transient:
