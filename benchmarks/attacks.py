@@ -147,7 +147,7 @@ class Target:
         z = np.concatenate([np.einsum("kji,kj->ki", G, part) for part in parts], axis=1)
         P = self.quadratic.at(float(place[self.names.index("psi")]) if "psi" in self.names else 0.0)
         z = z[:, -P.shape[-1] :]
-        return np.asarray(np.einsum("ki,fij,kj->kf", z, P, z).max(axis=1)).reshape(shape)
+        return np.asarray(np.einsum("ki,ij,kj->k", z, P, z)).reshape(shape)
 
     def _turns(self, angles: dict[str, Interval], count: int) -> Array:
         """The rotation of the translations, and nothing of the rotations."""
@@ -184,7 +184,10 @@ class BoxTarget(Target):
         # Errors begin at their bounds: within them they say nothing until these have moved.
         still = np.abs(most - both[0]) < self.how.moved * both[0]
         used = [np.where((share <= 1) & still, 0.0, share).max(axis=(1, 2))]
-        largest = found.commands[piece].T[:, None]
+        floor = self.how.alive * found.commands.max(
+            axis=0
+        )  # rounding of simulations is below it, as of states
+        largest = np.maximum(found.commands, floor)[piece].T[:, None]
         return [*used, *(c.max(axis=-1) for c in commands / largest)]
 
     def _slowest_fall(self, t: Array, seen: Array, place: Array) -> list[Array]:

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.attacks import Attack, Target
+from benchmarks.attacks import Attack, BoxTarget, Target
+from benchmarks.certificates import Outcome, page_of
 from tests.control.test_certificates import law, sinker
-from undertow.control.conditions.result import Quadratic
+from undertow.control.conditions.result import Quadratic, Transient
 from undertow.control.conditions.whole import certify
 
 pytest.importorskip("clarabel")
@@ -49,4 +50,28 @@ def test_v_of_a_state_is_that_of_its_turned_frame() -> None:
     state, place = np.zeros((1, 1, 8)), np.array([0.0, 0.0, 0.0, np.pi / 2])
     state[..., 0] = 0.1
     value = Target(gains, report, 1.0, False, Attack()).value(state, state[..., :4] * 0, place)
-    assert value[0, 0] == pytest.approx(0.1**2 * found.at(np.pi / 2)[0, 5, 5])
+    assert value[0, 0] == pytest.approx(0.1**2 * found.at(np.pi / 2)[5, 5])
+
+
+def test_rounding_of_a_simulation_breaks_no_bound() -> None:
+    """A command of 3e-14 where 1e-14 is bounded, long after one of 0.5; a hundredth of it there does."""
+    target, t = object.__new__(BoxTarget), np.array([0.0, 2.0])
+    target.how, one = Attack(), np.ones((2, 1))
+    target.transient = Transient(np.array([0.0, 1.0]), one, one, np.array([[1.0], [1e-14]]), 0.1)
+    for late, most in ((3e-14, 0.5), (1e-2, 10.0)):
+        commands = np.array([[[0.5, late]]])
+        assert target._used(t, np.zeros((1, 2, 2)), commands)[1].max() == pytest.approx(most)
+
+
+def test_the_page_has_shares_with_their_exact_intervals() -> None:
+    """Clopper and Pearson: 3 of 4 is 19 to 99 %, 2 of 2 from 16 %."""
+    said = ("certified", "certified", "no proof", "certified", "certified", "certified")
+    sizes = (1, 1, 6, 6, 6, 6)
+    rows = [
+        Outcome(1, k, n, "stable", s, 0.9, 1.1, 2.0) for k, (n, s) in enumerate(zip(sizes, said, strict=True))
+    ]
+    page = page_of([*rows, Outcome(1, 7, 6, "limited", "no proof", 0.0, 0.0, 1.0)], 0.1)
+    assert "| 1 | 2 | 2 | 100% (16% to 100%) | 0 | 0.900 | 2.0 | 2.0 |" in page
+    assert "| 6 | 4 | 3 | 75% (19% to 99%) |" in page
+    assert "| all | 6 | 5 | 83% (36% to 100%) |" in page
+    assert "| 6 | no proof | 1 |" in page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 
@@ -16,11 +17,11 @@ from tests.control.test_certificates import loaded
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import enclose
 from undertow.control.conditions.kernels import Responses, grid, modes
-from undertow.control.conditions.motion import Leftover, Motion
+from undertow.control.conditions.motion import Motion
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.result import Transient
-from undertow.control.conditions.second import Form, second_order
-from undertow.control.conditions.transient import Bounds, Known, Sector, _leftovers, bounds_in_time
+from undertow.control.conditions.second import Driven, Starts
+from undertow.control.conditions.transient import Bounds, Known, Sector, _caps, bounds_in_time
 from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LawSignals
@@ -112,9 +113,9 @@ def test_integrals_of_responses_are_no_less_than_quadrature_says() -> None:
     kernels = Responses(found, row[None], grid(found.rates, 8)).kernels(np.array([0]), np.array([1]))
     for until in (0.3, 2.0, 30.0):
         exact = quad(lambda t: abs(row @ expm(A * t)[:, 1]), 0, until, limit=400)[0]
-        (least,) = kernels.up_to(np.array([until]))[0]
+        ((least,),) = kernels.up_to(np.array([until]))
         assert exact <= least < 1.05 * exact
-    assert kernels.weighted[0] > kernels.integral[0, -1]
+    assert kernels.weighted[0] > kernels.integral[-1, 0]
 
 
 def test_an_unstable_loop_has_no_modes_to_bound_by() -> None:
@@ -122,63 +123,92 @@ def test_an_unstable_loop_has_no_modes_to_bound_by() -> None:
         modes(enclose(np.diag([-1.0, 0.1])))
 
 
-def test_second_order_is_that_of_an_integration() -> None:
-    """z_2' = A z_2 + q(z_1, z_1) from z_2 = 0: below the bound at all times, and once close to it."""
-    rng = np.random.default_rng(5)
-    sector, left = _sector()
-    A, at = sector.motion.linear(sector.rows[sector.signals.force]), sector.signals
-    angles = -np.eye(len(A))[at.error][sector.motion.places]
-    form = Form(angles, sector.rows[at.force], left.W, left.P, left.Gamma)
-    plane, start = sector.motion.plane, sector.start
-    found = second_order(sector.modes, A, form, sector.rows, start, plane, sector.times)
+def _closest(found: Driven, sector: Sector, runs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """How near motions (states by time) come to their bounds, which they have to keep, by signal."""
     assert found.missed.max() < 1e-6
     assert found.begun.max() < 1e-10
-    times = sector.times[sector.times < 30]
     closest = np.zeros(len(sector.rows))
-    for _ in range(6):
-        z = np.zeros(2 * len(A))
-        z[at.error] = rng.choice((-1.0, 1.0), 6) * start
-        run = solve_ivp(_driven, (0, times[-1]), z, t_eval=times, args=(A, form), rtol=1e-8, atol=1e-12)
-        seen = np.abs(sector.rows @ run.y[len(A) :])
-        bounds = found.signals[: len(times)].T
+    for times, motion in runs:
+        seen, bounds = np.abs(sector.rows @ motion), found.signals[: len(times)].T
         assert (seen <= bounds * (1 + 1e-6) + 1e-9).all()
-        closest = np.maximum(closest, (seen.max(axis=1) / np.maximum(bounds.max(axis=1), 1e-12)))
-    assert closest[at.rate].max() > 0.3
+        closest = np.maximum(closest, seen.max(axis=1) / np.maximum(bounds.max(axis=1), 1e-12))
+    return closest
 
 
-def _driven(_: float, z: np.ndarray, A: np.ndarray, form: Form) -> np.ndarray:
-    one, two = np.split(z, 2)
-    v, angles = one[-6:], form.angles @ one
-    push = np.tensordot(angles, form.W, 1) @ (form.force @ one) - np.tensordot(angles, form.P, 1) @ v
-    return np.concatenate([A @ one, A @ two + np.append(np.zeros(12), push + form.Gamma @ v @ v)])
+def _integrated(
+    sector: Sector, push: Callable[[np.ndarray], np.ndarray]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """z' = A z + push(z_1) from z = 0 for corners of the box, at the ends of pieces of time."""
+    rng, size = np.random.default_rng(5), len(sector.A)
+    times = grid(sector.modes.rates)
+    times = times[times < 30]
+
+    def rate(_: float, z: np.ndarray) -> np.ndarray:
+        return np.concatenate([sector.A @ z[:size], sector.A @ z[size:] + push(z[:size])])
+
+    found = []
+    for _ in range(6):
+        z = np.zeros(2 * size)
+        z[sector.signals.error] = rng.choice((-1.0, 1.0), 6) * sector.starts.box
+        run = solve_ivp(rate, (0, times[-1]), z, t_eval=times, rtol=1e-8, atol=1e-12)
+        found.append((times, run.y[size:]))
+    return found
+
+
+def test_second_order_is_that_of_an_integration() -> None:
+    """z_2' = A z_2 + q(z_1, z_1) from z_2 = 0: below the bound at all times, and once close to it."""
+    sector = _sector()
+    left, motion = sector.left, sector.motion
+
+    def push(one: np.ndarray) -> np.ndarray:
+        v, angles = one[-6:], -one[sector.signals.error][motion.places]
+        pulled = np.tensordot(angles, left.W, 1) @ (sector.force @ one) - np.tensordot(angles, left.P, 1) @ v
+        return np.append(np.zeros(12), pulled + left.Gamma @ v @ v)
+
+    (found,) = sector.driven(grid(sector.modes.rates))
+    assert _closest(found, sector, _integrated(sector, push))[sector.signals.rate].max() > 0.3
+
+
+def test_motion_by_the_heading_is_that_of_an_integration_and_the_difference_of_two_headings() -> None:
+    sector = _sector(0.7, 0.01)
+    (_, found) = sector.driven(grid(sector.modes.rates))
+    runs = _integrated(sector, lambda one: 0.01 * sector.turned @ one)
+    assert _closest(found, sector, runs)[sector.signals.rate].max() > 0.3
+    other = _sector(0.7 + 1e-5)
+    assert np.abs((other.A - sector.A) / 1e-5 - sector.turned).max() < 1e-4 * np.abs(sector.turned).max()
 
 
 # --- what is left over ------------------------------------------------------------------------------
-def _sector(heading: float = 0.7, half: float = 0.0) -> tuple[Sector, Leftover]:
-    motion = Motion(Problem(loop()))
-    start = np.array([START[c] for c in NAMES])
-    return Sector(motion, start, heading, half), motion.leftover(np.full(3, 0.2))
+def _sector(heading: float = 0.7, half: float = 0.0) -> Sector:
+    motion, start = Motion(Problem(loop())), np.array([START[c] for c in NAMES])
+    return Sector(motion, Starts(start, motion.plane), motion.leftover(_caps(motion, start)), heading, half)
 
 
 @pytest.mark.parametrize(("heading", "half"), [(0.0, 0.0), (0.7, 0.1)])
 def test_what_the_linear_loop_leaves_out_is_below_its_bound(heading: float, half: float) -> None:
     """The acceleration of the model itself at random states, in every direction of motion."""
     rng = np.random.default_rng(6)
-    sector, _ = _sector(heading, half)
-    caps, lefts = _leftovers(sector.motion, sector.start)
-    bounds, at = Bounds(sector, caps, lefts), sector.signals
+    sector = _sector(heading, half)
+    bounds, at = Bounds([sector], _caps(sector.motion, sector.starts.box)), sector.signals
     closest = 0.0
     for k in range(60):
         size = 10 ** rng.uniform(-2, 0)
         error = rng.uniform(-1, 1, 6) * np.array([0.2, 0.2, 0.2, 0.2, 0.2, 0.2]) * size
         z = np.concatenate([rng.uniform(-0.3, 0.3, 6) * size, error, rng.uniform(-0.3, 0.3, 6) * size])
         place = heading + half * rng.choice((-1.0, 1.0))
-        signals = np.abs(sector.rows @ z)
-        push = bounds.push(Known(0 * signals, signals, np.zeros(18)))
+        signals = np.abs(sector.rows @ z)[None]
+        (push,) = bounds.push(Known(0 * signals, signals, np.zeros((1, 18))))
         off = np.abs(_acceleration(sector.motion.problem.gains, z, place) - sector.rows[at.acceleration] @ z)
         assert (off <= push[at.rate] + 1e-12).all(), k
         closest = max(closest, float((off / push[at.rate]).max()))
     assert closest > 0.3
+
+
+def test_sums_of_signals_are_bounded_by_what_they_are_made_of() -> None:
+    sector, rng = _sector(0.7, 0.1), np.random.default_rng(7)
+    for z in rng.normal(size=(20, 18)):
+        whole = np.abs(sector.rows @ z)
+        assert (whole[len(sector.base) :] <= sector.sums @ whole[: len(sector.base)] + 1e-12).all()
 
 
 def _acceleration(gains: GainSet, z: np.ndarray, heading: float) -> np.ndarray:

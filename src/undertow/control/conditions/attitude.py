@@ -272,11 +272,17 @@ class Attitudes:
         return np.array([[-np.pi, np.pi] if a == "psi" else [-self.tilt, self.tilt] for a in angles])
 
     @cached_property
+    def _inverse(self) -> sm.Matrix:
+        return sm.diag(sm.eye(3), body_rates(column(POSE[3:]))) if self._isotropic else self._plant.J_inverse
+
+    @cached_property
     def _function(self) -> Callable[..., Any]:
-        inverse = self._plant.J_inverse
-        if self._isotropic:
-            inverse = sm.diag(sm.eye(3), body_rates(column(POSE[3:])))
-        return enclosing([symbol(a) for a in ANGLES], inverse)
+        return enclosing([symbol(a) for a in ANGLES], self._inverse)
+
+    @cached_property
+    def _numbers(self) -> Callable[..., Any]:
+        functions = {name: getattr(np, name) for name in FUNCTIONS}
+        return function_of([symbol(a) for a in ANGLES], self._inverse.tolist(), functions)
 
     @cached_property
     def _forward(self) -> Callable[..., Any]:
@@ -310,8 +316,12 @@ class Attitudes:
 
     def at(self, values: dict[str, float]) -> Array:
         """J^-1 at one attitude, shape (n, n)."""
-        inverse = self.inverse({a: Interval([v], [v]) for a, v in values.items()})
-        return inverse.middle[0]
+        return self.numbers({a: np.array([v]) for a, v in values.items()})[0]
+
+    def numbers(self, values: dict[str, Array]) -> Array:
+        """J^-1 in floating point for angles of shape (k,), zero where not given, shape (k, n, n)."""
+        k = len(next(iter(values.values()))) if values else 1
+        return _filled(self._numbers(*(values.get(a, np.zeros(k)) for a in ANGLES)), (k,))
 
 
 def enclosing(names: Sequence[sm.Symbol], matrix: sm.Matrix) -> Callable[..., Interval]:
@@ -321,13 +331,18 @@ def enclosing(names: Sequence[sm.Symbol], matrix: sm.Matrix) -> Callable[..., In
     def evaluate(*values: Interval) -> Interval:
         k = np.broadcast_shapes(*(v.lo.shape for v in values)) if values else (1,)
         cells = [[enclose(c) for c in row] for row in function(*values)]
-        sides = (
-            np.stack([np.stack([np.broadcast_to(getattr(c, s), k) for c in r], -1) for r in cells], -2)
-            for s in ("lo", "hi")
-        )
-        return Interval(*sides)
+        return Interval(*(_filled([[getattr(c, s) for c in row] for row in cells], k) for s in ("lo", "hi")))
 
     return evaluate
+
+
+def _filled(cells: Sequence[Sequence[Any]], shape: tuple[int, ...]) -> Array:
+    """A stack of matrices from its cells, each a number or an array of that shape."""
+    found = np.empty((*shape, len(cells), len(cells[0]) if cells else 0))
+    for i, row in enumerate(cells):
+        for j, cell in enumerate(row):
+            found[..., i, j] = cell
+    return found
 
 
 def least(
@@ -362,7 +377,7 @@ def _search(
     grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
 
     def at(points: Array) -> Array:
-        return margin(_inverses(attitudes, angles, np.stack([points, points], axis=2)).middle)
+        return margin(attitudes.numbers(dict(zip(angles, points.T, strict=True))))
 
     start = grid[int(at(grid).argmin())]
     found = minimize(

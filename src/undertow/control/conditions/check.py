@@ -210,7 +210,7 @@ def _over_sets(evaluation: _Evaluation, uncertainty: Uncertainty) -> list[Row]:
     if evaluation.channel is not None or not others:
         return rows
     if any(r.verdict != HOLDS for r in rows):
-        others = [min(others, key=evaluation.rank)]
+        others = [min(others, key=lambda one: evaluation.rank(one, rows[0].at_iota))]
     elif evaluation.proved(others):
         return rows
     known = min(r.margin for r in rows)
@@ -275,7 +275,7 @@ class _Evaluation:
             return inside(self.together)
         if span:
             return inside(span)
-        return peak_of(lambda iotas: self.problem.margins(self.condition, one, iotas, self.channel))
+        return peak_of(lambda iotas: self.problem.margins(self.condition, one, iotas, self.channel, few=True))
 
     def _span(self, one: SignSet) -> Span | None:
         condition = self.condition
@@ -284,15 +284,10 @@ class _Evaluation:
     def _margin(self, one: SignSet, iota: float | None) -> float:
         return self.problem.margin(self.condition, one, iota, self.channel)
 
-    def rank(self, one: SignSet) -> float:
+    def rank(self, one: SignSet, iota: float | None) -> float:
         """The margin at a few attitudes: which of many sets is worst, before anything is proved."""
-        known = self.given if self.together is None else inside(self.together)
-
-        def margins(iotas: Array) -> Array:
-            return self.problem.margins(self.condition, one, iotas, self.channel, few=True)
-
-        iota = 1.0 if not self.condition.uses_iota else peak_of(margins) if known is None else known
-        return float(margins(np.array([iota]))[0])
+        iotas = np.array([1.0 if iota is None else iota])
+        return float(self.problem.margins(self.condition, one, iotas, self.channel, few=True)[0])
 
     def proved(self, sets: Sequence[SignSet]) -> bool:
         """Whether it holds in all of these sets, at every attitude, with the iota that serves all."""

@@ -309,7 +309,7 @@ class Embedding:
         sizes, signs = sizes_and_signs(plant)
         moving = plain(plant, plant.C + plant.D).applyfunc(sm.expand)
         inertia = plain(plant, plant.M)
-        switching = _switching(moving, inertia, nu, sizes, signs)
+        switching = _switching(plant, inertia)
         first = [sm.Symbol(f"first_{v}") for v in nu]
         rest = moving.xreplace(dict.fromkeys([*nu, *sizes], sm.Integer(0)))
         added = (moving - rest.xreplace(dict(zip(signs, first, strict=True)))).applyfunc(sm.expand)
@@ -500,28 +500,46 @@ def _columns(rows: Array | Interval) -> list[Interval]:
     return [Interval(own.lo[..., i], own.hi[..., i]) for i in range(own.lo.shape[-1])]
 
 
-def _switching(
-    moving: sm.Matrix,
-    inertia: sm.Matrix,
-    nu: list[sm.Symbol],
-    sizes: list[sm.Symbol],
-    signs: list[sm.Symbol],
-) -> list[int]:
-    """Velocities whose sign has to be known; what is not affine or has products of velocities is refused."""
-    n = len(nu)
-    found = {i for i in range(n) if signs[i] in inertia.free_symbols}
-    for entry in moving:
-        if not entry.is_polynomial(*nu, *sizes, *signs):
+class Term(NamedTuple):
+    """One product in an entry of C + D."""
+
+    row: int
+    column: int
+    powers: tuple[int, ...]  # of the velocities, their magnitudes and their signs
+    value: float
+
+
+def terms_of(plant: Plant) -> list[Term]:
+    """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most.
+
+    Raises
+    ------
+    UndertowError
+        If it is none.
+    """
+    n, symbols = len(plant.nu), [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind)]
+    moving, found = plain(plant, plant.C + plant.D).applyfunc(sm.expand), []
+    for i, j in product(range(n), repeat=2):
+        if not moving[i, j].is_polynomial(*symbols):
             raise UndertowError("damping is no polynomial in velocities and their magnitudes")
-        for powers in sm.Poly(entry, *nu, *sizes, *signs).monoms():
-            degree = [powers[k] + powers[n + k] for k in range(n)]
-            if sum(degree) > 1:
-                raise UndertowError(
-                    "damping grows faster than in proportion to a velocity: no quadratic V is searched for"
-                )
-            own = {k for k in range(n) if powers[2 * n + k]}
-            if len(own | {k for k in range(n) if degree[k]}) > 1 or any(powers[2 * n + k] > 1 for k in own):
-                found |= own
+        terms = sm.Poly(moving[i, j], *symbols).terms()
+        found += [Term(i, j, powers, float(value)) for powers, value in terms if value]
+    if any(sum(term.powers[: 2 * n]) > 1 for term in found):
+        raise UndertowError(
+            "damping grows faster than in proportion to a velocity: no certificate is searched for"
+        )
+    return found
+
+
+def _switching(plant: Plant, inertia: sm.Matrix) -> list[int]:
+    """Velocities whose sign has to be known: those in the mass matrix, and in products with another one's."""
+    n, signs = len(plant.nu), sizes_and_signs(plant)[1]
+    found = {i for i in range(n) if signs[i] in inertia.free_symbols}
+    for term in terms_of(plant):
+        own = {k for k in range(n) if term.powers[2 * n + k]}
+        moved = {k for k in range(n) if term.powers[k] + term.powers[n + k]}
+        if len(own | moved) > 1 or any(term.powers[2 * n + k] > 1 for k in own):
+            found |= own
     return sorted(found)
 
 

@@ -20,9 +20,9 @@ class KernelSettings:
 
     first: float = 0.05  # of the time in which the fastest mode changes: the first piece of time
     ratio: float = 1.04  # of the ends of a piece of time
-    finer: int = 8  # pieces of what a push does later, in one of these
+    finer: int = 4  # pieces of what a push does later, in one of these
     last: float = 20.0  # slowest time constants, after which one bound serves for all time
-    dies: float = 0.1  # part of the slowest mode's rate at which everything dies out at last
+    dies: float = 0.02  # part of the slowest mode's rate at which everything dies out at last
 
 
 SETTINGS = KernelSettings()
@@ -80,21 +80,19 @@ def _inverse(T: Interval) -> Interval:
 
 
 class Kernels(NamedTuple):
-    """Integrals over time of bounds, constant by piece, on |responses| of signals to states, by pair."""
+    """Integrals over time of bounds, constant by piece, on |responses|."""
 
-    signals: Index
-    states: Index
     times: Array
-    integral: Array  # up to each time, (pairs, times)
+    integral: Array  # up to each time, (times, ...)
     weighted: Array  # over all time with a slow growth beside the response
 
     def up_to(self, lags: Array) -> Array:
-        """The integrals up to other times, (pairs, lags)."""
+        """The integrals up to other times, (lags, ...)."""
         after = np.clip(np.searchsorted(self.times, lags), 1, len(self.times) - 1)
         start, end = self.times[after - 1], self.times[after]
         share = np.clip((lags - start) / (end - start), 0.0, 1.0)
-        low, high = self.integral[:, after - 1], self.integral[:, after]
-        return np.asarray(low + share * (high - low))
+        low, high = self.integral[after - 1], self.integral[after]
+        return np.asarray(low + share.reshape(-1, *[1] * (low.ndim - 1)) * (high - low))
 
 
 class Responses:
@@ -133,23 +131,40 @@ class Responses:
         rest = within[:, -1:] / ((1 - SETTINGS.dies) * slowest)
         integral = np.cumsum(np.insert(within[:, :-1] * widths, 0, 0.0, axis=1), axis=1)
         weighted = (within[:, :-1] * widths) @ growth[1:] + rest[:, 0] * growth[-1]
-        return Kernels(signals, states, self.times, integral, weighted * (1 + PROOFS.level))
+        return Kernels(self.times, integral.T, weighted * (1 + PROOFS.level))
 
     def pieces(self, signals: Index, states: Index) -> Array:
         """Bounds on some responses in each piece of time, the last of which has no end, (pairs, pieces)."""
-        amplitude, size, radius = (m[:, signals, states].T for m in (self.amplitude, self.size, self.radius))
-        return bounds_within(amplitude, size, radius, self._exponents, self.times)
+        own = Amplitudes(*(m[:, signals, states].T for m in (self.amplitude, self.size, self.radius)))
+        return bounds_within(own, self._exponents, self.times)
 
 
-def bounds_within(amplitude: Array, size: Array, radius: Array, exponents: Array, times: Array) -> Array:
+class Amplitudes(NamedTuple):
+    """Of each exponential in a sum: a number, a bound on its magnitude, and how much it may be off."""
+
+    value: Array
+    size: Array
+    radius: Array
+
+
+def bounds_within(of: Amplitudes, exponents: Array, times: Array, growing: Amplitudes | None = None) -> Array:
     """Bounds on |Re sum of a e^(exponent t)| in each piece of time, the last without end, (rows, pieces).
 
-    `radius` is how much each amplitude may be off, `size` a bound on it.
+    With `growing` the sum is of (a + t b) e^(exponent t); then the last piece has to begin after the slowest
+    time constant.
     """
     decay = np.exp(np.outer(exponents.real, times))
-    at = np.abs((amplitude @ (decay * np.exp(1j * np.outer(exponents.imag, times)))).real) + radius @ decay
-    bend = (size * np.abs(exponents) ** 2) @ decay[:, :-1] * np.diff(times) ** 2 / 8
-    within, envelope = np.maximum(at[:, :-1], at[:, 1:]) + bend, size @ decay
+    turned = decay * np.exp(1j * np.outer(exponents.imag, times))
+    value, spread, bend = of.value @ turned, of.radius @ decay, (of.size * np.abs(exponents) ** 2) @ decay
+    envelope = of.size @ decay
+    if growing is not None:
+        later, rate = np.append(times[1:], times[-1]), np.abs(exponents)
+        value = value + growing.value @ (turned * times)
+        spread = spread + growing.radius @ (decay * times)
+        bend = bend + (growing.size * rate**2) @ (decay * later) + 2 * (growing.size * rate) @ decay
+        envelope = envelope + growing.size @ (decay * later)
+    at = np.abs(value.real) + spread
+    within = np.maximum(at[:, :-1], at[:, 1:]) + bend[:, :-1] * np.diff(times) ** 2 / 8
     found = np.concatenate([np.minimum(within, envelope[:, :-1]), envelope[:, -1:]], axis=1)
     return np.asarray(found * (1 + PROOFS.level))
 

@@ -86,12 +86,14 @@ class _PID(_PD):
         return super().value(s) + cross + IOTA * _form(s.states, s.K_I) / 2
 
     def derivative(self, s: LawSignals) -> sm.Expr:
+        """As stated, of q_dot = J nu and q~ = J b: b' D nu is q~' D_q q_dot, and so on, in fewer terms."""
         plant = s.plant
-        rate = plant.J * plant.nu
+        rate, body = plant.J * plant.nu, plant.J_inverse * s.error
         spring = _form(s.error, IOTA * s.K_P - s.K_I)
-        K = s.K_V + plant.D_q
-        motion = _form(rate, K - IOTA * plant.M_q)
-        return -spring + IOTA * (s.error.T * (K - plant.C_q.T) * rate)[0] - motion
+        motion = _form(rate, s.K_V) + _form(plant.nu, plant.D - IOTA * plant.M)
+        swung = plant.C * body - plant.M * (plant.J_inverse * (plant.J_dot * body))  # J' C_q q~
+        cross = (s.error.T * s.K_V * rate)[0] + (body.T * plant.D * plant.nu)[0] - (plant.nu.T * swung)[0]
+        return -spring + IOTA * cross - motion
 
 
 class _Sliding(Candidate):

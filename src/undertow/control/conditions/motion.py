@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product as product_of
@@ -12,12 +13,12 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, enclose, enclosing
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
-from .embedding import inverse_of_inertia, plain, rotation_of, sign_cases, sizes_and_signs
+from .embedding import inverse_of_inertia, plain, rotation_of, sign_cases, sizes_and_signs, terms_of
 from .problem import Problem
 
 
@@ -41,7 +42,7 @@ class Forces(NamedTuple):
 
 
 class Leftover(NamedTuple):
-    """Bounds for angles up to a cap, by derivatives in the angles.
+    """Bounds for angles up to caps, by derivatives in the angles.
 
     With v the pose rates, r = J' F - (C + D) nu and F the force of the law in pose coordinates,
 
@@ -52,12 +53,15 @@ class Leftover(NamedTuple):
 
     W: Array  # dW/dangle on an even keel, shape (angles, n, n)
     P: Array
-    J: Array  # |dJ/dangle| up to the cap, as all that follow but Gamma
-    J_inverse: Array
-    W_bend: Array  # |second derivatives| / 2, shape (angles, angles, n, n)
-    P_bend: Array
     Gamma: Array  # without tilt, symmetric in its last two places, shape (n, n, n)
-    Gamma_slope: Array  # shape (angles, n, n, n)
+    W_bent: Array  # halves of the second derivatives on an even keel, shape (angles, angles, n, n)
+    P_bent: Array
+    # Up to each cap, along the first axis:
+    W_off: Array  # how far those are off elsewhere, shape (caps, angles, angles, n, n)
+    P_off: Array
+    J: Array  # |dJ/dangle|, shape (caps, angles, n, n)
+    J_inverse: Array
+    Gamma_slope: Array  # |dGamma/dangle|, shape (caps, angles, n, n, n)
 
 
 class Motion:
@@ -84,30 +88,27 @@ class Motion:
                 "pose rates are not velocities on an even keel: no bounds in time are searched for"
             )
 
+    @property
+    def angle_pairs(self) -> tuple[Index, Index]:
+        """Places of the first and of the second angle of each pair."""
+        return np.triu_indices(len(self.angles))
+
     # --- what the loop is made of -----------------------------------------------------------------
     def _forces(self) -> Forces:
-        n, plant = self.n, self.plant
-        nu, (sizes, signs) = list(plant.nu), sizes_and_signs(plant)
-        found = Forces(*(np.zeros((n,) * k) for k in (2, 2, 3, 3)))
-        moving = (plain(plant, plant.C + plant.D) * plant.nu).applyfunc(sm.expand)
-        for i, entry in enumerate(moving):
-            if not entry.is_polynomial(*nu, *sizes, *signs):
-                raise UndertowError("damping is no polynomial in velocities and their magnitudes")
-            for powers, value in sm.Poly(entry, *nu, *sizes, *signs).terms():
-                self._add(found, i, powers, float(value))
+        n, found = self.n, Forces(*(np.zeros((self.n,) * k) for k in (2, 2, 3, 3)))
+        products: dict[tuple[int, ...], float] = {}
+        for i, j, powers, value in terms_of(self.plant):
+            key = (i, *(p + (k == j) for k, p in enumerate(powers)))
+            products[key] = products.get(key, 0.0) + value
+        for (i, *own_powers), value in products.items():
+            signed, own = any(own_powers[n:]), [k for k in range(2 * n) for _ in range(own_powers[k])]
+            j, *rest = [k % n for k in own]
+            linear, square = (found.D_signs, found.Q_signs) if signed else (found.D, found.Q)
+            for a, b in [(j, *rest), (*rest, j)] if rest else []:
+                square[i, a, b] += (abs(value) if signed else value) / 2
+            if not rest:
+                linear[i, j] += abs(value) if signed else value
         return found
-
-    def _add(self, found: Forces, i: int, powers: tuple[int, ...], value: float) -> None:
-        n = self.n
-        own = [k for k in range(n) for _ in range(powers[k] + powers[n + k])]
-        signed = any(powers[n:])
-        if len(own) > 2:
-            raise UndertowError("damping grows faster than in proportion to a velocity: no V is searched for")
-        if len(own) == 1:
-            (found.D_signs if signed else found.D)[i, own[0]] += abs(value) if signed else value
-        for j, k in {tuple(own), tuple(own[::-1])} if len(own) == 2 else ():
-            part = value if j == k else value / 2
-            (found.Q_signs if signed else found.Q)[i, j, k] += abs(part) if signed else part
 
     @cached_property
     def _inertias(self) -> Interval:
@@ -163,42 +164,44 @@ class Motion:
 
     # --- what is left over ------------------------------------------------------------------------
     @cached_property
-    def _functions(self) -> dict[str, object]:
-        J, Ji, own = self.plant.J, self.plant.J_inverse, [symbol(a) for a in ANGLES]
-        every = [symbol(a) for a in self.angles]
-        found = {"J": J, "i": Ji} | {f"J{k}": J.diff(a) for k, a in enumerate(every)}
-        found |= {f"i{k}": Ji.diff(a) for k, a in enumerate(every)}
+    def _turns(self) -> tuple[list[str], Callable[..., Interval]]:
+        """J, its inverse and their derivatives: their names, and all of them as one matrix."""
+        J, Ji, every = self.plant.J, self.plant.J_inverse, [symbol(a) for a in self.angles]
         pairs = [(k, m) for k in range(len(every)) for m in range(k + 1)]
-        found |= {f"J{m}{k}": J.diff(every[k], every[m]) for k, m in pairs}
-        found |= {f"i{m}{k}": Ji.diff(every[k], every[m]) for k, m in pairs}
-        return {name: enclosing(own, matrix) for name, matrix in found.items()}
+        found = {"J": J, "i": Ji}
+        for name, matrix in (("J", J), ("i", Ji)):
+            found |= {f"{name}{k}": matrix.diff(a) for k, a in enumerate(every)}
+            found |= {f"{name}{m}{k}": found[f"{name}{k}"].diff(every[m]) for k, m in pairs}
+        return [*found], enclosing([symbol(a) for a in ANGLES], sm.Matrix.vstack(*found.values()))
 
     def _at(self, caps: Array, cuts: int) -> dict[str, Interval]:
-        """J, its inverse and their derivatives on boxes of angles, (boxes, 1, n, n)."""
-        reach = dict(zip(self.angles, caps, strict=True))
-        edges = [
-            np.linspace(-reach.get(a, 0.0), reach.get(a, 0.0), cuts + 1 if a in reach else 2) for a in ANGLES
-        ]
-        low, high = (np.meshgrid(*[e[part] for e in edges]) for part in (slice(-1), slice(1, None)))
-        box = [Interval(lo.ravel(), hi.ravel()) for lo, hi in zip(low, high, strict=True)]
-        found = {name: function(*box) for name, function in self._functions.items()}  # type: ignore[operator]
-        return {name: Interval(m.lo[:, None], m.hi[:, None]) for name, m in found.items()}
+        """J, its inverse and their derivatives on boxes of angles up to each cap, (caps * boxes, 1, n, n)."""
+        cuts_of = [cuts if a in self.angles else 1 for a in ANGLES]
+        rows = np.array([*product_of(*map(range, cuts_of))])  # places of a box
+        most = np.zeros((len(caps), len(ANGLES)))
+        most[:, [ANGLES.index(a) for a in self.angles]] = caps
+        ends = ((2 * (rows + side) / cuts_of - 1) * most[:, None] for side in (0, 1))
+        low, high = (e.reshape(-1, len(ANGLES)).T for e in ends)
+        names, function = self._turns
+        found = function(*map(Interval, low, high))
+        shape = (-1, len(names), 1, self.n, self.n)
+        lo, hi = (m.reshape(shape) for m in (found.lo, found.hi))
+        return {name: Interval(lo[:, k], hi[:, k]) for k, name in enumerate(names)}
 
     def leftover(self, caps: Array) -> Leftover:
-        """The bounds for angles up to these, rad, by angle."""
-        at, level, count = self._at(caps, SETTINGS.cuts), self._at(0 * caps, 1), range(len(self.angles))
-        W, P = (
-            self._turned(level, at, "J", self.inverse),
-            self._turned(level, at, "i", self.inverse @ self.forces.D),
-        )
-        slopes = ([at[f"{m}{a}"].size.max(axis=(0, 1)) for a in count] for m in "Ji")
-        J, Ji = (np.array(m).reshape(-1, self.n, self.n) for m in slopes)
-        return Leftover(W[0], P[0], J, Ji, W[1], P[1], *self._curved(level, at))
+        """The bounds for angles up to these, rad, shape (caps, angles)."""
+        at, level, count = self._at(caps, SETTINGS.cuts), self._at(0 * caps[:1], 1), range(len(self.angles))
+        W = self._turned(level, at, "J", self.inverse, len(caps))
+        P = self._turned(level, at, "i", self.inverse @ self.forces.D, len(caps))
+        slopes = ([_largest(at[f"{m}{a}"].size[:, 0], len(caps)) for a in count] for m in "Ji")
+        J, Ji = (np.array(m).reshape(-1, len(caps), self.n, self.n).swapaxes(0, 1) for m in slopes)
+        Gamma, bent = self._curved(level, at, len(caps))
+        return Leftover(W[0], P[0], Gamma, W[1], P[1], W[2], P[2], J, Ji, bent)
 
     def _turned(
-        self, level: dict[str, Interval], at: dict[str, Interval], right: str, matrix: Array
-    ) -> tuple[Array, Array]:
-        """J matrix J' or J matrix J^-1: first derivatives on an even keel, and half of the second ones."""
+        self, level: dict[str, Interval], at: dict[str, Interval], right: str, matrix: Array, caps: int
+    ) -> tuple[Array, Array, Array]:
+        """J matrix J' or J matrix J^-1: first derivatives, halves of second ones, how far these are off."""
         count, shape = range(len(self.angles)), (len(self.angles),) * 2 + matrix.shape
         # A multiple of the identity in the block of the translations, or in either block, is not turned.
         left = matrix - self._even(matrix, right == "i")
@@ -209,15 +212,17 @@ class Motion:
         def product(stack: dict[str, Interval], a: str, b: str) -> Interval:
             return stack[f"J{a}"] @ left @ of(stack, b)
 
-        first = [(product(level, f"{a}", "") + product(level, "", f"{a}")).middle[0, 0] for a in count]
-        second = np.zeros(shape)
-        for a, b in product_of(count, repeat=2):
+        def twice(stack: dict[str, Interval], a: int, b: int) -> Interval:
             both = f"{min(a, b)}{max(a, b)}"
             pairs = ((both, ""), ("", both), (f"{a}", f"{b}"), (f"{b}", f"{a}"))
-            second[a, b] = (
-                sum((product(at, *p) for p in pairs), enclose(0 * matrix)).size.max(axis=(0, 1)) / 2
-            )
-        return np.array(first).reshape(-1, *matrix.shape), second
+            return 0.5 * sum((product(stack, *p) for p in pairs), enclose(0 * matrix))
+
+        first = [(product(level, f"{a}", "") + product(level, "", f"{a}")).middle[0, 0] for a in count]
+        bent, off = np.zeros(shape), np.zeros((caps, *shape))
+        for a, b in product_of(count, repeat=2):
+            bent[a, b] = twice(level, a, b).middle[0, 0]
+            off[:, a, b] = _largest((twice(at, a, b) - bent[a, b]).size[:, 0], caps)
+        return np.array(first).reshape(-1, *matrix.shape), bent, off + PROOFS.rounding * np.abs(bent)
 
     def _even(self, matrix: Array, both: bool) -> Array:
         dofs, mean = np.array(self.plant.vehicle.dof_indices), np.zeros(self.n)
@@ -225,8 +230,8 @@ class Motion:
             mean[block] = np.diag(matrix)[block].mean() if block.any() else 0.0
         return np.diag(mean)
 
-    def _curved(self, level: dict[str, Interval], at: dict[str, Interval]) -> tuple[Array, Array]:
-        """Gamma on an even keel, and magnitudes of its slopes."""
+    def _curved(self, level: dict[str, Interval], at: dict[str, Interval], caps: int) -> tuple[Array, Array]:
+        """Gamma on an even keel, and magnitudes of its slopes up to each cap."""
         n, n3, count = self.n, (self.n,) * 3, range(len(self.angles))
         A = enclose(-np.tensordot(self.inverse, self.forces.Q, 1))
 
@@ -251,13 +256,12 @@ class Motion:
             second = [at[f"J{min(a, b)}{max(a, b)}"] for a in count]
             kin = turning([second[a] @ at["i"] + at[f"J{a}"] @ at[f"i{b}"] for a in count])
             parts = (("J", f"i{b}", "i"), ("J", "i", f"i{b}"), (f"J{b}", "i", "i"))
-            slopes.append(
-                sym(sum((curved(*(at[p] for p in names)) for names in parts), kin)).size.max(axis=0)
-            )
+            whole = sym(sum((curved(*(at[p] for p in names)) for names in parts), kin)).size
+            slopes.append(_largest(whole, caps))
         flat = turning([level[f"J{a}"] @ level["i"] for a in count]) + curved(
             level["J"], level["i"], level["i"]
         )
-        return sym(flat).middle[0], np.array(slopes).reshape(-1, *n3)
+        return sym(flat).middle[0], np.array(slopes).reshape(-1, caps, *n3).swapaxes(0, 1)
 
     @cached_property
     def magnitudes(self) -> tuple[Array, ...]:
@@ -266,3 +270,8 @@ class Motion:
         of = self.forces
         Q = np.abs(np.tensordot(self.inverse, of.Q, 1))
         return M, M @ of.D_signs, Q * (1 + PROOFS.room), np.tensordot(M, of.Q_signs, 1)
+
+
+def _largest(sizes: Array, caps: int) -> Array:
+    """The largest over the boxes of each cap."""
+    return np.asarray(sizes.reshape(caps, -1, *sizes.shape[1:]).max(axis=1))

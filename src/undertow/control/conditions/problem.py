@@ -17,6 +17,7 @@ from scipy.special import chdtri, ndtri
 from undertow.control.gains import GainSet
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
+from undertow.model.composition import function_of
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
@@ -84,19 +85,42 @@ def sign_sets(plant: Plant) -> list[SignSet]:
     """All sign sets of a plant: all forward and all backward first, then the mixed ones."""
     ways = [dict(zip(plant.reversing, w, strict=True)) for w in product((1, -1), repeat=len(plant.reversing))]
     ways.sort(key=lambda way: len(set(way.values())) > 1)
-    found = [_sign_set(plant, way) for way in ways]
+    at_rest = _at_rest(plant)
+    found = [_sign_set(plant, way, *at_rest) for way in ways]
     for one in found:
         _check(one, plant)
     return found
 
 
-def _sign_set(plant: Plant, way: Mapping[sm.Symbol, int]) -> SignSet:
+def _at_rest(plant: Plant) -> tuple[list[sm.Symbol], Callable[..., Any]]:
+    """The parameters of M and D at rest, and both with all of their slopes as a function of the signs."""
     rest = dict.fromkeys(plant.nu, sm.Integer(0))
-    M, D = (plant.one_way(m, way).xreplace(rest).applyfunc(sm.expand) for m in (plant.M, plant.D))
-    symbols = sorted((M.free_symbols | D.free_symbols) & set(plant.numbers), key=str)
-    theta = np.array([float(plant.numbers[x]) for x in symbols])
-    inertia, damping = (_affine(matrix, symbols, plant.numbers) for matrix in (M, D))
-    return SignSet(_name(way), way, tuple(map(str, symbols)), theta, inertia, damping)
+    signs = {sm.sign(v): sm.Symbol(f"sign_{v}") for v in plant.reversing}
+    both = sm.Matrix.hstack(*(m.xreplace(signs).xreplace(rest) for m in (plant.M, plant.D)))
+    names = sorted(both.free_symbols & set(plant.numbers), key=str)
+    every = [_filled(m, plant.numbers, set(signs.values())) for m in (both, *(both.diff(x) for x in names))]
+    return names, function_of([*signs.values()], [m.tolist() for m in every])
+
+
+def _filled(matrix: sm.Matrix, numbers: Mapping[sm.Symbol, sm.Expr], known: set[sm.Symbol]) -> sm.Matrix:
+    filled = matrix.xreplace(numbers)
+    if filled.free_symbols - known:
+        names = ", ".join(sorted(map(str, filled.free_symbols - known)))
+        raise UndertowError(f"inertia or damping at rest depends on {names}: conditions need constant ones")
+    return filled
+
+
+def _sign_set(
+    plant: Plant, way: Mapping[sm.Symbol, int], names: list[sm.Symbol], values: Callable[..., Any]
+) -> SignSet:
+    """Parameters enter linearly nearly always, else this is the tangent at the values of the file."""
+    found = np.array(values(*map(float, way.values())), dtype=float)
+    own = [k for k in range(len(names)) if found[k + 1].any()]
+    theta, n = np.array([float(plant.numbers[names[k]]) for k in own]), len(plant.nu)
+    slopes = found[1:][own]
+    constant = found[0] - np.tensordot(theta, slopes, 1)
+    M, D = (Affine(constant[:, p], slopes[:, :, p]) for p in (slice(n), slice(n, None)))
+    return SignSet(_name(way), way, tuple(str(names[k]) for k in own), theta, M, D)
 
 
 def _name(way: Mapping[sm.Symbol, int]) -> str:
@@ -104,23 +128,6 @@ def _name(way: Mapping[sm.Symbol, int]) -> str:
     if len(signs) > 1:
         return ", ".join(f"{v} {'>' if s > 0 else '<'} 0" for v, s in way.items())
     return {1: "forward", -1: "backward"}.get(next(iter(signs), 0), "")
-
-
-def _affine(matrix: sm.Matrix, symbols: list[sm.Symbol], numbers: Mapping[sm.Symbol, sm.Expr]) -> Affine:
-    """Slopes at the values of the file; parameters enter linearly nearly always, else this is the tangent."""
-    slopes = [_numbers(matrix.diff(x), numbers) for x in symbols]
-    value = _numbers(matrix, numbers)
-    theta = [float(numbers[x]) for x in symbols]
-    constant = value - sum((t * s for t, s in zip(theta, slopes, strict=True)), np.zeros_like(value))
-    return Affine(constant, np.array(slopes).reshape(len(symbols), *value.shape))
-
-
-def _numbers(matrix: sm.Matrix, numbers: Mapping[sm.Symbol, sm.Expr]) -> Array:
-    filled = matrix.xreplace(numbers)
-    if filled.free_symbols:
-        names = ", ".join(sorted(map(str, filled.free_symbols)))
-        raise UndertowError(f"inertia or damping at rest depends on {names}: conditions need constant ones")
-    return np.array(filled.evalf().tolist(), dtype=float)
 
 
 def _check(one: SignSet, plant: Plant) -> None:

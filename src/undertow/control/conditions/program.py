@@ -34,10 +34,9 @@ class QuadraticSettings:
     # are halved until they add less.
     slack: float = 0.01
     stated: float = 0.05  # room in what is stated, and proved, of commands below their limits, relative
-    # Where A depends on the heading: a V for each of so many ranges of set-points in half a turn, and for so
-    # many where axes share a P.
-    sectors: int = 6
-    sectors_coupled: int = 12
+    sectors: int = (
+        6  # where A depends on the heading: a V for each of so many ranges of set-points in half a turn
+    )
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
     # Matrices of 12 rows that the proofs of one search may look at in vain: seconds. Of larger ones there are
@@ -69,8 +68,8 @@ class QuadraticSettings:
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
     tilt: float = 2.0  # roll and pitch that are allowed for, times those of the start
-    # Degrees of freedom up to which P may be a full matrix, and V the largest of several forms. Beyond, V is
-    # one form with a block for each axis, as gains have: the search takes seconds then instead of minutes.
+    # Degrees of freedom up to which P may be a full matrix. Beyond, it has a block for each axis, as gains
+    # have: the search takes seconds then instead of minutes.
     most_full: int = 4
 
 
@@ -81,26 +80,9 @@ Key = tuple[int, int, tuple[int, ...]]
 """A corner: its attitude, its case of the signs, and the end of each velocity."""
 
 
-class Share(NamedTuple):
-    """The bounds that one quadratic form keeps: those about the same axes, or all of them."""
-
-    angles: tuple[str, ...]
-    speeds: tuple[int, ...]
-    commands: tuple[int, ...]
-
-
-class Kind(NamedTuple):
-    """What V may be."""
-
-    every_reading: bool = True  # products of velocities may be read in every way (`identities`)
-    several: bool = False  # the largest of several quadratic forms, one for the bounds about the same axes
-    coupled: bool = False  # axes that are coupled by motion and heading alone may share a P
-
-
 class Proposal(NamedTuple):
     """What the program came to in scaled states."""
 
-    share: Share
     P: Array
     free: Array  # N of scaled states and body velocities: sum over k of nu_k z' N_k z = 0, (n, size, size)
     levels: Array  # of V by group of errors: it is below the sum of these times squares of the errors
@@ -139,13 +121,9 @@ class Asked(Protocol):
     loop: Embedding
     commands: Commands
     start: Array  # largest errors to begin with
-    kind: Kind
-    chosen: dict[Share, set[Key]]  # corners that the programs so far were about
+    every_reading: bool  # products of velocities may be read in every way (`identities`)
+    chosen: set[Key]  # corners that the programs so far were about
     centre: float  # heading in the middle of those of the set-point, rad
-
-    @property
-    def sectors(self) -> int:
-        """Ranges of set-points' headings in half a turn."""
 
     def filled(self, values: Array) -> Array:
         """At least a share of the largest of a kind."""
@@ -168,7 +146,7 @@ class Program:
         """Roll and pitch, and headings near those of the set-point."""
         found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
         if "psi" in found:
-            half = self.bounds.tilts["psi"] + 0.5 * np.pi / self.search.sectors * (1 + PROOFS.room)
+            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + PROOFS.room)
             found["psi"] = (self.search.centre - half, self.search.centre + half)
         return found
 
@@ -202,8 +180,7 @@ class Program:
     @property
     def _apart(self) -> bool:
         """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
-        own = self.search.problem.decoupled and not self.search.kind.coupled
-        return own or self.loop.n > SETTINGS.most_full
+        return self.search.problem.decoupled or self.loop.n > SETTINGS.most_full
 
     @cached_property
     def basis(self) -> Array:
@@ -238,7 +215,7 @@ class Program:
     def identities(self) -> Array:
         """Forms of scaled states and body velocities that vanish, shape (m, n, size, size)."""
         n, size = self.loop.n, self.loop.size
-        every = self.search.kind.every_reading
+        every = self.search.every_reading
         return identities(self.corners, n, size) if every else np.zeros((0, n, size, size))
 
     @cached_property
@@ -263,55 +240,25 @@ class Program:
         slowest = -float(np.max(np.linalg.eigvals(self._pieces[0]).real))
         return SETTINGS.decay * slowest
 
-    @cached_property
-    def shares(self) -> list[Share]:
-        """Which bounds the forms keep that V is the largest of; those that no state meets are kept anyway."""
-        bounds: list[tuple[str, Any, Array]] = [("angles", c, row[None]) for c, row, _ in self._turns()]
-        bounds += [("speeds", i, self.speed_rows[:, i]) for i in range(self.loop.n)]
-        bounds += [("commands", i, self.command_rows[:, i]) for i in range(self.command_rows.shape[1])]
-        found: dict[tuple[int, ...], dict[str, list[Any]]] = {}
-        for kind, which, rows in bounds:
-            axes = self._axes(rows) if self.search.kind.several else (0,)
-            if axes:
-                found.setdefault(axes, {}).setdefault(kind, []).append(which)
-        return [Share(**{k: tuple(own.get(k, ())) for k in Share._fields}) for own in found.values()]
-
-    def _axes(self, rows: Array) -> tuple[int, ...]:
-        """The axes whose states these rows are about."""
-        size = np.abs(rows).reshape(-1, self.loop.size // self.loop.n, self.loop.n).max(axis=(0, 1))
-        return tuple(map(int, np.flatnonzero(size > PROOFS.room * size.max())))
-
-    def proposals(self, best: float = np.inf) -> list[Proposal]:
-        """A form for each share of the bounds; fewer where one has none, or comes above `best`."""
-        found: list[Proposal] = []
-        for share in self.shares:
-            one = self.solve(share, best)
-            if one is None:
-                break
-            found.append(one)
-            if one.start >= best:
-                break
-        return found
-
-    def solve(self, share: Share, best: float = np.inf) -> Proposal | None:
+    def solve(self, best: float = np.inf) -> Proposal | None:
         """P by cutting planes: corners come in as they are violated, and go where they do not matter.
 
         Corners only raise the start's level, so that a program that comes above `best` has said enough, and
         one above one, too, once the corners that matter are among them.
         """
-        known = share in self.search.chosen  # by the programs of other speeds
-        chosen, last = self.search.chosen.get(share) or self._first_corners(), 0.0
+        known = bool(self.search.chosen)  # by the programs of other speeds
+        chosen, last = self.search.chosen or self._first_corners(), 0.0
         for turn in range(SETTINGS.rounds):
-            proposal = self._solved(share, sorted(chosen))
+            proposal = self._solved(sorted(chosen))
             if proposal is None or proposal.start >= best:
                 return proposal
             worst = set(self._violated(proposal, turn))
             rises = proposal.start > last * (1 + SETTINGS.rise)
             active = proposal.active if rises else chosen
-            self.search.chosen[share] = active | worst
+            self.search.chosen = active | worst
             if worst <= chosen or (proposal.start > 1 and (known or not rises)):
                 return proposal
-            chosen, last = self.search.chosen[share], proposal.start
+            chosen, last = self.search.chosen, proposal.start
         return None
 
     def _first_corners(self) -> set[Key]:
@@ -364,7 +311,7 @@ class Program:
         except np.linalg.LinAlgError:
             return unit, unit
 
-    def _solved(self, share: Share, keys: Sequence[Key]) -> Proposal | None:
+    def _solved(self, keys: Sequence[Key]) -> Proposal | None:
         (T, C), size, n = self._balance, self.loop.size, self.loop.n
         back = np.linalg.inv(T)
         B = back.T @ self.basis @ back  # of P; the program's own unknown is Q = T' P T
@@ -372,7 +319,7 @@ class Program:
         k, g, m = self._unknowns
         level = np.zeros(k + g + m)
         level[k : k + g] = [float(np.sum(start[own][:1] ** 2)) for own in groups]
-        rows = self._rows(share)
+        rows = self._rows()
         forms = self._falls(keys, B, C)
         forms += [Form(-1e-6 * np.eye(size), self._filled(self.basis))]
         forms += [self._within(r.states @ T, r.bound) for r in rows]
@@ -398,7 +345,7 @@ class Program:
                 slopes[row.velocity] += 2 * float(dual[-1, :-1] @ states[touched(B, states)]) / row.bound
         sizes = np.array([np.abs(dual).max() for dual in solution.duals[: len(keys)]])
         active = {key for key, size in zip(keys, sizes, strict=True) if size > SETTINGS.idle * sizes.max()}
-        return Proposal(share, P, free, solution.x[k : k + g], float(level @ solution.x), slopes, active)
+        return Proposal(P, free, solution.x[k : k + g], float(level @ solution.x), slopes, active)
 
     def _falls(self, keys: Sequence[Key], B: Array, C: Array) -> list[Form]:
         """V falls at these corners."""
@@ -448,13 +395,16 @@ class Program:
         constant[m, m] = (1 - SETTINGS.slack) ** 2
         return Form(constant, self._filled(forms))
 
-    def _rows(self, share: Share) -> list[Row]:
+    def _rows(self) -> list[Row]:
         """What has to stay within its bound: speeds, tilts, half a turn, commands."""
-        found = [Row(row, bound) for row, bound in self.fixed_rows(share)]
+        found = [Row(row, bound) for row, bound in self.fixed_rows()]
         for speeds in self.speed_rows:
-            found += [Row(speeds[i], self.bounds.speeds[i], i) for i in share.speeds]
+            found += [
+                Row(row, bound, i)
+                for i, (row, bound) in enumerate(zip(speeds, self.bounds.speeds, strict=True))
+            ]
         for commands in self.command_rows:
-            found += [Row(commands[i], self.left[i]) for i in share.commands]
+            found += [Row(row, left) for row, left in zip(commands, self.left, strict=True)]
         kept: dict[bytes, Row] = {}
         for row in found:
             kept.setdefault(np.round(self._upright(row.states) / row.bound, 9).tobytes(), row)
@@ -488,18 +438,15 @@ class Program:
         """What the limits leave beside the weight, within the tilts."""
         return thrust_left(self.search.problem, self.commands, self.bounds.tilts)
 
-    def fixed_rows(self, share: Share) -> list[tuple[Array, float]]:
-        """Tilts and half a turn, as far as they are in the share."""
-        return [(row, bound) for c, row, bound in self._turns() if c in share.angles]
-
-    def _turns(self) -> Iterator[tuple[str, Array, float]]:
+    def fixed_rows(self) -> Iterator[tuple[Array, float]]:
+        """Tilts and half a turn."""
         n, size = self.loop.n, self.loop.size
         ends = {"psi": np.pi} | self.bounds.tilts
         for i, c in enumerate(self.search.problem.coordinates):
             if c in ends:
                 row = np.zeros(size)
                 row[size - 2 * n + i] = self.scale[size - 2 * n + i]
-                yield c, row, ends[c]
+                yield row, ends[c]
 
     # --- what V allows ----------------------------------------------------------------------------
     def _largest(self, P: Array, rows: Array) -> Array:
@@ -519,25 +466,20 @@ class Program:
 
     def moves(self, proposal: Proposal) -> Array:
         """Largest of what each limited command adds to that at rest on V < 1, over the samples."""
-        return np.asarray(self._largest(proposal.P, self.command_rows).max(axis=0))
+        return np.asarray(self._largest(proposal.P, self.command_rows).max(axis=0, initial=0.0))
 
-    def asked(self, found: Sequence[Proposal], room: float) -> Bounds:
-        """The box that the start needs, each bound as the form says that keeps it, with some room."""
-        speeds, tilts = self.bounds.speeds.copy(), dict(self.bounds.tilts)
-        for one in found:
-            size = np.sqrt(one.start * (1 + room)) * (1 + room)
-            own = list(one.share.speeds)
-            speeds[own] = size * self.speeds(one)[own]
-            reach = dict(zip(self.search.problem.coordinates, size * self.reach(one), strict=True))
-            tilts |= {a: float(reach[a]) for a in one.share.angles if a in tilts}
-        return Bounds(speeds, tilts)
+    def asked(self, found: Proposal, room: float) -> Bounds:
+        """The box that the start needs, with some room."""
+        size = np.sqrt(found.start * (1 + room)) * (1 + room)
+        reach = dict(zip(self.search.problem.coordinates, size * self.reach(found), strict=True))
+        return Bounds(size * self.speeds(found), {a: float(reach[a]) for a in self.bounds.tilts})
 
-    def narrowed(self, found: Sequence[Proposal]) -> tuple[Program, list[Proposal]]:
+    def narrowed(self, found: Proposal) -> tuple[Program, Proposal]:
         """The same V, of whose level set only as much is claimed as the start needs, on the box of that."""
         box = self.asked(found, SETTINGS.slack)
         tilts = {a: min(t, box.tilts[a]) for a, t in self.bounds.tilts.items()}
         other = Program(self.search, Bounds(np.minimum(box.speeds, self.bounds.speeds), tilts))
-        return other, [self._scaled_to(other, one) for one in found]
+        return other, self._scaled_to(other, found)
 
     def _scaled_to(self, other: Program, proposal: Proposal) -> Proposal:
         """As much of a form as the start needs, in the states of another program."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -14,34 +14,21 @@ from .definite import SETTINGS as PROOFS
 from .definite import Work, bounded, flat, rows_of, sums_positive
 from .embedding import Boxes, certainly_positive, corners_of, count_of, halved
 from .program import SETTINGS, Program, Proposal
-from .result import Quadratic, largest_of
+from .result import Quadratic
 
 
-def proved(program: Program, found: Sequence[Proposal], work: Work) -> Quadratic | None:
+def proved(program: Program, found: Proposal, work: Work) -> Quadratic | None:
     """V with everything that was asked of it proved in interval arithmetic, or None.
 
     What the start needs of the level set is proved first, with the work that is left for it. Where that
     succeeds, the whole of it is tried, with not much more.
     """
-    narrow, forms = program.narrowed(found)
-    proofs = [Proof(narrow, one, work.left) for one in forms]
-    needed = _largest(proofs)
-    used = max(p.used for p in proofs)
+    narrow = Proof(*program.narrowed(found), work.left)
+    needed = narrow.result()
     if needed is None:
-        work.left -= used
+        work.left -= narrow.used
         return None
-    return _largest([Proof(program, one, SETTINGS.whole * used) for one in found]) or needed
-
-
-def _largest(proofs: Sequence[Proof]) -> Quadratic | None:
-    """The largest of the forms, or None where one of them is not proved."""
-    found: list[Quadratic] = []
-    for proof in proofs:
-        one = proof.result()
-        if one is None:
-            return None
-        found.append(one)
-    return largest_of(found)
+    return Proof(program, found, SETTINGS.whole * narrow.used).result() or needed
 
 
 class Proof:
@@ -73,7 +60,7 @@ class Proof:
     def _fixed_proved(self) -> bool:
         return all(
             bounded(self.P, enclose(row[None, None]), np.array([b])).all()
-            for row, b in self.program.fixed_rows(self.proposal.share)
+            for row, b in self.program.fixed_rows()
         )
 
     def _start_weights(self) -> tuple[Array, float]:
@@ -112,25 +99,18 @@ class Proof:
 
     def _within_bounds(self, boxes: Boxes) -> Flags:
         """Speeds and commands, at every attitude in each box."""
-        share, commands = self.proposal.share, self.program.commands
-        kept = [(self.loop.speeds_of(boxes), self.program.bounds.speeds, share.speeds)]
-        if share.commands:
-            kept.append((self.loop.commands_of(commands, boxes), self._moves, share.commands))
-        held = np.ones(count_of(boxes), dtype=bool)
-        self._work.left -= len(held)
-        for rows, bounds, own in kept:
-            chosen = Interval(rows.lo[:, list(own)], rows.hi[:, list(own)])
-            held &= bounded(self.P, self._by(chosen), bounds[list(own)])
+        self._work.left -= count_of(boxes)
+        held = bounded(self.P, self._by(self.loop.speeds_of(boxes)), self.program.bounds.speeds)
+        if len(self._moves):
+            commands = self.loop.commands_of(self.program.commands, boxes)
+            held &= bounded(self.P, self._by(commands), self._moves)
         return held
 
     @cached_property
     def _moves(self) -> Array:
-        """What is claimed of each command of the share beside that at rest, no bound of the others."""
-        found, own = np.full(len(self.program.left), np.inf), list(self.proposal.share.commands)
-        if own:
-            moves = self.program.moves(self.proposal) * (1 + SETTINGS.stated)
-            found[own] = np.minimum(moves, self.program.left)[own]
-        return found
+        """What is claimed of each command beside that at rest."""
+        moves = self.program.moves(self.proposal) * (1 + SETTINGS.stated)
+        return np.asarray(np.minimum(moves, self.program.left))
 
     def _falls(self, boxes: Boxes) -> Flags:
         """Whether V falls at every corner of velocities at every attitude in each box.
@@ -195,7 +175,7 @@ class Proof:
         inverse = 1 / self.scale
         own = weights * inverse[size - 2 * n : size - n] ** 2
         return Quadratic(
-            P=(self.P * np.outer(inverse, inverse))[None, None],
+            P=(self.P * np.outer(inverse, inverse))[None],
             frame=self.loop.frame_name,
             errors=program.reach(self.proposal),
             speeds=program.bounds.speeds,

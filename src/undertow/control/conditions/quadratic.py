@@ -15,26 +15,24 @@ from .commands import Commands
 from .definite import Work
 from .embedding import Embedding, point
 from .problem import Problem
-from .program import SETTINGS, Bounds, Key, Kind, Program, Proposal, Share, thrust_left
+from .program import SETTINGS, Bounds, Key, Program, Proposal, thrust_left
 from .proof import proved
 from .result import Quadratic, together
 
-_USUAL = Kind()
 _TOO_LONG = "no quadratic V was found within the time that the search may take"
 
 
 class _Step(NamedTuple):
-    """What the programs of one box of speeds came to."""
+    """What the program of one box of speeds came to."""
 
     bounds: Bounds
     program: Program
-    found: list[Proposal]
+    found: Proposal | None
 
     @property
     def start(self) -> float:
-        """The start's level of the largest form; infinite where a bound has none."""
-        whole = len(self.found) == len(self.program.shares)
-        return max(p.start for p in self.found) if whole else np.inf
+        """The start's level; infinite where there is no V."""
+        return np.inf if self.found is None else self.found.start
 
 
 class _Slopes:
@@ -45,14 +43,13 @@ class _Slopes:
     """
 
     def __init__(self) -> None:
-        self._steps: list[tuple[_Step, Array]] = []  # by form the slope, and the value at the origin
+        self._steps: list[tuple[_Step, Array]] = []  # the slope, and the value at the origin
 
     def add(self, step: _Step) -> None:
-        """Take what programs came to at some speeds; one that was left early bounds the level, too."""
-        place = np.log(step.bounds.speeds)
-        slopes = np.array([one.slopes / one.start for one in step.found]).reshape(-1, len(place))
-        levels = np.log([one.start for one in step.found]) - slopes @ place
-        self._steps.append((step, np.column_stack([slopes, levels])))
+        """Take what a program came to at some speeds; one that was left early bounds the level, too."""
+        if step.found is not None:
+            place, slope = np.log(step.bounds.speeds), step.found.slopes / step.start
+            self._steps.append((step, np.append(slope, np.log(step.start) - slope @ place)))
 
     def step(self, best: _Step, radius: float) -> Array | None:
         """The change of each logarithm, up to the radius, that brings the maximum down most; None if hardly.
@@ -61,7 +58,7 @@ class _Slopes:
         the best speeds count.
         """
         for steps in (self._steps, [pair for pair in self._steps if pair[0] is best]):
-            change, level = _lowest(np.concatenate([rows for _, rows in steps]), best, radius)
+            change, level = _lowest(np.array([row for _, row in steps]), best, radius)
             if level <= np.log(best.start) - SETTINGS.least_fall:
                 return change
         return None
@@ -77,39 +74,19 @@ def _lowest(rows: Array, best: _Step, radius: float) -> tuple[Array, float]:
     return (np.asarray(found.x[:n]), float(found.x[n])) if found.success else (np.zeros(n), np.inf)
 
 
-def search(problem: Problem, start: Mapping[str, float]) -> Quadratic | None:
-    """A proved V whose level set holds every error up to `start` at rest, integrals at zero; None if none.
-
-    What is quickest comes first: one form with products of velocities read in one way, then in every way;
-    then several forms, and last those in which axes share a P that motion or the heading alone couples.
-
-    Raises
-    ------
-    UndertowError
-        If the solver is not installed, or the model has no form that the method covers.
-    """
-    kinds, n = [Kind(every_reading=False), Kind()], len(problem.coordinates)
-    if n > SETTINGS.most_full:
-        kinds = kinds[:1]
-    elif n > 1:
-        kinds += [Kind(several=True, coupled=coupled) for coupled in (False, True)[: 1 + problem.decoupled]]
-    *others, last = kinds
-    for kind in others:
-        with suppress(UndertowError):
-            if (found := Search(problem, start, kind).found()) is not None:
-                return found
-    return Search(problem, start, last).found()
-
-
 class Search:
-    """The search for one start box."""
+    """The search for a proved V whose level set holds all errors up to `start` at rest, integrals zero.
 
-    def __init__(self, problem: Problem, start: Mapping[str, float], kind: Kind = _USUAL) -> None:
-        self.problem, self.loop, self.kind = problem, Embedding(problem), kind
+    Products of velocities are read in one way, which is quicker, or in every way. An error says that the
+    model has no form that the method covers, or that the solver is not installed.
+    """
+
+    def __init__(self, problem: Problem, start: Mapping[str, float], every_reading: bool = True) -> None:
+        self.problem, self.loop, self.every_reading = problem, Embedding(problem), every_reading
         self.commands = Commands(problem)
         self.forms = 0  # what the solver was given so far
         self.work = Work(0)  # what is left for proofs
-        self.chosen: dict[Share, set[Key]] = {}  # corners that the programs so far were about
+        self.chosen: set[Key] = set()  # corners that the programs so far were about
         self.centre = 0.0  # heading in the middle of those of the set-point, rad
         self.start = self._mixed(np.array([start.get(c, 0.0) for c in problem.coordinates]))
 
@@ -119,11 +96,6 @@ class Search:
         for group in self.loop.groups:
             found[group] = np.sqrt(np.sum(start[group] ** 2)) * (1 + 1e-12)
         return found
-
-    @property
-    def sectors(self) -> int:
-        """Ranges of set-points' headings in half a turn."""
-        return SETTINGS.sectors_coupled if self.kind.coupled else SETTINGS.sectors
 
     @property
     def _start_tilts(self) -> dict[str, float]:
@@ -152,7 +124,7 @@ class Search:
         """The middle of each range of set-points' headings; the second half of a turn is as the first."""
         if "psi" not in self.loop.angles:
             return np.zeros(1)
-        return (np.arange(self.sectors) + 0.5) * np.pi / self.sectors
+        return (np.arange(SETTINGS.sectors) + 0.5) * np.pi / SETTINGS.sectors
 
     def _in_sector(self, bounds: Bounds) -> tuple[Bounds, Quadratic] | None:
         """V is searched for on smaller speeds until there is one, then on those that its start asks for."""
@@ -163,8 +135,8 @@ class Search:
             program = Program(self, bounds)
             if program.rate <= 0:
                 raise UndertowError("the loop at rest is not stable at every attitude")
-            step = _Step(bounds, program, program.proposals(np.inf if best is None else best.start))
-            if step.start < 1:
+            step = _Step(bounds, program, program.solve(np.inf if best is None else best.start))
+            if step.found is not None and step.start < 1:
                 proof = proved(program, step.found, self.work)
                 if proof is not None:
                     return bounds, proof
@@ -199,8 +171,8 @@ class Search:
 
     def _moved(self, best: _Step, change: Array, radius: float) -> Bounds:
         """Speeds changed by these logarithms, and tilts that the start asks for, at most by the radius."""
-        bounds = best.bounds
-        asked = best.program.asked(best.found, SETTINGS.more - 1).tilts
+        assert best.found is not None
+        bounds, asked = best.bounds, best.program.asked(best.found, SETTINGS.more - 1).tilts
         most = {a: v * float(np.exp(radius)) for a, v in bounds.tilts.items()}
         tilts = {a: self._tilt(a, min(v, most[a])) for a, v in asked.items()}
         return Bounds(bounds.speeds * np.exp(change), self._held(tilts))

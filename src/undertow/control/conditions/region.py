@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import sympy as sm
@@ -24,7 +25,7 @@ from .commands import (
 )
 from .problem import Problem
 from .program import SETTINGS as PROGRAM
-from .quadratic import search
+from .quadratic import Search
 from .result import SETTINGS, Quadratic, Region, Transient
 from .transient import bounds_in_time
 
@@ -225,27 +226,40 @@ def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
 
 
 def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
-    """The level set of a quadratic V, or bounds in time where there is none.
+    """The level set of a quadratic V, or bounds in time: what is quickest first.
 
-    With many axes and attitudes in the loop there hardly ever is one; with few, a smaller usual start may
-    have one, which says more than bounds in time.
+    With many axes there hardly ever is a V, and none where attitudes are in the loop. With few, a smaller
+    usual start may have one, which says more than bounds in time.
     """
-    many, refusal = len(problem.coordinates) > PROGRAM.most_full, None
-    if not many or problem.same(("x", "y", "z")):
+    many, in_time = len(problem.coordinates) > PROGRAM.most_full, partial(_in_time, problem, box)
+    one_reading, every_reading = (partial(_with_a_form, problem, box, every) for every in (False, True))
+    ways: list[Callable[[], Region | None]] = [in_time, one_reading]
+    if many and not problem.same(("x", "y", "z")):
+        ways = [in_time]
+    elif not many:
+        ways = [one_reading, in_time, every_reading] if stated else [one_reading, every_reading]
+    refusals: list[UndertowError] = []
+    for way in ways:
         try:
-            found = search(problem, box)
+            found = way()
         except UndertowError as error:
-            found, refusal = None, error
+            refusals.append(error)
+            continue
         if found is not None:
-            return _of_quadratic(problem, found)
-    bounds = None
-    try:
-        bounds = bounds_in_time(problem, box) if many or stated else None
-    except UndertowError as error:
-        refusal = refusal or error
-    if bounds is None and refusal is not None:
-        raise refusal
-    return None if bounds is None else _of_transient(problem, box, bounds)
+            return found
+    if refusals:
+        raise refusals[0]
+    return None
+
+
+def _with_a_form(problem: Problem, box: Mapping[str, float], every_reading: bool) -> Region | None:
+    found = Search(problem, box, every_reading).found()
+    return None if found is None else _of_quadratic(problem, found)
+
+
+def _in_time(problem: Problem, box: Mapping[str, float]) -> Region | None:
+    found = bounds_in_time(problem, box)
+    return None if found is None else _of_transient(problem, box, found)
 
 
 def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) -> Region:
@@ -280,10 +294,8 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
             f"everywhere: inertia and damping do not depend on speed or attitude; V is proved {_PARAMETERS}",
             quadratic=found,
         )
-    forms = found.P.shape[1]
-    V = "V = z' P z" if forms == 1 else f"V, the largest of {forms} forms z' P z,"
     text = (
-        f"motions that begin with {V} < 1 stay there and come to rest; z holds errors and velocities "
+        f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
         f"every attitude and every motion in it, {_PARAMETERS}"
     )

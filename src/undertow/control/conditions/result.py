@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -125,14 +125,14 @@ class Command:
 
 @dataclass(frozen=True)
 class Quadratic:
-    """V = max z' P z with z = (integral, error, velocity), proved to fall where it is below one.
+    """V = z' P z with z = (integral, error, velocity), proved to fall where it is below one.
 
     The error and its integral stand in a frame turned by G, E = G' error, and so does the velocity of the
     translations, w = diag(G' R, I) nu with R from body to earth. PD control has no integral.
     """
 
     # By range of headings of the set-point, which share a turn equally from north on; one where the heading
-    # does not matter. Shape (ranges, forms, 3n, 3n) or (ranges, forms, 2n, 2n), SI.
+    # does not matter. Shape (ranges, 3n, 3n) or (ranges, 2n, 2n), SI.
     P: Array
     frame: str  # what G turns by: "body" (G = R), "heading" or "earth" (not at all)
     errors: Array  # largest of each coordinate, m and rad
@@ -142,7 +142,7 @@ class Quadratic:
     start: float  # bound on V over the start box
 
     def at(self, heading: float) -> Array:
-        """P of each form for a heading of the set-point, rad, shape (forms, 3n, 3n) or (forms, 2n, 2n)."""
+        """P for a heading of the set-point, rad, shape (3n, 3n) or (2n, 2n)."""
         share = heading / (2 * np.pi) % 1.0
         return np.asarray(self.P[min(int(share * len(self.P)), len(self.P) - 1)])
 
@@ -174,20 +174,9 @@ class Transient:
         return Transient(np.array(begin), errors, speeds, commands, self.rate)
 
 
-_CLAIMS = ("errors", "speeds", "starts", "commands")
-
-
-def largest_of(forms: Sequence[Quadratic]) -> Quadratic:
-    """One statement of what was proved of each form: where the largest is below one, all of it holds."""
-    least = {name: np.min([getattr(f, name) for f in forms], axis=0) for name in _CLAIMS}
-    start = max(f.start for f in forms)
-    return replace(forms[0], P=np.concatenate([f.P for f in forms], axis=1), start=start, **least)
-
-
 def together(proofs: Sequence[Quadratic], half_turn: Array) -> Quadratic:
     """One statement of what was proved for ranges of headings, those of the other half of a turn with it."""
-    forms = max(p.P.shape[1] for p in proofs)
-    P = np.concatenate([p.P[:, np.minimum(np.arange(forms), p.P.shape[1] - 1)] for p in proofs])
+    P = np.concatenate([p.P for p in proofs])
     if len(proofs) > 1:
         P = np.concatenate([P, P * np.outer(half_turn, half_turn)])
     return Quadratic(

@@ -1,44 +1,104 @@
-"""Motion of second order in the start: what products of the linear loop's signals drive.
+"""Motion that the linear loop drives: of second order in the start, and of first order in the heading.
 
 With z_1 = sum of V_j e^{l_j t} (C_j s) for a start s, z_2' = A z_2 + q(z_1, z_1) has the solution
 
     z_2 = sum over j, k of Z_jk (C_j s)(C_k s) e^{(l_j + l_k) t} + sum over m of Y_m(s) e^{l_m t},
 
-of which nothing has to be exact: what it misses of the equation is bounded and pushes what is left.
+and z_h' = A z_h + B z_1, by which motion changes with the heading of the set-point, the solution
+
+    z_h = sum over j of (Z_j + t Y_j)(s) e^{l_j t}.
+
+Nothing of either has to be exact: what it misses of the equation is bounded and pushes what is left.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 from .definite import SETTINGS as PROOFS
-from .kernels import Modes, bounds_within
+from .kernels import Amplitudes, Modes, bounds_within
 
 
 class Form(NamedTuple):
-    """q(z, z): of each angle times the force, each angle times the rates, and of products of rates."""
+    """q(z, z): of each angle times what it turns, and of products of rates."""
 
     angles: Array  # rows on z, (angles, states)
-    force: Array  # (n, states)
-    W: Array  # (angles, n, n)
-    P: Array
+    pull: Array  # what a unit of each angle turns, rows on z, (angles, n, states)
     Gamma: Array  # (n, n, n)
+    # The same of magnitudes: nothing that cancels in `pull` does here.
+    size: Array
 
 
-class Second(NamedTuple):
-    """Bounds on signals of z_2 by piece of time, and on what it misses."""
+class Driven(NamedTuple):
+    """Bounds on a motion that the linear loop drives, and on what is missed of its equation."""
 
     signals: Array  # (pieces, signals)
-    missed: Array  # of the equation at the start, by state; it decays like the slowest mode
-    begun: Array  # bound on z_2 at the start, which should be zero, by state
+    missed: Array  # at any time of a piece, (pieces, states)
+    begun: Array  # bound on the motion at the start, which should be zero, by state
 
 
-def complex_modes(found: Modes) -> tuple[Array, Array, Array, Array]:
-    """Exponents, vectors V (states, modes), rows C (modes, states) and the radius of C."""
+class Complex(NamedTuple):
+    """The modes as z = sum of V_j e^{l_j t} (C_j z(0)), one of each pair that is conjugate."""
+
+    exponents: Array
+    V: Array  # (states, modes)
+    C: Array  # (modes, states)
+    radius: Array  # of C
+    weights: Array  # one, or two where it stands for a pair
+
+
+class Starts(NamedTuple):
+    """A box of errors, of which those in the plane stand in any frame: there it is a disc."""
+
+    box: Array
+    plane: list[int]
+
+    @property
+    def reach(self) -> Array:
+        """The largest of each error in any frame."""
+        found = self.box.astype(float).copy()
+        if self.plane:
+            found[self.plane] = np.hypot(*self.box[self.plane])
+        return found * (1 + PROOFS.room)
+
+    def linear(self, of: Array) -> Array:
+        """The largest sum over errors of a share of each, of magnitudes along the first axis."""
+        reach = self.reach
+        rest = [c for c in range(len(reach)) if c not in self.plane]
+        found = np.tensordot(reach[rest], of[rest], 1)
+        if self.plane:
+            found = found + np.hypot(*of[self.plane]) * reach[self.plane[0]]
+        return np.asarray(found)
+
+    def squares(self, of: Array) -> Array:
+        """The largest sum over pairs p <= q of errors, as `linear`, along the first axis (by `pairs`)."""
+        p, q = self.pairs
+        reach = self.reach
+        found = of * (reach[p] * reach[q]).reshape(-1, *[1] * (of.ndim - 1))
+        if not self.plane:
+            return np.asarray(found.sum(axis=0))
+        x, y = self.plane
+        place = {(int(a), int(b)): k for k, (a, b) in enumerate(zip(p, q, strict=True))}
+        xx, yy, xy = (found[place[pair]] for pair in ((x, x), (y, y), (x, y)))
+        total = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), 0.5 * xy)
+        rest = [c for c in range(len(reach)) if c not in self.plane]
+        for c in rest:
+            total = total + np.hypot(*(found[place[min(a, c), max(a, c)]] for a in self.plane))
+            total = total + sum(found[place[c, d]] for d in rest if d >= c)
+        return np.asarray(total)
+
+    @property
+    def pairs(self) -> tuple[Index, Index]:
+        """Places of the first and of the second error of each pair."""
+        return np.triu_indices(len(self.box))
+
+
+def complex_modes(found: Modes) -> Complex:
+    """One of each pair of modes that are conjugate, and those that are real."""
     first, pair = found.starts, found.rates.imag != 0
     T, left, around = found.T.lo, found.inverse.middle, found.inverse.radius
     V = T[:, first].astype(complex)
@@ -46,112 +106,122 @@ def complex_modes(found: Modes) -> tuple[Array, Array, Array, Array]:
     C, radius = left[first].astype(complex), around[first].copy()
     C[pair] += 1j * left[first[pair] + 1]
     radius[pair] += around[first[pair] + 1]
-    exponents = -found.rates.real + 1j * found.rates.imag
-    twins = np.concatenate([np.arange(len(first)), np.flatnonzero(pair)])
-    turned = np.arange(len(twins)) >= len(first)
-    return (
-        np.where(turned, exponents[twins].conj(), exponents[twins]),
-        np.where(turned, V[:, twins].conj(), V[:, twins]),
-        np.where(turned[:, None], C[twins].conj(), C[twins]),
-        radius[twins],
-    )
+    return Complex(-found.rates.real + 1j * found.rates.imag, V, C, radius, np.where(pair, 2.0, 1.0))
+
+
+def _with_conjugates(of: Complex) -> tuple[Array, Array, Array]:
+    """Exponents, V and C of every mode."""
+    twins = np.flatnonzero(of.weights == 2)
+    exponents = np.concatenate([of.exponents, of.exponents[twins].conj()])
+    V = np.concatenate([of.V, of.V[:, twins].conj()], axis=1)
+    return exponents, V, np.concatenate([of.C, of.C[twins].conj()])
 
 
 def products(form: Form, V: Array) -> Array:
     """q of each pair of vectors, shape (n, modes, modes)."""
-    n = len(form.force)
-    angles, force, v = form.angles @ V, form.force @ V, V[-n:]
-    turned = np.einsum("aj,aik->ijk", angles, form.W @ force - form.P @ v)
-    return np.asarray(0.5 * (turned + turned.swapaxes(1, 2)) + np.einsum("ipq,pj,qk->ijk", form.Gamma, v, v))
+    n, v = len(form.Gamma), V[-len(form.Gamma) :]
+    turned = np.einsum("aj,aik->ijk", form.angles @ V, form.pull @ V)
+    both = np.einsum("ipk,pj->ijk", (form.Gamma.reshape(n * n, n) @ v).reshape(n, n, -1), v)
+    return np.asarray(0.5 * (turned + turned.swapaxes(1, 2)) + both)
 
 
-def second_order(
-    found: Modes, A: Array, form: Form, rows: Array, start: Array, plane: list[int], times: Array
-) -> Second:
-    """z_2 of starts in a box of errors, of which those in the plane stand in any frame."""
-    n, size = len(form.force), len(A)
-    exponents, V, C, radius = complex_modes(found)
+def absolute(form: Form) -> Form:
+    """The form that bounds |q| of vectors by their magnitudes."""
+    return Form(np.abs(form.angles), form.size, np.abs(form.Gamma), form.size)
+
+
+def second_order(found: Modes, A: Array, form: Form, rows: Array, starts: Starts, times: Array) -> Driven:
+    """z_2 of starts in a box of errors."""
+    n, size = len(form.Gamma), len(A)
+    of = complex_modes(found)
+    exponents, V, C = _with_conjugates(of)
     errors = slice(size - 2 * n, size - n)
-    C, around = C[:, errors], radius[:, errors]
+    around = np.concatenate([of.radius, of.radius[of.weights == 2]])[:, errors]
+    C = C[:, errors]
     j, k = np.triu_indices(len(exponents))
-    twice = np.where(j == k, 1.0, 2.0)
-    q = np.zeros((len(j), size), dtype=complex)
-    q[:, -n:] = (products(form, V)[:, j, k] * twice).T
+    upper = (exponents[j] + exponents[k]).imag >= 0  # the others are conjugate to these
+    j, k = j[upper], k[upper]
     both = exponents[j] + exponents[k]
+    weights = np.where(j == k, 1.0, 2.0) * np.where(both.imag > 0, 2.0, 1.0)
+    q = np.zeros((len(j), size), dtype=complex)
+    q[:, -n:] = (products(form, V)[:, j, k] * weights).T
     system = both[:, None, None] * np.eye(size) - A
-    Z: Any = np.linalg.solve(system, q[..., None])[..., 0]
-    coefficient = 0.5 * (C[j][:, :, None] * C[k][:, None, :] + C[k][:, :, None] * C[j][:, None, :])
-    own_modes = np.einsum("ms,ls,lpq->pqm", np.linalg.inv(V), Z, coefficient)
-    Y = -V * own_modes[:, :, None, :]  # (p, q, states, modes), of vectors that are modes exactly
+    Z = np.asarray(np.linalg.solve(system, q[..., None]))[..., 0]
+    p, r = starts.pairs
+    same = np.where(p == r, 0.5, 1.0)
+    coefficient = (C[j][:, p] * C[k][:, r] + C[k][:, p] * C[j][:, r]) * same  # (l, pairs)
+    total = (coefficient.T @ Z).real  # of z_2 at the start without Y, (pairs, states)
+    Y = -of.V.T[:, None] * (np.linalg.inv(V)[: len(of.V.T)] @ total.T)[..., None] * of.weights[:, None, None]
     # What is missed: of the equation by rounding and by the modes, of the start, and of the rows C.
-    absolute, reach = _absolute(form, V), _reach(start, plane)
-    size_Z, own = np.abs(Z), np.abs(C) @ reach
+    reach, size_Z = starts.reach, np.abs(Z)
     wrong = np.abs(np.einsum("lst,lt->ls", system, Z) - q) + size_Z @ found.off.T
     wrong += PROOFS.rounding * (size_Z @ np.abs(A).T + np.abs(both)[:, None] * size_Z + np.abs(q))
-    missed = (wrong * (own[j] * own[k])[:, None]).sum(axis=0)
+    own = np.abs(C) @ reach
     loose = around @ reach + PROOFS.rounding * own
-    missed[-n:] += (absolute @ (own + loose)) @ (own + loose) - (absolute @ own) @ own
-    begun = np.abs(np.einsum("ls,lpq->pqs", Z, coefficient) + Y.sum(axis=-1))
-    slack = PROOFS.rounding * (np.einsum("ls,lpq->pqs", size_Z, np.abs(coefficient)) + np.abs(Y).sum(axis=-1))
-    begun = np.einsum("pqs,p,q->s", begun + slack, reach, reach)
-    every: Any = np.concatenate([both, exponents])
-    signals = _signals(rows, Z, coefficient, Y, every, times, start, plane)
-    return Second(signals, missed, begun)
+    missed = (wrong * (own[j] * own[k])[:, None]).sum(axis=0)
+    magnitudes = products(absolute(form), np.abs(V)).real
+    missed[-n:] += (magnitudes @ (own + loose)) @ (own + loose) - (magnitudes @ own) @ own
+    size_Y = np.abs(Y)
+    begun = np.abs(total + Y.sum(axis=0).real)
+    begun += PROOFS.rounding * (np.abs(coefficient).T @ size_Z + size_Y.sum(axis=0))
+    # Modes that Y stands for are not quite those of A.
+    missed += found.off @ (size_Y.sum(axis=0).T @ (reach[p] * reach[r]))
+    every = np.concatenate([both, of.exponents])
+    signals = starts.squares(_signals(rows, Z, coefficient, Y, every, times))
+    decay = np.exp(-found.rates.real.min() * times)[:, None]
+    return Driven(signals.T, decay * missed, begun.T @ (reach[p] * reach[r]))
 
 
-def _absolute(form: Form, V: Array) -> Array:
-    """Bound on |q| of each pair of vectors with any signs."""
-    n = len(form.force)
-    angles, force, v = np.abs(form.angles) @ np.abs(V), np.abs(form.force) @ np.abs(V), np.abs(V[-n:])
-    turned = np.einsum("aj,aik->ijk", angles, np.abs(form.W) @ force + np.abs(form.P) @ v)
-    return np.asarray(
-        0.5 * (turned + turned.swapaxes(1, 2)) + np.einsum("ipq,pj,qk->ijk", np.abs(form.Gamma), v, v)
+def _signals(rows: Array, Z: Array, coefficient: Array, Y: Array, exponents: Array, times: Array) -> Array:
+    """Bounds on rows on z_2 for each pair of starts of one, (pairs, signals, pieces)."""
+    first, second = rows @ Z.T, rows @ Y.swapaxes(0, 1).swapaxes(1, 2)  # (signals, l), (pairs, signals, m)
+    sizes = np.abs(rows) @ np.abs(Z).T
+    more = np.abs(rows) @ np.abs(Y).swapaxes(0, 1).swapaxes(1, 2)
+    amplitude = np.concatenate([first * coefficient.T[:, None], second], axis=-1)
+    size = np.concatenate([sizes * np.abs(coefficient).T[:, None], more], axis=-1)
+    whole = size.sum(axis=-1)
+    # What hardly matters to a signal is not followed in time.
+    matters = whole > PROOFS.level * whole.max(axis=0)
+    found = whole[..., None] * np.exp(exponents.real.max() * times)
+    own = size[matters]
+    found[matters] = bounds_within(Amplitudes(amplitude[matters], own, PROOFS.level * own), exponents, times)
+    return np.asarray(found * (1 + PROOFS.level))
+
+
+def by_heading(found: Modes, A: Array, B: Array, rows: Array, starts: Starts, times: Array) -> Driven:
+    """z_h of starts in a box of errors, for a heading that is one radian off."""
+    n, size = len(starts.box), len(A)
+    of = complex_modes(found)
+    exponents, V, C = _with_conjugates(of)
+    C, radius = C[:, size - 2 * n : size - n], of.radius[:, size - 2 * n : size - n]
+    half, G = len(of.exponents), np.linalg.inv(V) @ B @ V
+    apart = exponents[None, :] - exponents[:, None]
+    np.fill_diagonal(apart, 1.0)
+    N = G / np.where(apart == 0, np.inf, apart)
+    np.fill_diagonal(N, 0.0)
+    own, weights = C[:half], of.weights[:, None, None]
+    Z = (V @ N)[:, :half].T[:, :, None] * own[:, None] - of.V.T[:, :, None] * (N @ C)[:half, None]
+    Y = of.V.T[:, :, None] * (np.diag(G)[:half, None] * own)[:, None]
+    pushed = (B @ of.V).T[:, :, None] * own[:, None]  # each (modes, states, starts)
+    at = of.exponents[:, None, None]
+    size_Z, size_Y, size_A = np.abs(Z), np.abs(Y), np.abs(A) + np.abs(at) * np.eye(size)
+    constant = np.abs(at * Z + Y - A @ Z - pushed) + found.off @ size_Z
+    constant += PROOFS.rounding * (
+        size_A @ size_Z + size_Y + np.abs(B) @ np.abs(of.V).T[:, :, None] * np.abs(own)[:, None]
     )
-
-
-def _reach(start: Array, plane: list[int]) -> Array:
-    reach = start.astype(float).copy()
-    if plane:
-        reach[plane] = np.hypot(*start[plane])
-    return reach * (1 + PROOFS.room)
-
-
-def _signals(
-    rows: Array,
-    Z: Array,
-    coefficient: Array,
-    Y: Array,
-    exponents: Array,
-    times: Array,
-    start: Array,
-    plane: list[int],
-) -> Array:
-    """Bounds on rows on z_2 by piece, over all starts."""
-    n = len(start)
-    SZ, sizes = (rows @ Z.T), np.abs(rows) @ np.abs(Z).T
-    reach = _reach(start, plane)
-    blocks: dict[tuple[int, int], Array] = {}
-    for p in range(n):
-        for q in range(p, n):
-            part = coefficient[:, p, q] * (1.0 if p == q else 2.0)
-            more = Y[p, q] * (1.0 if p == q else 2.0)
-            amplitude = np.concatenate([SZ * part, rows @ more], axis=1)
-            size = np.concatenate([sizes * np.abs(part), np.abs(rows) @ np.abs(more)], axis=1)
-            blocks[p, q] = (
-                bounds_within(amplitude, size, PROOFS.level * size, exponents, times) * reach[p] * reach[q]
-            )
-    if plane:
-        return _in_plane(blocks, n, plane).T
-    return np.asarray(sum(blocks.values())).T
-
-
-def _in_plane(blocks: dict[tuple[int, int], Array], n: int, plane: list[int]) -> Array:
-    """The sum where the start in the plane is in a disc, of whose square blocks have the radius."""
-    x, y = plane
-    xx, yy, xy = blocks[x, x], blocks[y, y], blocks[x, y]
-    total = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), 0.5 * xy)
-    rest = [c for c in range(n) if c not in plane]
-    for c in rest:
-        total = total + np.hypot(*(blocks[min(a, c), max(a, c)] for a in plane))
-        total = total + sum(blocks[c, d] for d in rest if d >= c)
-    return np.asarray(total)
+    constant += (np.abs(B) @ np.abs(of.V)).T[:, :, None] * (radius + PROOFS.rounding * np.abs(own))[:, None]
+    growing = np.abs(at * Y - A @ Y) + found.off @ size_Y + PROOFS.rounding * (size_A @ size_Y)
+    missed, more = (np.tensordot((m * weights).sum(axis=0), starts.reach, 1) for m in (constant, growing))
+    begun = np.abs((Z * weights).sum(axis=0).real) + PROOFS.rounding * (size_Z * weights).sum(axis=0)
+    decay, later = np.exp(-found.rates.real.min() * times), np.append(times[1:], times[-1])
+    parts = [np.tensordot(rows, m * weights, ([1], [1])).transpose(2, 0, 1) for m in (Z, Y)]
+    sizes = [np.tensordot(np.abs(rows), np.abs(m) * weights, ([1], [1])).transpose(2, 0, 1) for m in (Z, Y)]
+    shape = (n * len(rows), half)
+    pieces = [
+        Amplitudes(*(m.reshape(shape) for m in (a, s, PROOFS.level * s)))
+        for a, s in zip(parts, sizes, strict=True)
+    ]
+    signals = bounds_within(pieces[0], of.exponents, times, pieces[1]).reshape(n, len(rows), -1)
+    return Driven(
+        starts.linear(signals).T, decay[:, None] * (missed + later[:, None] * more), begun @ starts.reach
+    )

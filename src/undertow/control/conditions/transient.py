@@ -8,6 +8,7 @@ order in the start is worked out (`second`), and only what is beyond is bounded,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .attitude import Interval, enclose
 from .definite import SETTINGS as PROOFS
@@ -26,18 +27,19 @@ from .kernels import Kernels, Modes, Responses, grid, modes
 from .motion import Leftover, Motion
 from .problem import Problem
 from .result import Transient
-from .second import Form, Second, second_order
+from .second import Driven, Form, Starts, by_heading, second_order
 
 
 @dataclass(frozen=True)
 class TransientSettings:
     """How bounds in time are searched for; none of these numbers decides what is proved."""
 
-    # Where gains tell north from east: how often the set-points' headings of half a turn are cut in two at
-    # first, and before they are given up.
-    coarse: int = 2
-    cuts: int = 7
-    looks: int = 8  # single headings of half a turn that are looked at before any range of them
+    # Where gains tell north from east: ranges of the set-points' headings in half a turn, and how often each
+    # is cut in two before it is given up.
+    ranges: int = 16
+    looks: int = 8  # single headings that are looked at before any range of them
+    cuts: int = 3
+    together: int = 16  # ranges that are looked at together: memory
     # Angles up to which what is left over is bounded, times those of the start.
     caps: tuple[float, ...] = (0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
     # What counts as the start of an angle at least, so that it may be moved: a part of the largest, and rad.
@@ -62,97 +64,85 @@ class Signals(NamedTuple):
     acceleration: slice
     slope: slice  # of the force in the heading, in the plane
     turning: slice  # the part of the force that turns with the heading, in the plane
+    pull: slice  # what a unit of each angle turns of force and damping
+    # Sums of those before:
     commands: slice
+    bent: slice  # as `pull`, of second order, by pair of angles
 
 
 class Sector:
     """The linear loop of set-points in one range of headings, `half` to either side of its middle."""
 
-    def __init__(self, motion: Motion, start: Array, heading: float, half: float) -> None:
-        self.motion, self.start, self.heading, self.half = motion, start, heading, half
+    def __init__(self, motion: Motion, starts: Starts, left: Leftover, heading: float, half: float) -> None:
+        self.motion, self.starts, self.left, self.half = motion, starts, left, half
         force, slope, turning = motion.law(heading)
-        A = motion.linear(force)
+        self.A = A = motion.linear(force)
         self.modes: Modes = modes(enclose(A))
+        self.force, n, size = force, motion.n, len(A)
         commands = motion.commands.share @ force
-        commands[:, len(A) - 2 * motion.n : len(A) - motion.n] += motion.holding
-        rows = [np.eye(len(A)), force, A[-motion.n :], slope, turning, commands]
-        self.rows = np.vstack(rows)
-        n, ends = motion.n, np.cumsum([len(r) for r in rows])
+        commands[:, size - 2 * n : size - n] += motion.holding
+        rate = np.eye(size)[-n:]
+        pull, bent = left.W @ force - left.P @ rate, left.W_bent @ force - left.P_bent @ rate
+        first, second = motion.angle_pairs
+        parts = [np.eye(size), force, A[-n:], slope, turning, pull.reshape(-1, size)]
+        parts += [commands, bent[first, second].reshape(-1, size)]
+        self.rows = np.vstack(parts)
+        ends = np.cumsum([len(r) for r in parts])
         spans = [slice(a, b) for a, b in pairwise(ends)]
-        size = len(A)
         self.signals = Signals(slice(0, size), slice(size - 2 * n, size - n), slice(size - n, size), *spans)
+        # By how much the heading changes the equation, and bounds on what both parts of `pull` come to.
+        self.turned = np.zeros((size, size))
+        self.turned[-n:] = motion.inverse[:, motion.plane] @ slope
+        self.pulled = np.abs(left.W) @ np.abs(force) + np.abs(left.P) @ rate
         # What the modes miss, and what rounding made of the rows.
         self.off = self.modes.off.copy()
-        inverse = motion.magnitudes[0]
-        pulled = np.abs(force) + np.hstack([np.zeros((n, size - n)), np.abs(motion.forces.D)])
-        self.off[size - n :] += PROOFS.rounding * inverse @ pulled
+        self.off[-n:] += (
+            PROOFS.rounding * motion.magnitudes[0] @ (np.abs(force) + np.abs(motion.forces.D) @ rate)
+        )
         self.rounded = PROOFS.rounding * np.abs(force)
 
-    @cached_property
-    def times(self) -> Array:
-        """Ends of the pieces of time, s; the last piece has no end."""
-        return grid(self.modes.rates)
-
-    @cached_property
-    def _responses(self) -> Responses:
-        return Responses(self.modes, self.rows, self.times)
-
-    @cached_property
-    def begun(self) -> Array:
-        """Bound on what is left of the start in each piece of time, (pieces, signals)."""
-        motion, errors = self.motion, range(*self.signals.error.indices(len(self.rows)))
-        of = self._responses
-        every = np.arange(len(self.rows))
-        own = {c: of.pieces(every, np.full(len(every), e)) for c, e in enumerate(errors)}
-        found = sum(own[c] * self.start[c] for c in own if c not in motion.plane)
-        if motion.plane:
-            found = found + self._in_plane(own)
-        return np.asarray(found).T * (1 + SETTINGS.room)
-
-    def _in_plane(self, own: Mapping[int, Array]) -> Array:
-        """The same of a start in the plane, which stands in the frame of the set-point."""
-        x, y = self.motion.plane
-        return np.asarray(np.hypot(own[x], own[y]) * np.hypot(*self.start[[x, y]]))
-
     @property
-    def envelope(self) -> Array:
-        """Bound on what a start at each state comes to, (signals, states)."""
-        return self._responses.envelope
-
-    def second(self, left: Leftover) -> Second:
-        """Motion of second order in the start."""
-        motion, at = self.motion, self.signals
-        rows = np.eye(at.z.stop)
-        angles = -rows[at.error][motion.places]
-        form = Form(angles, self.rows[at.force], left.W, left.P, left.Gamma)
-        A = self.motion.linear(self.rows[at.force])
-        return second_order(self.modes, A, form, self.rows, self.start, motion.plane, self.times)
+    def base(self) -> Array:
+        """Rows of the signals that others are sums of."""
+        return self.rows[: self.signals.commands.start]
 
     @cached_property
-    def kernels(self) -> Kernels:
-        """What pushes on the rates do to every signal, where that is anything."""
-        size, first = self.signals.z.stop, self.signals.error.start
-        envelope = self.envelope[:, size - self.motion.n :]
-        matters = envelope > PROOFS.room * envelope.max(axis=1, keepdims=True)
-        matters[:first] = False  # integrals of errors stand only beside what modes miss
-        signals, places = np.nonzero(matters)
-        finer = Responses(self.modes, self.rows, grid(self.modes.rates, KERNELS.finer, self.times[-1]))
-        return finer.kernels(signals, size - self.motion.n + places)
+    def sums(self) -> Array:
+        """Magnitudes of what the others are made of, (others, base)."""
+        at, left, motion = self.signals, self.left, self.motion
+        first, second = motion.angle_pairs
+        found = np.zeros((len(self.rows) - len(self.base), len(self.base)))
+        count = at.commands.stop - at.commands.start
+        found[:count, at.force], found[:count, at.error] = motion.commands.share, motion.holding
+        found[count:, at.force] = left.W_bent[first, second].reshape(-1, motion.n)
+        found[count:, at.rate] = left.P_bent[first, second].reshape(-1, motion.n)
+        return np.abs(found) * (1 + PROOFS.room)
 
-    @cached_property
-    def crude(self) -> Array:
-        """What pushes do to every signal that the kernels leave out, at most, dying with the slowest mode."""
-        found = self.envelope.copy()
-        found[self.kernels.signals, self.kernels.states] = 0.0
+    def begun(self, of: Responses) -> Array:
+        """Bound on what is left of the start in each piece of time, (pieces, signals)."""
+        every, errors = np.arange(len(self.rows)), range(*self.signals.error.indices(len(self.rows)))
+        own = np.array([of.pieces(every, np.full(len(every), e)) for e in errors])
+        return self.starts.linear(own).T * (1 + SETTINGS.room)
+
+    def driven(self, times: Array) -> list[Driven]:
+        """Motion of second order in the start, and of first order in the heading."""
+        at, left = self.signals, self.left
+        angles = -np.eye(at.z.stop)[at.error][self.motion.places]
+        pull = self.rows[at.pull].reshape(len(angles), self.motion.n, at.z.stop)
+        form = Form(angles, pull, left.Gamma, self.pulled)
+        found = [second_order(self.modes, self.A, form, self.rows, self.starts, times)]
+        if self.half:
+            own = by_heading(self.modes, self.A, self.turned, self.rows, self.starts, times)
+            found.append(Driven(*(self.half * m for m in own)))
         return found
 
 
 class Known(NamedTuple):
-    """What is known of the signals in one piece of time."""
+    """What is known of the signals in one piece of time, by sector."""
 
     first: Array  # bound on the part that is linear in the start
     rest: Array  # bound on the others
-    missed: Array  # push on each state that the second order misses
+    missed: Array  # push on each state that these miss
 
     @property
     def whole(self) -> Array:
@@ -161,138 +151,194 @@ class Known(NamedTuple):
 
 
 class Bounds:
-    """Bounds on what the linear loop of one sector leaves out, from bounds on its signals."""
+    """Bounds on what the linear loops of some sectors leave out, from bounds on their signals."""
 
-    def __init__(self, sector: Sector, caps: Array, lefts: Sequence[Leftover]) -> None:
-        self.sector, self.caps, self.lefts = sector, caps, lefts  # caps rise, (caps, angles)
-        motion, left = sector.motion, lefts[0]
-        self.inverse, self.D_signs, self.Q, self.Q_signs = motion.magnitudes
-        self.unit = np.eye(motion.n)
-        self.W, self.P, self.Gamma = (np.abs(m) for m in (left.W, left.P, left.Gamma))
+    def __init__(self, sectors: Sequence[Sector], caps: Array) -> None:
+        self.sectors, self.caps = sectors, caps  # caps rise, (caps, angles)
+        self.motion, self.at, self.left = sectors[0].motion, sectors[0].signals, sectors[0].left
+        self.inverse, self.D_signs, self.Q, self.Q_signs = self.motion.magnitudes
+        self.unit = np.eye(self.motion.n)
+        self.half = np.array([s.half for s in sectors])[:, None]
+        self.off, self.rounded = np.array([s.off for s in sectors]), np.array([s.rounded for s in sectors])
+        self.W, self.P, self.Gamma = (np.abs(m) for m in (self.left.W, self.left.P, self.left.Gamma))
 
-    def _form(self, form: Array, v: Array) -> Array:
-        return np.asarray((form @ v) @ v)
+    def angles(self, B: Array) -> Array:
+        """Bound on the angles."""
+        return np.asarray(B[..., self.at.error][..., self.motion.places])
 
     def push(self, known: Known) -> Array:
-        """Bound on the push on each state beyond the second order; infinite beyond the caps."""
-        at, sector, B = self.sector.signals, self.sector, known.whole
-        angles = B[at.error][sector.motion.places]
-        within = np.flatnonzero((angles <= self.caps).all(axis=1))
-        if not len(within):
-            return np.full(at.z.stop, np.inf)
-        left = self.lefts[within[0]]
-        force, v, turned = B[at.force], B[at.rate], self._turned(B) + sector.rounded @ B[at.z]
-        both = np.outer(angles, angles)
-        bend = np.tensordot(both, left.W_bend, 2) @ force + np.tensordot(both, left.P_bend, 2) @ v
-        bend = (
-            bend
-            + (np.tensordot(angles, self.W, 1) + np.tensordot(both, left.W_bend, 2) + self.inverse) @ turned
-        )
-        second = self._second(B, B)
-        J, Ji = (np.tensordot(angles, m, 1) + self.unit for m in (left.J, left.J_inverse))
-        nu = Ji @ v
-        signed = self.D_signs @ nu + self._form(self.Q_signs, nu)
-        body = Ji @ (B[at.acceleration] + bend + second) + self._form(self.Q, nu) + signed
-        bend = bend + self._form(np.tensordot(angles, left.Gamma_slope, 1), v)
+        """Bound on the push on each state that is not known, by sector; infinite beyond the caps."""
+        at, B, left, n = self.at, known.whole, self.left, self.motion.n
+        angles = self.angles(B)
+        within = np.asarray((angles[:, None] <= self.caps).all(axis=-1))
+        cap = within.argmax(axis=1)
+        both, (first, second) = angles[:, :, None] * angles[:, None], self.motion.angle_pairs
+        twice = np.where(first == second, 1.0, 2.0) * both[:, first, second]
+        v, turned = B[:, at.rate], self._turned(B, B)
+        W_off, P_off = (_each(both, m[cap]) for m in (left.W_off, left.P_off))
+        bend = _each(twice, B[:, at.bent].reshape(len(B), -1, n))
+        bend = bend + _times(W_off, B[:, at.force]) + _times(P_off, v)
+        changed = _all(angles, self.W) + _all(twice, np.abs(left.W_bent)[first, second]) + W_off
+        bend = bend + _times(changed, turned)
+        J, Ji = (_each(angles, m[cap]) + self.unit for m in (left.J, left.J_inverse))
+        nu = _times(Ji, v)
+        signed = nu @ self.D_signs.T + _form(self.Q_signs, nu, nu)
+        pulled = B[:, at.acceleration] + bend + self._second(B, B) + turned @ self.inverse.T
+        body = _times(Ji, pulled) + _form(self.Q, nu, nu) + signed
+        bend = bend + _form(_each(angles, left.Gamma_slope[cap]), v, v)
         new = self._second(known.rest, B) + self._second(known.first, known.rest) + self._rounded(B)
-        found = sector.off @ B[at.z] + known.missed
-        found[at.rate] += new + bend + J @ (signed + sector.motion.inertia_off @ body)
-        return np.asarray(found * (1 + SETTINGS.room))
+        new = new + (self._turned(known.rest, B) + _times(self.rounded, B[:, at.z])) @ self.inverse.T
+        found = _times(self.off, B[:, at.z]) + known.missed
+        found[:, at.rate] += new + bend + _times(J, signed + body @ self.motion.inertia_off.T)
+        return np.where(within.any(axis=1)[:, None], found * (1 + SETTINGS.room), np.inf)
 
-    def _rounded(self, B: Array) -> float:
+    def _rounded(self, B: Array) -> Array:
         """What rounding of the form of second order comes to, any entry of which may be off."""
-        at = self.sector.signals
-        angles, force, v = (float(B[part].sum()) for part in (at.error, at.force, at.rate))
+        angles, force, v = (B[:, part].sum(axis=1) for part in (self.at.error, self.at.force, self.at.rate))
         W, P, Gamma = (float(m.max(initial=0.0)) for m in (self.W, self.P, self.Gamma))
-        return PROOFS.rounding * len(self.unit) * (angles * (W * force + P * v) + Gamma * v**2)
+        found = PROOFS.rounding * len(self.unit) * (angles * (W * force + P * v) + Gamma * v**2)
+        return np.asarray(found[:, None])
 
     def _second(self, one: Array, other: Array) -> Array:
         """Bound on the form of second order, of bounds on two sets of signals."""
-        at, places = self.sector.signals, self.sector.motion.places
-        found = self.Gamma @ one[at.rate] @ other[at.rate]
+        at = self.at
+        found = _form(self.Gamma, one[:, at.rate], other[:, at.rate])
         for a, b in ((one, other), (other, one)):
-            pulled = self.W @ b[at.force] + self.P @ b[at.rate]
-            found = found + 0.5 * a[at.error][places] @ pulled
+            found = found + 0.5 * _each(self.angles(a), b[:, at.pull].reshape(len(b), -1, self.motion.n))
         return np.asarray(found)
 
-    def _turned(self, B: Array) -> Array:
-        """What the force differs by at the other headings of the sector."""
-        at, half = self.sector.signals, self.sector.half
-        found = np.zeros(self.sector.motion.n)
-        if half:
-            found[self.sector.motion.plane] = half * B[at.slope] + 2 * half**2 * B[at.turning]
+    def _turned(self, rest: Array, B: Array) -> Array:
+        """What the force differs by at the other headings of a sector, but for what `rest` leaves out."""
+        found = np.zeros((*B.shape[:-1], self.motion.n))
+        turning = 2 * self.half**2 * B[..., self.at.turning]
+        found[..., self.motion.plane] = self.half * rest[..., self.at.slope] + turning
         return found
 
     def speeds(self, B: Array) -> Array:
-        """Bound on the body velocities."""
-        angles = B[..., self.sector.signals.error][..., self.sector.motion.places]
-        Ji = self.unit + np.tensordot(angles, self.lefts[-1].J_inverse, 1)
-        return np.asarray(np.einsum("...ij,...j->...i", Ji, B[..., self.sector.signals.rate]))
+        """Bound on the body velocities, shape (pieces, sectors, n)."""
+        Ji = self.unit + _all(self.angles(B), self.left.J_inverse[-1])
+        return _times(Ji, B[..., self.at.rate])
 
     def commands(self, B: Array) -> Array:
-        """Bound on each limited command, shape (pieces, commands)."""
-        at, motion = self.sector.signals, self.sector.motion
-        angles = B[..., at.error][..., motion.places]
-        turned = np.abs(motion.commands.share) @ np.swapaxes(
-            np.tensordot(angles, self.lefts[-1].J, 1), -1, -2
-        )
-        whole = turned + PROOFS.room * np.abs(motion.commands.share)
-        extra = np.zeros((*B.shape[:-1], motion.n))
-        if self.sector.half:
-            half = self.sector.half
-            extra[..., motion.plane] = half * B[..., at.slope] + 2 * half**2 * B[..., at.turning]
-        force = B[..., at.force] + B[..., at.z] @ self.sector.rounded.T
-        body = np.einsum("...mj,...j->...m", whole, force)
-        body += np.einsum("...mj,...j->...m", turned + np.abs(motion.commands.share), extra)
-        return np.asarray(B[..., at.commands] + body + motion.commands.steady() + self._held(B))
+        """Bound on each limited command, shape (pieces, sectors, commands)."""
+        at, share = self.at, np.abs(self.motion.commands.share)
+        turned = share @ np.swapaxes(_all(self.angles(B), self.left.J[-1]), -1, -2)
+        force = B[..., at.force] + _times(self.rounded, B[..., at.z])
+        body = _times(turned + PROOFS.room * share, force) + _times(turned + share, self._turned(B, B))
+        return np.asarray(B[..., at.commands] + body + self.motion.commands.steady() + self._held(B))
 
     def _held(self, B: Array) -> Array:
         """What holding the weight differs by from its tangent."""
-        motion, errors = self.sector.motion, B[..., self.sector.signals.error]
+        motion, errors = self.motion, B[..., self.at.error].reshape(-1, self.motion.n)
         own = {a: errors[:, motion.names.index(a)] for a in ("phi", "theta") if a in motion.names}
+        shape = (*B.shape[:-1], len(motion.commands.limits))
         if not own or not len(motion.commands.limits):
-            return np.zeros((len(B), len(motion.commands.limits)))
+            return np.zeros(shape)
         slopes = motion.commands.holding_slopes({a: Interval(-e, e) for a, e in own.items()})
         off = (slopes - motion.commands.holding_slopes({}).middle).size
-        angles = np.stack([own.get(a, np.zeros(len(B))) for a in ("phi", "theta")], axis=-1)
-        return np.asarray(np.einsum("kma,ka->km", off, angles) * (1 + SETTINGS.room))
+        angles = np.stack([own.get(a, np.zeros(len(errors))) for a in ("phi", "theta")], axis=-1)
+        return (np.einsum("kma,ka->km", off, angles) * (1 + SETTINGS.room)).reshape(shape)
 
 
-class Tube:
-    """Bounds on the signals of one sector, piece by piece of time."""
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Matrices times vectors along the last axes."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
 
-    def __init__(self, sector: Sector, bounds: Bounds) -> None:
-        self.sector, self.bounds, self.kernels = sector, bounds, sector.kernels
-        self.slowest = sector.modes.rates.real.min()
-        second, dies = sector.second(bounds.lefts[0]), np.exp(-self.slowest * sector.times)[:, None]
-        begun = second.signals + dies * (sector.envelope @ second.begun)
-        self.known = [Known(*p) for p in zip(sector.begun, begun, dies * second.missed, strict=True)]
-        size = sector.signals.z.stop
-        self.steps = np.zeros((len(sector.times) - 1, size))  # of the pushes from piece to piece
-        self.lag = np.zeros(size)  # pushes so far, dying with the slowest mode
-        self.last = np.zeros(size)  # push in the last piece
 
-    def found(self) -> Array | None:
-        """Bounds on the signals by piece, shape (pieces, signals); None where they grow beyond the caps."""
-        found, times = [], self.sector.times
-        for i, known in enumerate(self.known[:-1]):
-            width = times[i + 1] - times[i]
-            B = self._held(known, *self._so_far(i), self.sector.crude * self._filled(width))
-            if B is None:
-                return None
-            found.append(B[0])
-            self.steps[i], self.last = B[1] - self.last, B[1]
-            self.lag = np.exp(-self.slowest * width) * self.lag + self._filled(width) * self.last
-        # What was pushed so far dies out, and so does what is pushed from then on.
-        rest = self.sector.envelope @ self.lag
-        gain = np.zeros_like(self.sector.crude)
-        gain[self.kernels.signals, self.kernels.states] = self.kernels.weighted
-        crude = self.sector.crude / ((1 - KERNELS.dies) * self.slowest)
-        B = self._held(self.known[-1], rest, gain, 0 * self.last, crude)
-        return None if B is None else np.array([*found, B[0]])
+def _form(forms: Array, one: Array, other: Array) -> Array:
+    """Forms in two vectors along the last axes."""
+    return _times((one[..., None, None, :] @ forms)[..., 0, :], other)
+
+
+def _each(weights: Array, matrices: Array) -> Array:
+    """Sums of matrices of each sector by its weights, (sectors, many) and (sectors, many, ...)."""
+    many, shape = weights[0].size, matrices.shape[weights.ndim :]
+    found = weights.reshape(len(weights), 1, many) @ matrices.reshape(len(weights), many, math.prod(shape))
+    return np.asarray(found.reshape(len(weights), *shape))
+
+
+def _all(weights: Array, matrices: Array) -> Array:
+    """Sums of the same matrices by weights along the last axis."""
+    return np.asarray(np.tensordot(weights, matrices, 1))
+
+
+class Tubes:
+    """Bounds on the signals of some sectors, piece by piece of time."""
+
+    def __init__(self, bounds: Bounds) -> None:
+        sectors, at = bounds.sectors, bounds.at
+        self.bounds, self.size = bounds, at.z.stop
+        rates = np.concatenate([s.modes.rates for s in sectors])
+        self.rates, self.slowest, self.times = rates, float(rates.real.min()), grid(rates)
+        coarse = [Responses(s.modes, s.rows, self.times) for s in sectors]
+        self.sums = sectors[0].sums
+        self.envelope = np.array([of.envelope[: at.commands.start] for of in coarse])
+        driven = [s.driven(self.times) for s in sectors]
+        decay = np.exp(-self.slowest * self.times)[:, None, None]
+        begun = np.array([sum(d.begun for d in own) for own in driven])
+        self.first = np.array([s.begun(of) for s, of in zip(sectors, coarse, strict=True)]).swapaxes(0, 1)
+        own = [
+            np.array([sum(getattr(d, name) for d in ds) for ds in driven]) for name in ("signals", "missed")
+        ]
+        self.rest, self.missed = (m.swapaxes(0, 1) for m in own)
+        self.rest = self.rest + decay * self._every(_times(self.envelope, begun))
+        self._kernels()
+        many, count = len(self.times) - 1, len(sectors)
+        self.rises, self.falls = np.zeros((2, many, count, len(self.states)))  # of the pushes at each piece
+        self.lag = np.zeros((count, self.size))  # pushes so far, dying with the slowest mode
+        self.last = np.zeros((count, self.size))  # push in the last piece
+
+    def _kernels(self) -> None:
+        """What pushes on the rates do to every signal, by kernels where that is anything."""
+        n, size, sectors = self.bounds.motion.n, self.size, self.bounds.sectors
+        envelope = self.envelope[..., size - n :].max(axis=0)
+        matters = envelope > PROOFS.room * envelope.max(axis=1, keepdims=True)
+        matters[: size - 2 * n] = False  # integrals of errors stand only beside what modes miss
+        self.pairs = self.signals, self.states = np.nonzero(matters)[0], size - n + np.nonzero(matters)[1]
+        finer = grid(self.rates, KERNELS.finer, self.times[-1])
+        found = [Responses(s.modes, s.base, finer).kernels(*self.pairs) for s in sectors]
+        self.kernels = Kernels(finer, *(np.stack([k[j] for k in found], axis=-2) for j in (1, 2)))
+        self.crude = self.envelope.copy()  # what the kernels leave out, dying with the slowest mode
+        self.crude[:, self.signals, self.states] = 0.0
+
+    def found(self) -> tuple[Array, Flags]:
+        """Bounds on the signals by piece, (pieces, sectors, signals), and of which sectors they are any.
+
+        They are none where they grow beyond the caps.
+        """
+        found, times = [], self.times
+        self.held, self.sooner = np.ones(len(self.bounds.sectors), dtype=bool), self._up_to(0)
+        for i, width in enumerate(np.diff(times)):
+            B, push = self._piece(i, *self._so_far(i), self.crude * self._filled(width))
+            if not self.held.any():
+                break
+            found.append(B)
+            step = (push - self.last)[:, self.states]
+            self.rises[i], self.falls[i], self.last = np.maximum(step, 0.0), np.maximum(-step, 0.0), push
+            self.lag = np.exp(-self.slowest * width) * self.lag + self._filled(width) * push
+        else:
+            # What was pushed so far dies out, and so does what is pushed from then on.
+            gain = self._spread(self.kernels.weighted)
+            crude = self.crude / ((1 - KERNELS.dies) * self.slowest)
+            found.append(self._piece(-1, _times(self.envelope, self.lag), gain, 0 * self.last, crude)[0])
+        return np.array(found), self.held
+
+    def _every(self, base: Array) -> Array:
+        """Bounds on all signals from those on the ones that the others are sums of."""
+        return np.concatenate([base, base @ self.sums.T], axis=-1)
 
     def _filled(self, width: float) -> float:
         return float(-np.expm1(-self.slowest * width) / self.slowest)
+
+    def _spread(self, values: Array) -> Array:
+        """Values by pair of the kernels as matrices, (sectors, signals, states)."""
+        found = np.zeros_like(self.crude)
+        found[:, self.signals, self.states] = values
+        return found
+
+    def _up_to(self, i: int) -> Array:
+        """Integrals of the kernels from the beginnings of pieces up to time i."""
+        return self.kernels.up_to(self.times[i] - self.times[: max(i, 1)])
 
     def _so_far(self, i: int) -> tuple[Array, Array, Array]:
         """What the pushes before piece i do in it by kernels, what more in it adds, and the last push.
@@ -300,34 +346,31 @@ class Tube:
         The integral of |H(t - s)| times a push that is constant by piece is a sum over its steps at the
         beginnings of pieces, times integrals of |H| since then.
         """
-        times, kernels = self.sector.times, self.kernels
-        steps = self.steps[:i, kernels.states].T
-        later, sooner = (kernels.up_to(times[i + k] - times[: i + k]) for k in (1, 0))
-        own = np.einsum("pi,pi->p", later[:, :i], np.maximum(steps, 0.0))
-        own -= np.einsum("pi,pi->p", sooner, np.maximum(-steps, 0.0))
-        rounding = len(kernels.times) * np.finfo(float).eps  # of integrals, which are sums over the pieces
-        own += rounding * kernels.integral[:, -1] * np.abs(steps).sum(axis=1)
-        rest = self.sector.crude @ self.lag
-        np.add.at(rest, kernels.signals, np.maximum(own, 0.0))
-        gain = np.zeros_like(self.sector.crude)
-        gain[kernels.signals, kernels.states] = later[:, i]
-        return rest * (1 + SETTINGS.room), gain, self.last
+        later, rises, falls = self._up_to(i + 1), self.rises[:i], self.falls[:i]
+        own = np.einsum("ihp,ihp->hp", later[:i], rises) - np.einsum("ihp,ihp->hp", self.sooner[:i], falls)
+        rounding = (
+            len(self.kernels.times) * np.finfo(float).eps
+        )  # of integrals, which are sums over the pieces
+        own += rounding * self.kernels.integral[-1] * (rises.sum(axis=0) + falls.sum(axis=0))
+        rest = _times(self.crude, self.lag)
+        np.add.at(rest.T, self.signals, np.maximum(own, 0.0).T)
+        self.sooner = later
+        return rest * (1 + SETTINGS.room), self._spread(later[i]), self.last
 
-    def _held(
-        self, known: Known, rest: Array, gain: Array, since: Array, crude: Array
-    ) -> tuple[Array, Array] | None:
-        """Bounds on signals and pushes that what they let happen does not leave."""
-        most, first = self.last.copy(), known.rest + rest
+    def _piece(self, i: int, rest: Array, gain: Array, since: Array, crude: Array) -> tuple[Array, Array]:
+        """Bounds on signals and pushes that what they let happen does not leave; what grows is dropped."""
+        most, rest = self.last.copy(), self.rest[i] + self._every(rest)
         for _ in range(SETTINGS.rounds):
-            more = (gain @ np.maximum(most - since, 0.0) + crude @ most) * (1 + SETTINGS.room)
-            one = known._replace(rest=first + more)
+            more = _times(gain, np.maximum(most - since, 0.0)) + _times(crude, most)
+            one = Known(self.first[i], rest + self._every(more) * (1 + SETTINGS.room), self.missed[i])
             push = self.bounds.push(one)
-            if not np.isfinite(push).all():
-                return None
-            if (push <= most).all():
-                return one.whole, push
-            most = np.maximum(most, SETTINGS.more * push)
-        return None
+            grows = ~(push <= most).all(axis=1)
+            self.held &= np.isfinite(push).all(axis=1)
+            if not (grows & self.held).any():
+                break
+            most = np.where(self.held[:, None], np.maximum(most, SETTINGS.more * push), most)
+        self.held &= ~grows
+        return one.whole, np.where(self.held[:, None], push, 0.0)
 
 
 def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | None:
@@ -340,63 +383,81 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
     """
     if problem.gains.schedule.order == "yaw-first":
         return None  # its gate opens in motion, and bounds are for motions from rest
-    motion = Motion(problem)
-    box = np.array([start.get(c, 0.0) for c in problem.coordinates])
-    caps, lefts = _leftovers(motion, box)
-    counts = problem.heading_counts
-    looked_at = (np.arange(SETTINGS.looks if counts else 0) + 0.5) * np.pi / SETTINGS.looks
-    if any(_in_sector(motion, box, float(h), 0.0, caps, lefts) is None for h in looked_at):
+    search = Search(Motion(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
+    if not problem.heading_counts:
+        return search.whole([(0.0, 0.0)], 0)
+    if not search.held([(h, 0.0) for h in _middles(SETTINGS.looks)], []).all():
         return None
-    whole = (0.0, 0.5 * np.pi, 0) if counts else (0.0, 0.0, SETTINGS.cuts)
-    pending, found, fine = [whole], [], SETTINGS.coarse
-    while pending:
-        heading, half, cuts = pending.pop()
-        if cuts >= fine or not half:  # not finer than what has been enough, nor coarser
-            one = _in_sector(motion, box, heading, half * (1 + PROOFS.room), caps, lefts)
-            if one is not None:
-                found.append(one)
-                continue
-            if cuts == SETTINGS.cuts:
-                return None
-            fine = cuts + 1
-        pending += [(heading + side * half / 2, half / 2, cuts + 1) for side in (-1, 1)]
-    return _together(found)
+    half = 0.5 * np.pi / SETTINGS.ranges
+    return search.whole([(h, half) for h in _middles(SETTINGS.ranges)], SETTINGS.cuts)
 
 
-def _leftovers(motion: Motion, box: Array) -> tuple[Array, list[Leftover]]:
-    """Caps on the angles from small to large, with what is left over up to each."""
+def _middles(count: int) -> Array:
+    """The middle of each of so many ranges of headings in half a turn."""
+    return np.asarray((np.arange(count) + 0.5) * np.pi / count)
+
+
+class Search:
+    """Bounds for a start box, by ranges of set-points' headings."""
+
+    def __init__(self, motion: Motion, box: Array) -> None:
+        self.motion, self.starts = motion, Starts(box, motion.plane)
+        self.caps = _caps(motion, box)
+        self.left = motion.leftover(self.caps)
+
+    def whole(self, ranges: Sequence[tuple[float, float]], cuts: int) -> Transient | None:
+        """Bounds for all of these (middle, half), which are cut in two where there are none; None if none."""
+        found: list[Transient] = []
+        for cut in range(cuts + 1):
+            lost: list[tuple[float, float]] = []
+            for k in range(0, len(ranges), SETTINGS.together):
+                own = ranges[k : k + SETTINGS.together]
+                lost += [r for r, held in zip(own, self.held(own, found), strict=True) if not held]
+                if lost and cut == cuts:
+                    return None
+            ranges = [(h + side * half / 2, half / 2) for h, half in lost for side in (-1, 1)]
+        return _together(found)
+
+    def held(self, ranges: Sequence[tuple[float, float]], found: list[Transient]) -> Flags:
+        """Of which ranges there are bounds, which are added to those that were found."""
+        motion, widened = self.motion, 1 + PROOFS.room
+        sectors = [Sector(motion, self.starts, self.left, h, half * widened) for h, half in ranges]
+        bounds = Bounds(sectors, self.caps)
+        tubes = Tubes(bounds)
+        B, held = tubes.found()
+        if held.any():
+            found += _stated(tubes, B, held)
+        return held
+
+
+def _caps(motion: Motion, box: Array) -> Array:
+    """Caps on the angles, from small to large."""
     most = [SETTINGS.largest_heading if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles]
     own = box[motion.places]
     own = np.maximum(own, max(SETTINGS.least_share * own.max(initial=0.0), SETTINGS.least_angle))
-    caps = np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(len(SETTINGS.caps), -1)
-    return caps, [motion.leftover(c) for c in caps]
+    return np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(len(SETTINGS.caps), -1)
 
 
-def _in_sector(
-    motion: Motion, box: Array, heading: float, half: float, caps: Array, lefts: Sequence[Leftover]
-) -> Transient | None:
-    sector = Sector(motion, box, heading, half)
-    bounds = Bounds(sector, caps, lefts)
-    B = Tube(sector, bounds).found()
-    return None if B is None else _stated(sector, bounds, B)
-
-
-def _stated(sector: Sector, bounds: Bounds, B: Array) -> Transient:
-    """Bounds on the signals as a statement, in the coordinates of the earth."""
-    motion, commands = sector.motion, sector.motion.commands
-    errors = B[:, sector.signals.error].copy()
+def _stated(tubes: Tubes, B: Array, held: Flags) -> list[Transient]:
+    """Bounds on the signals as statements, in the coordinates of the earth."""
+    bounds, motion = tubes.bounds, tubes.bounds.motion
+    errors = B[..., bounds.at.error].copy()
     if motion.plane:
-        errors[:, motion.plane] = np.hypot(*errors[:, motion.plane].T)[:, None]
-    largest = bounds.commands(B)
-    for name, own, limit in zip(commands.names, largest.T, commands.limits, strict=True):
+        errors[..., motion.plane] = np.hypot(*np.moveaxis(errors[..., motion.plane], -1, 0))[..., None]
+    largest, speeds = bounds.commands(B), bounds.speeds(B)
+    commands = motion.commands
+    for k, limit in enumerate(commands.limits):
+        own = largest[:, held, k].max(axis=1)
         if own.max() >= limit:
             word = "the start asks" if own[0] >= limit else "bounds in time let the law ask"
             raise UndertowError(
-                f"{word} {own.max():.4g} of {name}, whose limit is {limit:.4g}: state smaller errors or "
-                "lower K_P"
+                f"{word} {own.max():.4g} of {commands.names[k]}, whose limit is {limit:.4g}: state smaller "
+                "errors or lower K_P"
             )
-    rate = KERNELS.dies * sector.modes.rates.real.min()
-    return Transient(sector.times, errors, bounds.speeds(B), largest, float(rate))
+    rate = KERNELS.dies * tubes.slowest
+    return [
+        Transient(tubes.times, errors[:, k], speeds[:, k], largest[:, k], rate) for k in np.flatnonzero(held)
+    ]
 
 
 def _together(found: Sequence[Transient]) -> Transient:
