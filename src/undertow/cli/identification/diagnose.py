@@ -8,7 +8,7 @@ improves predictions without being established as the cause (helps_prediction), 
 
 No model of a real vehicle leaves only sensor noise. Where more is left, an effect has to lower the error of
 simulation over the vehicle's own time constants by --worth, to be the best one in nine of ten resamples, and
-to have the same size in all runs and at all speeds.
+to have about the same size in all runs and at all speeds (within half of it).
 
 Values that are fixed in the vehicle file (all without estimate = true) are tried as well: if others explain
 more than any effect, the answer names them, and the file that is written has them fitted. Mass, inertia,
