@@ -467,7 +467,7 @@ Why the others are refused:
 
 *A command meets its limit*: the bound on a command is above the limit of its thruster, although no simulation got there; saturation
 itself is not part of any certificate. *No proof*: neither a V whose level set holds the start nor bounds in
-time that close; mostly lightly damped axes, or weak springs in roll, pitch or yaw beside the moments of moving through the water.
+time that close; in those looked at, lightly damped axes, or weak springs in roll, pitch or yaw beside moments of moving through the water.
 """  # noqa: E501
 
 
@@ -503,7 +503,7 @@ def _counted(name: str, rows: list[Outcome]) -> str:
     broken = sum(r.reached > 1 for r in rows)
     return (
         f"| {name} | {many} | {yes} | {yes / many:.0%} ({low:.0%} to {high:.0%}) | {broken} "
-        f"| {max(r.reached for r in rows):.3f} | {np.median(times):.1f} | {max(times):.1f} |"
+        f"| {np.floor(1e4 * max(r.reached for r in rows)) / 1e4:.4f} | {np.median(times):.1f} | {max(times):.1f} |"
     )
 
 
