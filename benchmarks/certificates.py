@@ -500,10 +500,10 @@ def _counted(name: str, rows: list[Outcome]) -> str:
     low, high = (float(np.nan_to_num(beta.ppf(p, yes + side, many - yes + 1 - side), nan=1.0 - p))
                  for p, side in ((0.025, 0), (0.975, 1)))  # fmt: skip
     low, high = low if yes else 0.0, high if yes < many else 1.0
-    broken = sum(r.reached > 1 for r in rows)
+    broken, closest = sum(r.reached > 1 for r in rows), np.floor(1e4 * max(r.reached for r in rows)) / 1e4
     return (
         f"| {name} | {many} | {yes} | {yes / many:.0%} ({low:.0%} to {high:.0%}) | {broken} "
-        f"| {np.floor(1e4 * max(r.reached for r in rows)) / 1e4:.4f} | {np.median(times):.1f} | {max(times):.1f} |"
+        f"| {closest:.4f} | {np.median(times):.1f} | {max(times):.1f} |"
     )
 
 
