@@ -467,7 +467,7 @@ Why the others are refused:
 
 *A command meets its limit*: the bound on a command is above the limit of its thruster, although no simulation got there; saturation
 itself is not part of any certificate. *No proof*: neither a V whose level set holds the start nor bounds in
-time that close; mostly lightly damped axes, or weak springs in roll, pitch or yaw beside the moments of moving through the water.
+time that close; in those looked at, lightly damped axes, or weak springs in roll, pitch or yaw beside moments of moving through the water.
 """  # noqa: E501
 
 
@@ -500,10 +500,10 @@ def _counted(name: str, rows: list[Outcome]) -> str:
     low, high = (float(np.nan_to_num(beta.ppf(p, yes + side, many - yes + 1 - side), nan=1.0 - p))
                  for p, side in ((0.025, 0), (0.975, 1)))  # fmt: skip
     low, high = low if yes else 0.0, high if yes < many else 1.0
-    broken = sum(r.reached > 1 for r in rows)
+    broken, closest = sum(r.reached > 1 for r in rows), np.floor(1e4 * max(r.reached for r in rows)) / 1e4
     return (
         f"| {name} | {many} | {yes} | {yes / many:.0%} ({low:.0%} to {high:.0%}) | {broken} "
-        f"| {max(r.reached for r in rows):.3f} | {np.median(times):.1f} | {max(times):.1f} |"
+        f"| {closest:.4f} | {np.median(times):.1f} | {max(times):.1f} |"
     )
 
 

@@ -71,7 +71,7 @@ def test_the_page_has_shares_with_their_exact_intervals() -> None:
         Outcome(1, k, n, "stable", s, 0.9, 1.1, 2.0) for k, (n, s) in enumerate(zip(sizes, said, strict=True))
     ]
     page = page_of([*rows, Outcome(1, 7, 6, "limited", "no proof", 0.0, 0.0, 1.0)], 0.1)
-    assert "| 1 | 2 | 2 | 100% (16% to 100%) | 0 | 0.900 | 2.0 | 2.0 |" in page
+    assert "| 1 | 2 | 2 | 100% (16% to 100%) | 0 | 0.9000 | 2.0 | 2.0 |" in page
     assert "| 6 | 4 | 3 | 75% (19% to 99%) |" in page
     assert "| all | 6 | 5 | 83% (36% to 100%) |" in page
     assert "| 6 | no proof | 1 |" in page

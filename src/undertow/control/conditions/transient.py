@@ -190,7 +190,7 @@ class Bounds:
         new = new + (self._turned(known.rest, B) + _times(self.rounded, B[:, at.z])) @ self.inverse.T
         found = _times(self.off, B[:, at.z]) + known.missed
         found[:, at.rate] += new + bend + _times(J, signed + body @ self.motion.inertia_off.T)
-        return np.where(np.any(within, axis=1, keepdims=True), found * (1 + SETTINGS.room), np.inf)
+        return np.where(np.asarray(within.any(axis=1))[:, None], found * (1 + SETTINGS.room), np.inf)
 
     def _rounded(self, B: Array) -> Array:
         """What rounding of the form of second order comes to, any entry of which may be off."""
