@@ -183,7 +183,7 @@ def table(known: dict[str, dict[str, str]]) -> str:
 
 def _without_names(line: str) -> str:
     """A line that says the same of several formats."""
-    return re.sub(r"is one of .*? and no table", "is one of FORMAT and no table", line)
+    return re.sub(r"is in .*? format, not a table", "is in FORMAT format, not a table", line)
 
 
 def _cut(line: str) -> str:
