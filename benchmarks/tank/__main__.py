@@ -44,8 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
             _store(name, results(name, shelf(name)))
         return 0
     if options.what == "chain":
-        pairs = [(shelf(name), shelf(f"{name}-paper")) for name in ("auv", "auv-coarse")]
-        found = [row for forced, free in pairs for row in compare(forced, free)]
+        forced = (shelf("auv"), shelf("auv-across"))
+        found = [row for one in forced for row in compare(one, shelf("auv-paper"))]
         write_whole(CHAIN, json.dumps(found, indent=1) + "\n")
         return 0
     for name in options.bodies or BODIES:

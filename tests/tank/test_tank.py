@@ -32,7 +32,17 @@ from undertow.tank.coefficients import (
 )
 from undertow.tank.pictures import picture, read_section
 from undertow.tank.run import read_forces, read_motion, run_tank
-from undertow.tank.settings import Tank, duration, folder_of, log_of, motion, read_signal, read_tank, signal
+from undertow.tank.settings import (
+    Case,
+    Tank,
+    duration,
+    folder_of,
+    log_of,
+    motion,
+    read_signal,
+    read_tank,
+    signal,
+)
 
 BOX = box_mesh((0.60, 0.42, 0.24))
 PUSHED = Orders(60.48, profiles=("push", "step"), prescribed=True)
@@ -90,6 +100,46 @@ def test_finer_grids_have_finer_cells_and_steps() -> None:
     assert counts[2] / counts[0] == pytest.approx(8, rel=0.05)
     assert tank.step_of(tank.cases[0], 3) == pytest.approx(tank.cases[0].step / 2)
     assert tank.cell == pytest.approx(0.03)
+
+
+def test_layers_lie_where_the_law_of_the_wall_holds_on_all_grids() -> None:
+    """The middle of the first is at y+ = 30 by the friction line of the ITTC: what wall functions ask for."""
+    tank = _tank(replace(PUSHED, motions=("surge", "yaw")), box_mesh((0.6, 0.17, 0.11)))
+    push, step, turn = (c for c in tank.cases if c.name in ("surge-push", "surge-step", "yaw-step"))
+    assert push.layers is None
+    assert step.layers is not None
+    assert turn.layers == step.layers  # its ends go as fast
+    friction = 0.075 / (np.log10(0.3 * 0.6 / 1e-6) - 2) ** 2
+    first = step.layers.first
+    assert first / 2 * 0.3 * np.sqrt(friction / 2) / 1e-6 == pytest.approx(30.0)
+    thick = first * (step.layers.growth**step.layers.count - 1) / (step.layers.growth - 1)
+    assert thick == pytest.approx(tank.cell, rel=0.15)
+    # The cells at the hull are as large as in a push, all others twice as large.
+    assert _cells(tank, step) == pytest.approx([2 * c for c in _cells(tank, push)])
+    for grid in (1, 3):
+        text = case_files(tank, step, grid)["system/snappyHexMeshDict"]
+        assert f"nSurfaceLayers {step.layers.count};" in text
+        assert f"firstLayerThickness {first};" in text
+        assert f"level ({tank.level + 1} {tank.level + 1});" in text
+    assert "addLayers false;" in case_files(tank, push, 1)["system/snappyHexMeshDict"]
+
+
+def _cells(tank: Tank, case: Case) -> list[float]:
+    """Sides of the cells far away on the coarsest grid, m."""
+    block = case_files(tank, case, 1)["system/blockMeshDict"]
+    corners = np.array([v.split() for v in re.findall(r"^    \(([^)]*)\)$", block, re.M)], dtype=float)
+    counts = np.array(re.findall(r"\((\d+) (\d+) (\d+)\)", block)[0], dtype=float)
+    return list(np.ptp(corners, axis=0) / counts)
+
+
+def test_layers_are_as_thin_as_the_flow_and_the_cells_want() -> None:
+    """None at a Reynolds number of 120, where the boundary layer is several cells thick; at 1.8e7 no thinner
+    than an eighth of a cell, for thinner ones cannot follow a curved hull."""
+    (slow,) = _tank(replace(PUSHED, profiles=("step",), viscosity=0.0015)).cases
+    assert slow.layers is None
+    tank = _tank(replace(PUSHED, profiles=("step",), viscosity=1e-8))
+    assert tank.cases[0].layers is not None
+    assert tank.cases[0].layers.first == pytest.approx(tank.cell / 8)
 
 
 def test_water_is_cut_at_planes_of_symmetry_only() -> None:
@@ -350,7 +400,7 @@ def test_a_run_that_was_cut_off_goes_on(tmp_path: Path) -> None:
     root, tank = _written(tmp_path, replace(PUSHED, profiles=("push",)))
     case = tank.cases[0]
     (folder_of(root, case, 1) / "cut").touch()
-    with pytest.raises(UndertowError, match="grid1"):
+    with pytest.raises(UndertowError, match=r"ended from outside .* .signal 9; .* again to go on"):
         run_tank(root, tank)
     assert not log_of(root, case, 1).exists()
     assert run_tank(root, tank) == ["surge-push-grid1.csv"]
