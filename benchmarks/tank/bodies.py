@@ -159,7 +159,7 @@ BODIES = {
         "",
         coarser=True,
     ),
-    "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
+    "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 2, {}, ""),
     "bullet": Body(
         "half-sphere before a cylinder, 0.5 x 0.5 m",
         _bullet,
@@ -196,7 +196,7 @@ BODIES = {
         3,
         _PANELS,
         "panels",
-        longer={"heave-step-forward": 4.0, "heave-step-backward": 4.0, "yaw-step": 4.0},
+        longer={"yaw-step": 4.0},
         coarser=True,
     ),
     "auv-paper": Body(

@@ -389,20 +389,23 @@ def _block(tank: Tank, case: Case, grid: int) -> dict[str, str]:
     corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
     points = [[(low[i], half[i])[c[i]] for i in range(3)] for c in corners]
     counts = [max(1, round((h - lo) / cell)) for h, lo in zip(half, low, strict=True)]
-    faces: dict[bool, list[str]] = {True: [], False: []}
+    far: list[str] = []
+    # A patch for each direction: points where two planes meet would slide off both if they were one.
+    flat: dict[str, str] = {}
     sides = [("0 4 7 3", "1 2 6 5"), ("0 1 5 4", "3 7 6 2"), ("0 3 2 1", "4 5 6 7")]
     for i, (lower, upper) in enumerate(sides):
         between = _AXES[i] == tank.span  # walls at both ends
         # No pressure at the surface while a push is over before gravity acts; a lid where no waves rise.
         lid = i == 2 and tank.depth is not None and case.profile != "push"
-        faces[cut[i] or between or lid].append(f"({lower})")
-        faces[between].append(f"({upper})")
+        if wall := [f"({lower})"] * (cut[i] or between or lid) + [f"({upper})"] * between:
+            flat[_AXES[i]] = " ".join(wall)
+        far += [f"({lower})"] * (not (cut[i] or between or lid)) + [f"({upper})"] * (not between)
     inside = [h - (0.37 + 0.04 * i) * min(cell, h) for i, h in enumerate(half)]
     return {
         "vertices": [_vector(p) for p in points],  # type: ignore[dict-item]
         "counts": " ".join(map(str, counts)),
-        "far": " ".join(faces[False]),
-        "cut": " ".join(faces[True]),
+        "far": " ".join(far),
+        "cut": flat,  # type: ignore[dict-item]
         "inside": _vector(inside),
     }
 
