@@ -159,7 +159,7 @@ BODIES = {
         "",
         coarser=True,
     ),
-    "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 2, {}, ""),
+    "box-steps": Body("the same box, steps of speed", lambda: box_mesh(BOX), _STEP, 1, {}, ""),
     "bullet": Body(
         "half-sphere before a cylinder, 0.5 x 0.5 m",
         _bullet,
