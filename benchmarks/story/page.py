@@ -83,11 +83,14 @@ def _draw_hull(axis: Any, path: Path) -> None:
     axis.set(xlim=(-0.45, 0.45), ylim=(-0.22, 0.28), aspect="equal", xlabel="forward [m]", title="hull.stl")
 
 
+_FINEST = 3  # grid on which all of surge was run
+
+
 def _draw_tank(axis: Any, root: Path) -> None:
     tank = read_tank(root)
     found = {c.name: c.value for c in coefficients(root, tank) if c.motion == "surge" and c.direction >= 0}
     case = next(c for c in tank.cases if c.name == "surge-step-forward")
-    r = read_record(log_of(root, case, 1), 1)
+    r = read_record(log_of(root, case, _FINEST), _FINEST)
     u = r.speed
     model = -(found["X_udot"] * r.acceleration + found["X_u"] * u + found["X_uabsu"] * np.abs(u) * u)
     axis.plot(r.time, 1000 * r.water, color=AFTER, label="computed water")

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ BOX = (0.60, 0.42, 0.24)
 RADIUS = 0.25
 SHELF = Path(__file__).parent / "logs"
 CYLINDER = str(Path(__file__).with_name("cylinder.csv"))
+BULLET = str(Path(__file__).with_name("bullet.csv"))
 AUV_STL = SHELF / "auv.stl"
 SHIPPED = Path("src/undertow/demo_data/cfd-surge/surge_step_coarse.csv.gz")
 
@@ -79,22 +81,10 @@ def _push(mass: float, motions: tuple[str, ...] = ("surge",), prescribed: bool =
 _SPHERE = _lamb(sphere(RADIUS).matrix)
 _BOX = _lamb(box(*BOX).matrix)
 _PANELS = {"X_udot": 0.6404, "Z_wdot": 9.69, "N_rdot": 0.06621}  # of the AUV: docs/story.md
-_STEP = Orders(60.48, profiles=("step",), prescribed=True)
+_STEP = Orders(60.48, profiles=("step",), prescribed=True, step=4.0)
 _VISCOUS = Orders(
     65.4, profiles=("step",), prescribed=True, viscosity=0.0015
 )  # Reynolds 50 and 100 at 0.3 m/s
-
-
-def _auv(*profiles: str) -> Orders:
-    """Surge, heave and yaw of the AUV: forces of the paper, or motions that are prescribed."""
-    free = profiles == ("paper",)
-    return Orders(
-        MASS,
-        motions=("surge", "heave", "yaw"),
-        profiles=profiles,
-        prescribed=not free,
-        step=1.0 + free,
-    )
 
 
 BODIES = {
@@ -179,29 +169,43 @@ BODIES = {
             "X_udot": 44.6
         },  # 1504 panels (undertow added-mass mesh --panels 1600), which say +- 0.7 of themselves
         "panels",
+        longer={"surge-step-forward": 4.0, "surge-step-backward": 4.0},
     ),
-    "auv": Body("small AUV, 0.60 m, 7.5 kg", auv_hull, _auv("push", "step"), 1, _PANELS, "panels"),
-    "auv-paper": Body("the same AUV, pushed by the forces of the paper", auv_hull, _auv("paper"), 1, {}, ""),
-    "auv-coarse": Body(
-        "the same AUV, coarse grid",
-        auv_hull,
-        _auv("push", "step"),
-        1,
-        _PANELS,
-        "panels",
-        longer={"surge-step-backward": 2.0, "yaw-step": 4.0},
-        coarser=True,
-    ),
-    "auv-coarse-paper": Body(
-        "the same, pushed by the forces of the paper",
-        auv_hull,
-        _auv("paper"),
+    "bullet-back": Body(
+        "the same, flat end first for 20 diameters",
+        _bullet,
+        Orders(80.0, profiles=(BULLET,), prescribed=True, step=4.0),
         1,
         {},
         "",
-        longer=dict.fromkeys(
-            ("surge-paper-backward", "heave-paper-forward", "heave-paper-backward", "yaw-paper"), 2.0
-        ),
+    ),
+    "auv": Body(
+        "small AUV, 0.60 m, 7.5 kg",
+        auv_hull,
+        Orders(MASS, profiles=("push", "step"), prescribed=True, grids=4),
+        4,
+        _PANELS,
+        "panels",
+        longer={"surge-step-forward": 8.0, "surge-step-backward": 8.0},
+        coarser=True,
+    ),
+    "auv-across": Body(
+        "the same AUV",
+        auv_hull,
+        Orders(MASS, motions=("heave", "yaw"), profiles=("push", "step"), prescribed=True),
+        3,
+        _PANELS,
+        "panels",
+        longer={"yaw-step": 4.0},
+        coarser=True,
+    ),
+    "auv-paper": Body(
+        "the same AUV, pushed by the forces of the paper",
+        auv_hull,
+        Orders(MASS, motions=("surge", "heave", "yaw"), profiles=("paper",), step=4.0),
+        1,
+        {},
+        "",
         coarser=True,
     ),
 }
@@ -233,8 +237,23 @@ def run(name: str, work: Path, progress: Progress) -> list[dict[str, Any]]:
 def results(name: str, root: Path) -> list[dict[str, Any]]:
     """What the logs of a body in a folder say."""
     tank = read_tank(root)
+    if name == "bullet-back":
+        return [_wake(name, root, tank)]
     found = [*_coefficients(name, root, tank), *_drag(name, root, tank)]
     return [*found, _against_demo(root, tank)] if name == "box-forced" else found
+
+
+def _wake(name: str, root: Path, tank: Tank) -> dict[str, Any]:
+    """Drag coefficient over the last ten diameters at one speed: mean, root mean square, trend."""
+    case, hull = tank.cases[0], BODIES[name].hull()
+    record = read_record(log_of(root, case, 1), 1)
+    way = np.abs(record.place - record.place[-1]) / (2 * RADIUS)
+    late = way <= 10
+    pressed = tank.density / 2 * hull.projected_area(0) * record.speed[late] ** 2
+    drag = np.abs(record.water[late]) / pressed
+    found = {"mean": drag.mean(), "rms": drag.std(), "trend": -np.polyfit(way[late], drag, 1)[0]}
+    effort = {"cells": record.cells, "seconds": _seconds(log_of(root, case, 1))}
+    return {"body": name, "name": "wake", "direction": 0, **{k: float(v) for k, v in found.items()}, **effort}
 
 
 def _against_demo(root: Path, tank: Tank) -> dict[str, Any]:
@@ -255,8 +274,11 @@ def ship(name: str, work: Path) -> None:
     """Put what is small of a tank that was run beside the benchmark: hull, tank.toml, logs."""
     target, root = shelf(name), work / name
     tank = made(name, work)
-    done = {c.name: log_of(root, c, 1) for c in tank.cases if log_of(root, c, 1).is_file()}
-    kept = tank.model_copy(update={"cases": tuple(c for c in tank.cases if c.name in done), "grids": 1})
+    pairs = product(tank.cases, range(1, tank.grids + 1))
+    done = {(c.name, g): log for c, g in pairs if (log := log_of(root, c, g)).is_file()}
+    names, grids = zip(*done, strict=True)
+    cases = tuple(c for c in tank.cases if c.name in names)
+    kept = tank.model_copy(update={"cases": cases, "grids": max(grids)})
     with together():
         make_folder(target / "logs")
         if name == "auv":  # the other tanks of the benchmark have the same hull

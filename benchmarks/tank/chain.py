@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -95,24 +95,38 @@ def _thinned(root: Path, case: Case, folder: Path) -> Run:
 
 
 # --- the table ------------------------------------------------------------------------------------
+_WAYS = {1: "ahead", -1: "back"}
+
+
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Added mass and drag by every estimator, and how far they are from forced motion."""
-    yield "| motion | by | added mass | inertia off by | linear | quadratic | drag off by | physical |"
-    yield "|---|---|---|---|---|---|---|---|"
-    for row in rows:
-        truth = next(r for r in rows if r["by"] == "forced motion" and _key(r) == _key(row))
-        a, d, q = (np.nan if v is None else v for v in row["values"])
-        a0, d0, q0 = truth["values"]
-        speed = AT[row["motion"]]
-        off = (a - a0) / (truth["inertia"] + a0)
-        drag = (d * speed + q * speed**2) / (d0 * speed + q0 * speed**2) - 1
-        way = {1: "ahead", -1: "back"}[row["direction"]]
-        signs = ("–", "–") if row is truth else (f"{100 * off:+.1f} %", f"{100 * drag:+.0f} %")
-        shown = "yes" if row["physical"] else "no"
+    """A line for each motion and way: how far the paper's cases and the weak form are from forced motion."""
+    yield "| motion | physical cases | inertia off by, all cases | drag off by | weak form: inertia | drag |"
+    yield "|---|---|---|---|---|---|"
+    for key in dict.fromkeys(map(_key, rows)):
+        own = [r for r in rows if _key(r) == key]
+        truth = next(r for r in own if r["by"] == "forced motion")
+        cases = [r for r in own if r["by"].startswith("case ")]
+        physical = [r["by"].removeprefix("case ") for r in cases if r["physical"]]
+        (weak,) = (_off(r, truth) for r in own if r["by"] == METHODS["weak"])
+        inertia, drag = zip(*(_off(r, truth) for r in cases), strict=True)
+        shown = "none" if not physical else "all" if len(physical) == len(cases) else ", ".join(physical)
         yield (
-            f"| {row['motion']} {way} | {row['by']} | {a:.4g} | {signs[0]} | {d:.3g} | {q:.3g} | "
-            f"{signs[1]} | {shown} |"
+            f"| {key[0]} {_WAYS[key[1]]} | {shown} | {_range(inertia, 1)} | "
+            f"{_range(drag, 0)} | {weak[0]:+.1f} % | {weak[1]:+.0f} % |"
         )
+
+
+def _off(row: dict[str, Any], truth: dict[str, Any]) -> tuple[float, float]:
+    """How far inertia, and drag at half the highest speed, are from those of forced motion, %."""
+    a, d, q = (np.nan if v is None else v for v in row["values"])
+    a0, d0, q0 = truth["values"]
+    speed = AT[row["motion"]]
+    drag = (d * speed + q * speed**2) / (d0 * speed + q0 * speed**2) - 1
+    return 100 * (a - a0) / (truth["inertia"] + a0), 100 * drag
+
+
+def _range(values: Sequence[float], digits: int) -> str:
+    return f"{min(values):+.{digits}f} to {max(values):+.{digits}f} %"
 
 
 def _key(row: dict[str, Any]) -> tuple[str, int]:

@@ -25,7 +25,9 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
     added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps" and r not in hull]
     drag = [r for r in rows if r["name"] == "Cd"]
     (rms,) = (r for r in rows if r["name"] == "rms")
+    (wake,) = (r for r in rows if r["name"] == "wake")
     text = text.replace("{off}", f"{1000 * rms['off']:.1f}").replace("{speed}", f"{1000 * rms['speed']:.0f}")
+    text = text.replace("{wake}", f"{wake['mean']:.2f} ± {wake['rms']:.2f}")
     compared = json.loads(CHAIN.read_text(encoding="utf-8"))
     text = text.replace("{chain}", "\n".join(table(compared))).replace("{auv}", "\n".join(_auv(hull)))
     return text.replace("{added}", "\n".join(_added(added))).replace("{drag}", "\n".join(_drag(drag)))
@@ -38,18 +40,16 @@ def _title(row: dict[str, Any]) -> str:
 
 def _auv(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     """What the AUV has in each motion and direction, by prescribed motion."""
-    yield "| motion | added mass | panels | linear damping | quadratic damping | cells | processor seconds |"
-    yield "|---|---|---|---|---|---|---|"
+    yield "| motion | added mass | panels | grid index | linear damping | quadratic damping |"
+    yield "|---|---|---|---|---|---|"
     motions = {"X": "surge", "Z": "heave", "N": "yaw"}
     for r in (r for r in rows if r["name"].endswith("dot")):
         own = {o["name"]: o for o in rows if (o["body"], o["direction"]) == (r["body"], r["direction"])}
         letter, speed = r["name"][0], r["name"][2]
         names = (r["name"], f"{letter}_{speed}", f"{letter}_{speed}abs{speed}")
         found = [f"{own[n]['value']:.4g} ± {own[n]['sigma']:.2g}" if n in own else "–" for n in names]
-        start = (
-            f"| {motions[letter]}{_WAYS[r['direction']]} | {found[0]} {_UNITS[letter]} | {r['truth']:.4g} | "
-        )
-        yield f"{start}{found[1]} | {found[2]} | {_effort(r)} |"
+        start = f"| {motions[letter]}{_WAYS[r['direction']]} | {found[0]} {_UNITS[letter]} | {r['truth']:.4g}"
+        yield f"{start} | {100 * r['grid']['index'] / r['value']:.1f} % | {found[1]} | {found[2]} |"
 
 
 def _effort(row: dict[str, Any]) -> str:

@@ -32,7 +32,17 @@ from undertow.tank.coefficients import (
 )
 from undertow.tank.pictures import picture, read_section
 from undertow.tank.run import read_forces, read_motion, run_tank
-from undertow.tank.settings import Tank, duration, folder_of, log_of, motion, read_signal, read_tank, signal
+from undertow.tank.settings import (
+    Case,
+    Tank,
+    duration,
+    folder_of,
+    log_of,
+    motion,
+    read_signal,
+    read_tank,
+    signal,
+)
 
 BOX = box_mesh((0.60, 0.42, 0.24))
 PUSHED = Orders(60.48, profiles=("push", "step"), prescribed=True)
@@ -72,9 +82,9 @@ def test_the_files_of_a_case_are_whole_and_fit_together() -> None:
             fields = {name for name in files if name.startswith("0/")}
             assert fields == ({"0/U", "0/p", "0/k", "0/omega", "0/nut"} if case.turbulent else {"0/U", "0/p"})
             # Every field has a condition on every boundary of the block, and on the hull.
-            patches = {"hull", "far", "cut"}
+            patches = {"hull", "far", '"cut.*"'}
             for name in fields:
-                assert set(re.findall(r"^    (\w+) \{ type", files[name], re.M)) == patches, name
+                assert set(re.findall(r"^    (\S+) \{ type", files[name], re.M)) == patches, name
             block = files["system/blockMeshDict"]
             faces = re.findall(r"\((\d \d \d \d)\)", block)
             assert len(set(faces)) == 6  # all sides of the block, each once
@@ -90,6 +100,46 @@ def test_finer_grids_have_finer_cells_and_steps() -> None:
     assert counts[2] / counts[0] == pytest.approx(8, rel=0.05)
     assert tank.step_of(tank.cases[0], 3) == pytest.approx(tank.cases[0].step / 2)
     assert tank.cell == pytest.approx(0.03)
+
+
+def test_layers_lie_where_the_law_of_the_wall_holds_on_all_grids() -> None:
+    """The middle of the first is at y+ = 30 by the friction line of the ITTC: what wall functions ask for."""
+    tank = _tank(replace(PUSHED, motions=("surge", "yaw")), box_mesh((0.6, 0.17, 0.11)))
+    push, step, turn = (c for c in tank.cases if c.name in ("surge-push", "surge-step", "yaw-step"))
+    assert push.layers is None
+    assert step.layers is not None
+    assert turn.layers == step.layers  # its ends go as fast
+    friction = 0.075 / (np.log10(0.3 * 0.6 / 1e-6) - 2) ** 2
+    first = step.layers.first
+    assert first / 2 * 0.3 * np.sqrt(friction / 2) / 1e-6 == pytest.approx(30.0)
+    thick = first * (step.layers.growth**step.layers.count - 1) / (step.layers.growth - 1)
+    assert thick == pytest.approx(tank.cell, rel=0.15)
+    # The cells at the hull are as large as in a push, all others twice as large.
+    assert _cells(tank, step) == pytest.approx([2 * c for c in _cells(tank, push)])
+    for grid in (1, 3):
+        text = case_files(tank, step, grid)["system/snappyHexMeshDict"]
+        assert f"nSurfaceLayers {step.layers.count};" in text
+        assert f"firstLayerThickness {first};" in text
+        assert f"level ({tank.level + 1} {tank.level + 1});" in text
+    assert "addLayers false;" in case_files(tank, push, 1)["system/snappyHexMeshDict"]
+
+
+def _cells(tank: Tank, case: Case) -> list[float]:
+    """Sides of the cells far away on the coarsest grid, m."""
+    block = case_files(tank, case, 1)["system/blockMeshDict"]
+    corners = np.array([v.split() for v in re.findall(r"^    \(([^)]*)\)$", block, re.M)], dtype=float)
+    counts = np.array(re.findall(r"\((\d+) (\d+) (\d+)\)", block)[0], dtype=float)
+    return list(np.ptp(corners, axis=0) / counts)
+
+
+def test_layers_are_as_thin_as_the_flow_and_the_cells_want() -> None:
+    """None at a Reynolds number of 120, where the boundary layer is several cells thick; at 1.8e7 no thinner
+    than an eighth of a cell, for thinner ones cannot follow a curved hull."""
+    (slow,) = _tank(replace(PUSHED, profiles=("step",), viscosity=0.0015)).cases
+    assert slow.layers is None
+    tank = _tank(replace(PUSHED, profiles=("step",), viscosity=1e-8))
+    assert tank.cases[0].layers is not None
+    assert tank.cases[0].layers.first == pytest.approx(tank.cell / 8)
 
 
 def test_water_is_cut_at_planes_of_symmetry_only() -> None:
@@ -113,9 +163,9 @@ def test_a_hull_without_ends_has_walls_along_its_span() -> None:
     assert min(tank.half[0], tank.half[2]) >= 12 * 0.5  # plane flow fades slowly
     block = case_files(tank, tank.cases[0], 1)["system/blockMeshDict"]
     assert re.findall(r"\((\d+) (\d+) (\d+)\)", block)[0][1] == "1"  # one cell thick
-    walls = re.search(r"cut\s*\{[^}]*faces \(([^;]*)\);", block)
-    assert walls is not None
-    assert set(re.findall(r"\d \d \d \d", walls[1])) == {"0 1 5 4", "3 7 6 2", "0 3 2 1"}
+    # Planes that meet are patches of their own: points of layers at their edge would slide off both.
+    walls = dict(re.findall(r"(cut\w) \{[^}]*faces \(([^;]*)\);", block))
+    assert walls == {"cuty": "(0 1 5 4) (3 7 6 2)", "cutz": "(0 3 2 1)"}
     with pytest.raises(UndertowError, match="sway is not in the plane normal to --span y"):
         _tank(replace(PUSHED, motions=("sway",), span="y"), hull)
     with pytest.raises(UndertowError, match="--span q is not an axis"):
@@ -133,7 +183,7 @@ def test_the_surface_has_no_pressure_in_pushes_and_is_a_lid_else() -> None:
         assert "-0.3" in heights  # z points down
         found = dict(re.findall(r"(\w+) \{ type patch; faces \(([^;]*)\);", block))
         patches.append(next(name for name, faces in found.items() if f"({top})" in faces))
-    assert patches == ["far", "cut"]
+    assert patches == ["far", "cutz"]
     both = _tank(replace(orders, motions=("heave",), profiles=("push",)))
     assert [c.direction for c in both.cases] == [1, -1]
 
@@ -350,7 +400,7 @@ def test_a_run_that_was_cut_off_goes_on(tmp_path: Path) -> None:
     root, tank = _written(tmp_path, replace(PUSHED, profiles=("push",)))
     case = tank.cases[0]
     (folder_of(root, case, 1) / "cut").touch()
-    with pytest.raises(UndertowError, match="grid1"):
+    with pytest.raises(UndertowError, match=r"ended from outside .* .signal 9; .* again to go on"):
         run_tank(root, tank)
     assert not log_of(root, case, 1).exists()
     assert run_tank(root, tank) == ["surge-push-grid1.csv"]

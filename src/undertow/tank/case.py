@@ -27,6 +27,7 @@ from .settings import (
     PROFILES,
     RULES,
     Case,
+    Layers,
     Tank,
     duration,
     folder_of,
@@ -237,7 +238,9 @@ def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> d
     reached = peak if orders.prescribed else max(rate, 0.0 if push else (peak / drag) ** 0.5)
     cell = _cell(_across(hull, orders))
     step = times[-1] / RULES.push_steps if push else RULES.courant * cell / (reached * arm)
-    auto = not push and reached * arm * longest / orders.viscosity > RULES.laminar_below
+    reynolds = reached * arm * longest / orders.viscosity
+    auto = not push and reynolds > RULES.laminar_below
+    turbulent = auto if orders.turbulence == "auto" else orders.turbulence == "k-omega-sst"
     return {
         "motion": name,
         "profile": profile if profile in PROFILES else "table",
@@ -247,11 +250,22 @@ def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> d
         "inertia": inertia,
         "end": float(times[-1]),
         "step": float(step * orders.step),
-        "turbulent": auto if orders.turbulence == "auto" else orders.turbulence == "k-omega-sst",
+        "turbulent": turbulent,
+        "layers": None if push else _layers(reynolds, longest, cell),
         "relaxation": min(RULES.relaxation, 1 / (1 + added / inertia)),
         "times": tuple(np.round(times, 9).tolist()),
         "signal": values,
     }
+
+
+def _layers(reynolds: float, length: float, cell: float) -> Layers | None:
+    """Layers from the wall, at the friction of a plate, to the cells of the hull, m; None in slow flow."""
+    # Plates by Blasius and by the ITTC (1957): the larger friction has the thinner first layer.
+    friction = max(1.328 / reynolds**0.5, 0.075 / max(np.log10(reynolds) - 2, 1.0) ** 2)
+    first = max(2 * RULES.wall * length / reynolds / (friction / 2) ** 0.5, RULES.thinnest * cell)
+    growth = RULES.growth
+    count = round(float(np.log(1 + RULES.layers * cell * (growth - 1) / first) / np.log(growth)))
+    return Layers(first=first, growth=growth, count=count) if count > 1 else None
 
 
 def _signal(profile: str, prescribed: bool, scale: float) -> tuple[Array, Array, float | None]:
@@ -317,8 +331,9 @@ def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:
     section = np.eye(3)[section_axis(case.motion)]
     return {
         **_block(tank, case, grid),
-        "level": tank.level,
+        "level": _halvings(tank, case),
         "bands": " ".join(f"({d:.6g} {n})" for d, n in _bands(tank)),
+        "layers": case.layers,
         "end": f"{case.end:.12g}",
         "step": f"{step:.12g}",
         "interval": max(1, round(case.end / step / RULES.outputs)),
@@ -352,6 +367,11 @@ def _push(case: Case, place: int, share: float) -> dict[str, str]:
     return {"arm": _vector(arm), "force": f"\n{table}\n    "}
 
 
+def _halvings(tank: Tank, case: Case) -> int:
+    """From the cells far away to those at the hull: all others are twice as large where it has layers."""
+    return tank.level + (case.layers is not None)
+
+
 def _bands(tank: Tank) -> list[tuple[float, int]]:
     """Distances from the hull and the halvings of cells within them."""
     around = [(RULES.around * tank.size, 1)] if tank.level > 1 else []
@@ -362,28 +382,41 @@ def _bands(tank: Tank) -> list[tuple[float, int]]:
 def _block(tank: Tank, case: Case, grid: int) -> dict[str, str]:
     """The block of water, cut at planes of symmetry, and what its faces are."""
     cut = [axis in case.planes for axis in _AXES]
-    cell = tank.cell_of(grid) * 2**tank.level
-    low = [0.0 if c else -h for c, h in zip(cut, tank.half, strict=True)]
+    cell = tank.cell_of(grid) * 2 ** _halvings(tank, case)
+    half = _whole(tank, case)
+    low = [0.0 if c else -h for c, h in zip(cut, half, strict=True)]
     low[2] = low[2] if tank.depth is None else -tank.depth
     corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    points = [[(low[i], tank.half[i])[c[i]] for i in range(3)] for c in corners]
-    counts = [max(1, round((h - lo) / cell)) for h, lo in zip(tank.half, low, strict=True)]
-    faces: dict[bool, list[str]] = {True: [], False: []}
+    points = [[(low[i], half[i])[c[i]] for i in range(3)] for c in corners]
+    counts = [max(1, round((h - lo) / cell)) for h, lo in zip(half, low, strict=True)]
+    far: list[str] = []
+    # A patch for each direction: points where two planes meet would slide off both if they were one.
+    flat: dict[str, str] = {}
     sides = [("0 4 7 3", "1 2 6 5"), ("0 1 5 4", "3 7 6 2"), ("0 3 2 1", "4 5 6 7")]
     for i, (lower, upper) in enumerate(sides):
         between = _AXES[i] == tank.span  # walls at both ends
         # No pressure at the surface while a push is over before gravity acts; a lid where no waves rise.
         lid = i == 2 and tank.depth is not None and case.profile != "push"
-        faces[cut[i] or between or lid].append(f"({lower})")
-        faces[between].append(f"({upper})")
-    inside = [h - (0.37 + 0.04 * i) * min(cell, h) for i, h in enumerate(tank.half)]
+        if wall := [f"({lower})"] * (cut[i] or between or lid) + [f"({upper})"] * between:
+            flat[_AXES[i]] = " ".join(wall)
+        far += [f"({lower})"] * (not (cut[i] or between or lid)) + [f"({upper})"] * (not between)
+    inside = [h - (0.37 + 0.04 * i) * min(cell, h) for i, h in enumerate(half)]
     return {
         "vertices": [_vector(p) for p in points],  # type: ignore[dict-item]
         "counts": " ".join(map(str, counts)),
-        "far": " ".join(faces[False]),
-        "cut": " ".join(faces[True]),
+        "far": " ".join(far),
+        "cut": flat,  # type: ignore[dict-item]
         "inside": _vector(inside),
     }
+
+
+def _whole(tank: Tank, case: Case) -> list[float]:
+    """Half sides of the water, m: whole cells of the coarsest grid, so that all grids are alike."""
+    far = tank.cell * 2 ** _halvings(tank, case)
+    return [
+        h if a == tank.span else far * float(np.ceil(h / far - 1e-6))
+        for a, h in zip(_AXES, tank.half, strict=True)
+    ]
 
 
 def _motion_table(case: Case, step: float) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise, product
 from pathlib import Path
+from signal import SIGFPE
 from time import monotonic
 
 import numpy as np
@@ -184,6 +185,11 @@ def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:
         return f"{folder}: {name} failed: {shown}: see {folder / f'log.{name}'}"
     if said := _fatal(watch):
         return f"{folder}: {name} stopped: {said}: see {folder / f'log.{name}'}"
+    if not watch.fatal and code < 0 and code != -SIGFPE:
+        return (
+            f"{folder}: the solver was ended from outside at t = {watch.time:.4g} s (signal {-code}; 9 is "
+            "also a lack of memory): run the same command again to go on"
+        )
     what = watch.fatal or f"exit code {code}"
     return (
         f"{folder}: diverged at t = {watch.time:.4g} s ({what}): write the tank again with a smaller "

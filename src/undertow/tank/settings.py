@@ -35,6 +35,13 @@ class TankRules:
     # highest speed over sqrt(g depth) at which the surface stays flat: waves fade with depth as exp(-2/F^2)
     froude: float = 0.5
     around: float = 0.67  # distance within which they are twice as fine as far away
+    # Layers at the hull, where its boundary layer is thinner than cells: without them drag is not that of the
+    # wall, but of half a cell off it, and falls with every finer grid. They are the same on all grids: a wall
+    # function is a model, and its answer depends on where its cell ends.
+    wall: float = 30.0  # y+ of the middle of the first: where the law of the wall begins
+    thinnest: float = 0.125  # of the first, in cells of the surface: thinner ones cannot follow a curved hull
+    growth: float = 1.3  # thickness of one over that of the one below it
+    layers: float = 1.0  # thickness of all, in cells of the surface
     refinement: float = 2**0.5  # ratio of cells, and of time steps, of one grid to the next finer one
     courant: float = 0.5  # surface cells that pass in one time step, at the speed asked for
     push_steps: int = 40  # time steps of a short push
@@ -67,6 +74,14 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class Layers(_Strict):
+    """Thin cells at the hull, the same on all grids."""
+
+    first: float = Field(gt=0)  # thickness of the first, m
+    growth: float = Field(gt=1)  # of one over that of the one below it
+    count: int = Field(ge=1)
+
+
 class Case(_Strict):
     """One motion of the hull, on all grids."""
 
@@ -85,6 +100,7 @@ class Case(_Strict):
     step: float = Field(gt=0)  # time step on the coarsest grid, s
     planes: tuple[Axis, ...]  # axes normal to the planes of symmetry at which the water is cut
     turbulent: bool
+    layers: Layers | None = None  # None where the cells resolve the boundary layer
     relaxation: float = Field(gt=0, le=1)
     times: tuple[float, ...]  # of the signal, s
     signal: tuple[float, ...]  # speed or force at these times, over `peak`
