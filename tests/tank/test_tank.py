@@ -296,6 +296,7 @@ def test_what_does_not_converge_gets_no_small_index() -> None:
     assert waving.kind == "oscillating"
     assert waving.index >= 0.2
     assert convergence([2.0], [1]).index == pytest.approx(0.2)
+    assert convergence([2.0], [1], drag=True).index == pytest.approx(1.6)
     assert convergence([2.0, 2.1], [1, 2]).index == pytest.approx(0.3)
 
 
