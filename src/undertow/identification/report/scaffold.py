@@ -192,10 +192,12 @@ def _dependent(dependence: Dependence, row: int, seconds: float) -> Iterator[Coe
     d = dependence
     for factors, value, error in zip(d.columns, d.coefficients, d.standard_errors, strict=False):
         column = _checked(factors)
-        about = f"{what} per {label_of(column)}" if column else what
+        step = _step_in(column)
+        per = "of" if step else "per"
+        about = f"{what} {per} {label_of(column)}" if column else what
         unit = coefficient_unit(FORCE_UNITS[row], column)
         found = f"{about}; found {value:.3g} with standard error {error:.1g}"
-        in_time = _step(step[1], FORCE[row], seconds) if (step := _step_in(column)) else None
+        in_time = _step(step[1], FORCE[row], seconds) if step else None
         yield Coefficient(_name(FORCE[row], column), unit, found, row, column, in_time)
 
 
