@@ -40,6 +40,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
+from undertow.typing import Array
 
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 Columns = dict[str, np.ndarray]
@@ -294,13 +295,20 @@ def test_a_dry_mass_shows_in_added_masses_that_are_known_to_fifteen_per_cent(
 
 
 # --- what the model lacks is no unit ------------------------------------------------------------------------
+def _ten_per_cent_off(vehicle: Vehicle) -> Vehicle:
+    """A vehicle whose estimated values are off by chance."""
+    rng = np.random.default_rng(115)
+    guessed = {n: v for n, v in vehicle.values.items() if v.estimate}
+    return vehicle.with_values(
+        {n: replace(v, value=v.value * (1 + 0.1 * rng.standard_normal())) for n, v in guessed.items()}
+    )
+
+
 def _torpedo_in(current: tuple[float, float]) -> tuple[Vehicle, list[Run]]:
     """A bundled torpedo whose values are some per cent off, and runs of it in a current to north and east."""
-    vehicle, rng = load_vehicle("remus100"), np.random.default_rng(115)
-    guessed = {n: v for n, v in vehicle.values.items() if v.estimate}
-    off = {n: replace(v, value=v.value * (1 + 0.1 * rng.standard_normal())) for n, v in guessed.items()}
+    vehicle = load_vehicle("remus100")
     water = dict(zip(("V_N", "V_E"), map(Value, current), strict=True))
-    model = compile_model(vehicle.with_values(off).with_effect(catalogue()["ocean_current"], water))
+    model = compile_model(_ten_per_cent_off(vehicle).with_effect(catalogue()["ocean_current"], water))
     return vehicle, [_sailed(vehicle, model, np.random.default_rng(seed)) for seed in range(1150, 1153)]
 
 
@@ -308,15 +316,26 @@ def _sailed(vehicle: Vehicle, model: Model, rng: np.random.Generator) -> Run:
     dt, count = 0.05, 2000
     steps = rng.uniform([2.5, -0.12, -0.04], [5.0, 0.12, 0.04], (count // 60 + 1, 3))
     u = np.repeat(steps, 60, axis=0)[:count]
-    start = np.array([{"u": 1.5, "z": 10.0}.get(n, 0.0) for n in model.states])
-    x = model.simulate(start, u, dt)
     noise = {"x": 0.02, "y": 0.02, "z": 0.02, "u": 0.005, "v": 0.005, "w": 0.005}
-    read = {n: x[:, i] + rng.normal(0.0, noise.get(n, 0.002), count) for i, n in enumerate(model.states[:12])}
-    return Run(
-        "dive",
-        np.linspace(0.0, dt * (count - 1), count),
-        read | dict(zip(vehicle.command_names, u.T, strict=True)),
-    )
+    return _logged(vehicle, model, u, dt, {"u": 1.5, "z": 10.0}, noise, rng)
+
+
+def _logged(
+    vehicle: Vehicle,
+    model: Model,
+    u: Array,
+    dt: float,
+    start: dict[str, float],
+    noise: dict[str, float],
+    rng: np.random.Generator,
+) -> Run:
+    """A run with these commands, with sensors whose noise is 0.002 where nothing is stated."""
+    x = model.simulate(np.array([start.get(n, 0.0) for n in model.states]), u, dt)
+    pose_and_velocity = model.states[: 2 * len(vehicle.degrees_of_freedom)]
+    read = {
+        n: x[:, i] + rng.normal(0.0, noise.get(n, 0.002), len(u)) for i, n in enumerate(pose_and_velocity)
+    }
+    return Run("sailed", dt * np.arange(len(u)), read | dict(zip(vehicle.command_names, u.T, strict=True)))
 
 
 def test_a_current_that_the_model_lacks_is_no_other_unit() -> None:
@@ -330,13 +349,8 @@ def test_a_current_that_the_model_lacks_is_no_other_unit() -> None:
 
 def test_a_velocity_sensor_in_the_bow_is_no_axis_with_the_opposite_sign() -> None:
     """In a turn a ship drifts outwards and its bow does not."""
-    vehicle, rng = load_vehicle("kvlcc2"), np.random.default_rng(115)
-    off = {
-        n: replace(v, value=v.value * (1 + 0.1 * rng.standard_normal()))
-        for n, v in vehicle.values.items()
-        if v.estimate
-    }
-    model = compile_model(vehicle.with_values(off))
+    vehicle = load_vehicle("kvlcc2")
+    model = compile_model(_ten_per_cent_off(vehicle))
     zigzags = [_zigzag(vehicle, model, np.random.default_rng(seed)) for seed in range(1150, 1153)]
     runs = [with_channels(r, {"v": r.channels["v"] + 2.8 * r.channels["r"]}) for r in zigzags]
     examined = examine(vehicle, runs).result
@@ -352,11 +366,8 @@ def _zigzag(vehicle: Vehicle, model: Model, rng: np.random.Generator) -> Run:
     half = int(rng.uniform(100, 250))
     rudder = np.where((np.arange(count) // half) % 2 == 0, 1.0, -1.0) * rng.uniform(0.15, 0.5)
     u = np.column_stack([np.full(count, 10.0), rudder])
-    start = np.array([{"u": 1.2}.get(n, 0.0) for n in model.states])
-    x = model.simulate(start, u, dt)
     noise = {"x": 0.01, "y": 0.01, "u": 0.002, "v": 0.002, "psi": 0.001, "r": 0.0005}
-    read = {n: x[:, i] + rng.normal(0.0, noise[n], count) for i, n in enumerate(model.states[:6])}
-    return Run("zigzag", dt * np.arange(count), read | dict(zip(vehicle.command_names, u.T, strict=True)))
+    return _logged(vehicle, model, u, dt, {"u": 1.2}, noise, rng)
 
 
 def test_feet_are_found_all_the_same() -> None:

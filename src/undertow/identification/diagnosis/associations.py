@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, permutations
@@ -34,6 +34,7 @@ class AssociationSettings:
     patterns: int = 1999  # sign patterns for the chance of the best term: shows 0.05 %
     news: float = 1e-4  # least share of a column that the model's own columns must leave of it
     alike: float = 0.9  # share of the gain of the best term from which another is named with it
+    step_width: float = 0.125  # how long a step takes in a fit, as a share of the time between two of them
     fewest_blocks: int = 4  # blocks of a run that is compared with others
     fine: int = 8  # frequencies tried per one that the longest run resolves
     fewest_periods: float = 3.0  # periods in the shortest run above which a frequency is not a trend
@@ -57,7 +58,7 @@ class Term:
     @property
     def is_step(self) -> bool:
         """Whether it is a step in time, to which those at neighbouring times are alike."""
-        return bool(self.columns[0]) and STEP.fullmatch(self.columns[0][0]) is not None
+        return step_time(self.columns[0]) is not None
 
 
 def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
@@ -102,10 +103,16 @@ def _heading(angle: str, *factors: str) -> Term:
     return Term(" ".join([*factors, f"sin and cos of {angle}"]), both)
 
 
+def step_time(column: Sequence[str]) -> str | None:
+    """Time of a column that is a step, s, as it is written there; None for all others."""
+    step = STEP.fullmatch(column[0]) if column else None
+    return None if step is None else step[1]
+
+
 def label_of(column: Column) -> str:
     """A column as people write it: ``|r| u``, ``t |u| u``, ``a step at 35 s``."""
-    if column and (step := STEP.fullmatch(column[0])):
-        return f"a step at {step[1]} s"
+    if (time := step_time(column)) is not None:
+        return f"a step at {time} s"
     return " ".join(f.replace(_COMMAND, "") for f in column) or "a constant"
 
 

@@ -17,7 +17,6 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .associations import (
-    STEP,
     Association,
     Clock,
     Column,
@@ -32,6 +31,7 @@ from .associations import (
     highest_peak,
     label_of,
     plain_of,
+    step_time,
     steps_of,
     terms_of,
     without_waves,
@@ -295,7 +295,7 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
         return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
-    if STEP.fullmatch(column[0]):
+    if step_time(column) is not None:
         return f"{coefficients[0]:+.2g} {unit} from then on"
     own = VELOCITY[DOFS.index(degree_of_freedom)]
     others = [f for f in column if f != own]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -97,6 +97,8 @@ class Dynamics:
     fit: WeakFit  # the fit, under a noise model that takes what the model does not explain for a disturbance
     # (n,) mean square of what it leaves of each equation of motion, in units of the sensors' noise.
     residual: Array
+    # Fits with a mistake undone, which several questions ask for.
+    _fits: dict[Mistake, WeakFit | None] = field(init=False, default_factory=dict, repr=False)
 
     @property
     def unexplained(self) -> bool:
@@ -132,6 +134,12 @@ class Dynamics:
         except (UndertowError, np.linalg.LinAlgError):
             return None
 
+    def without(self, mistake: Mistake) -> WeakFit | None:
+        """The fit with a mistake undone; None where it cannot be made."""
+        if mistake not in self._fits:
+            self._fits[mistake] = self.refitted(undo=mistake.undo)
+        return self._fits[mistake]
+
     def undone(self, undo: Undo) -> WeakData | None:
         """The data with a mistake undone in every run; None where samples would go missing."""
         runs = tuple(rederived(run, undo) for run in self.runs)
@@ -150,17 +158,17 @@ class Dynamics:
 
     def explained_by(self, mistake: Mistake) -> bool:
         """Whether little more than noise is left of any equation of motion once a mistake is undone."""
-        fit = self.refitted(undo=mistake.undo)
+        fit = self.without(mistake)
         return fit is not None and self.gain(with_reestimated_noise(fit)).explained
 
     def no_worse(self, mistake: Mistake) -> bool:
         """Whether the refitted model explains the motion as well or better once a mistake is undone."""
-        fit = self.refitted(undo=mistake.undo)
+        fit = self.without(mistake)
         return fit is None or self.gain(fit).overall >= 1.0
 
     def explained_as_well(self, mistake: Mistake, effects: Iterable[type[Effect]]) -> list[type[Effect]]:
         """Those effects that the vehicle lacks which explain the motion as well as undoing a mistake does."""
-        undone = self.refitted(undo=mistake.undo)
+        undone = self.without(mistake)
         if undone is None:
             return []
         gain = self.gain(with_reestimated_noise(undone)).overall
@@ -389,7 +397,7 @@ def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
         [m for m in worth_fitting if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
     )
     leading = [*others[: SETTINGS.fitted], *units[: SETTINGS.units_fitted]]
-    return _chosen(at, [(m, fit) for m in leading if (fit := at.refitted(undo=m.undo)) is not None])
+    return _chosen(at, [(m, fit) for m in leading if (fit := at.without(m)) is not None])
 
 
 def _worth_fitting(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mistake]]:

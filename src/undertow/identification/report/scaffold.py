@@ -20,7 +20,6 @@ from undertow.errors import UndertowError, listed
 from undertow.files import templates
 from undertow.identification.diagnosis.associations import (
     SETTINGS,
-    STEP,
     WAVE,
     Column,
     coefficient_unit,
@@ -28,6 +27,7 @@ from undertow.identification.diagnosis.associations import (
     is_factor,
     label_of,
     plain_of,
+    step_time,
 )
 from undertow.identification.diagnosis.residual import COMPARED
 from undertow.identification.diagnosis.result import (
@@ -40,9 +40,6 @@ from undertow.identification.diagnosis.result import (
 from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.effect import Effect
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, signal_units, signals
-
-# How long a step takes, as a share of the time between two that were tried.
-_QUICK = 0.125
 
 
 @dataclass(frozen=True)
@@ -192,12 +189,12 @@ def _dependent(dependence: Dependence, row: int, seconds: float) -> Iterator[Coe
     d = dependence
     for factors, value, error in zip(d.columns, d.coefficients, d.standard_errors, strict=False):
         column = _checked(factors)
-        step = _step_in(column)
-        per = "of" if step else "per"
+        time = step_time(column)
+        per = "per" if time is None else "of"
         about = f"{what} {per} {label_of(column)}" if column else what
         unit = coefficient_unit(FORCE_UNITS[row], column)
         found = f"{about}; found {value:.3g} with standard error {error:.1g}"
-        in_time = _step(step[1], FORCE[row], seconds) if step else None
+        in_time = None if time is None else _step(time, FORCE[row], seconds)
         yield Coefficient(_name(FORCE[row], column), unit, found, row, column, in_time)
 
 
@@ -207,11 +204,9 @@ def _step(found: str, force: str, seconds: float) -> InTime:
     low, high = sorted((0.1 * time, time + copysign(apart, time)))
     bounds = max(low, time - apart), min(high, time + apart)
     name = f"t_{force}_{identifier(found)}"
-    return InTime(name, "s", "time of the step", time, 0.5 * apart, bounds, abs(time) / (_QUICK * apart))
-
-
-def _step_in(column: Column) -> re.Match[str] | None:
-    return STEP.fullmatch(column[0]) if column else None
+    return InTime(
+        name, "s", "time of the step", time, 0.5 * apart, bounds, abs(time) / (SETTINGS.step_width * apart)
+    )
 
 
 def _checked(factors: Sequence[str]) -> Column:
@@ -250,8 +245,8 @@ def _name(force: str, column: Column) -> str:
 
 
 def _in_name(factor: str) -> str:
-    if step := STEP.fullmatch(factor):
-        return f"step_{identifier(step[1])}"
+    if (time := step_time((factor,))) is not None:
+        return f"step_{identifier(time)}"
     size = "abs" if factor.startswith("|") else ""
     name = command_of(factor)
     return size + identifier(factor if name is None else name)
@@ -397,7 +392,7 @@ def _signals(terms: tuple[Coefficient, ...], variables: dict[str, str]) -> Itera
 def _code(term: Coefficient, variables: dict[str, str]) -> str:
     if term.in_time is not None:
         when = f"self.{term.in_time.name}"
-        if _step_in(term.column):
+        if term.in_time.sharpness:
             sharpness = f"{term.in_time.sharpness:.4g}"
             # The sine of an arc tangent, x / sqrt(1 + x^2), feels its time from afar, as a tanh does not.
             return f"self.{term.name} * (1 + sm.sin(sm.atan({sharpness} * (s.t / {when} - 1)))) / 2"
