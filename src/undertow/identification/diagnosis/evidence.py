@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -44,10 +44,15 @@ class Comparison:
         return among * self.p_value < settings.false_alarm_rate and self.mean > settings.least_fall
 
 
-def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
-    """Compare two models on the same data, both whitened by the same noise model."""
+def compare_scores(
+    worse: Score, better: Score, data: WeakData, block: NDArray[np.intp] | None = None
+) -> Comparison:
+    """Compare two models on the same data, both whitened by the same noise model.
+
+    block: number of the block of every row; by default those of the data.
+    """
     fall = worse.r**2 - better.r**2
-    block = data.block
+    block = data.block if block is None else block
     total, count = np.bincount(block, weights=fall), np.bincount(block)
     means = total / np.maximum(count, 1)
     return _summary(means)
@@ -178,6 +183,12 @@ class Blocks:
         """Number of blocks."""
         return len(self.table)
 
+    def joined(self, group: NDArray[np.intp]) -> Blocks:
+        """With the blocks of a group as one; `group` (B,) is the number of that of each block."""
+        table = np.zeros((int(group.max()) + 1, *self.table.shape[1:]))
+        np.add.at(table, group, self.table)
+        return Blocks(table, self.rows)
+
     @cached_property
     def gram(self) -> Array:
         """J' J over all blocks, shape (k, k)."""
@@ -268,6 +279,45 @@ def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT
     first = candidates[0]
     train, test = (rng.choice([-1.0, 1.0], (settings.null_draws, b.count)) for b in (first.train, first.test))
     return np.asarray(np.max([c.falls(train, test) for c in candidates], axis=0))
+
+
+@dataclass(frozen=True)
+class Chance:
+    """What chance does for the best of all candidates, with blocks as long as each of them needs.
+
+    A slow disturbance goes on from one block to the next: with blocks that do not forget each other it has
+    fewer independent pieces than blocks, and chance does more than their signs would show. What has to be
+    forgotten is the product of what an effect changes and of what is left with it (its score).
+    """
+
+    candidates: Sequence[Linear]
+    bench: Bench
+    _known: dict[int, Array] = field(default_factory=dict)
+
+    def p_value(self, fall: float, times: int) -> float:
+        """Chance that the best lowers the error by as much, with blocks so many times as long as usual."""
+        if times not in self._known:
+            self._known[times] = null_distribution(self._joined(times), self.bench.settings)
+        return p_value(fall, self._known[times])
+
+    def _joined(self, times: int) -> Sequence[Linear]:
+        if times == 1:
+            return self.candidates
+        train, test = (_groups(data, times) for data in (self.bench.train, self.bench.test))
+        return [replace(c, train=c.train.joined(train), test=c.test.joined(test)) for c in self.candidates]
+
+
+def _groups(data: WeakData, times: int) -> NDArray[np.intp]:
+    """Number of the longer block that each block of the data is in, (B,)."""
+    first = np.unique(data.block, return_index=True)[1]
+    return data.blocks_of(times * data.block_seconds)[first]
+
+
+def times_longer(trial: Trial, bench: Bench) -> int:
+    """How many times as long as usual blocks have to be, for the score of an effect to forget itself."""
+    data, r = bench.train, bench.on_train(trial.fit).r
+    score = (r * (bench.base.at.r - r)).reshape(-1, len(data.rows)).sum(axis=1)
+    return max(1, round(data.forgetful(score) / data.block_seconds))
 
 
 def p_value(fall: float, by_chance: Array) -> float:

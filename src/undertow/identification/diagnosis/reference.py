@@ -31,7 +31,7 @@ from undertow.typing import Array, Flags, Index
 from .associations import WAVE, Along, Clock, Column, command_of, plain_of, terms_of
 from .force_rows import ForceRow, ForceRows, sliding, tested
 from .parallel import one_thread
-from .residual import forgetful, measured_pose
+from .residual import measured_pose
 from .result import Predictability
 
 
@@ -376,7 +376,7 @@ class _Force:
     def _share(self, before: Array, after: Array) -> _Share:
         """Share of the mean square that is predicted, with its interval from independent blocks."""
         judged, log = self.judged, self._logs[1]
-        block = log.clock.blocks(forgetful(judged.force, log.rows.data))[judged.row]
+        block = log.clock.blocks(log.rows.data.forgetful(judged.force))[judged.row]
         number = np.unique(block, return_inverse=True)[1]
         whole, fall = (np.bincount(number, a) for a in (judged.force**2, before**2 - after**2))
         total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)

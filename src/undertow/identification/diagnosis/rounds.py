@@ -24,6 +24,7 @@ from undertow.typing import Array, Progress
 
 from .candidates import Candidate, possible
 from .evidence import (
+    Chance,
     FoundEffect,
     IsNoise,
     Linear,
@@ -32,8 +33,7 @@ from .evidence import (
     explained,
     inclusion,
     linear,
-    null_distribution,
-    p_value,
+    times_longer,
 )
 from .parallel import mapped
 from .settings import DEFAULT, Settings
@@ -87,17 +87,17 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     ]
     screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
-    by_chance = null_distribution([s.linear for s in screened], settings)
+    chance = Chance([s.linear for s in screened], bench)
     worth = _worth_a_fit(screened, bench)
     trials = _tried(worth, bench, report)
-    chances = {c.id: p_value(_fall(bench.base_score, t.score), by_chance) for c, t in trials}
+    falls = {c.id: _fall(bench.base_score, t.score) for c, t in trials}
     able = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.removable]
     able.sort(key=lambda trial: trial.score.error)
     bench, finalists = _final(bench, able[: settings.finalists], report)
     behind = [replace(t, score=bench.judge(t.fit)) for t in able[settings.finalists :]]
     tried = {t.id for t in able}
     others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
-    return _judged(bench, [*finalists, *behind], others, chances)
+    return _judged(bench, [*finalists, *behind], others, _Evidence(falls, chance))
 
 
 def _fall(before: Score, after: Score) -> float:
@@ -222,11 +222,18 @@ def far_behind(
     return left > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
-def _judged(bench: Bench, tried: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
+class _Evidence(NamedTuple):
+    """Falls of the errors of candidates, and what chance does."""
+
+    falls: dict[str, float]
+    chance: Chance
+
+
+def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Evidence) -> Round:
     linears = [linear(t.fit, bench) for t in tried]
     often = [*inclusion(linears, bench.settings).tolist(), *[float("nan")] * len(others)]
     findings = [
-        _finding(t, bench, chances.get(t.id, 1.0), share, len(often))
+        _finding(t, bench, evidence, share, len(often))
         for t, share in zip([*tried, *others], often, strict=True)
     ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
@@ -240,17 +247,29 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], chances: dict
     return Round(bench, findings, rivals)
 
 
-def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int) -> FoundEffect:
-    evidence = compare_scores(bench.base_score, trial.score, bench.test)
-    # The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
-    # other is blind to, and each gets half of the false alarms.
-    chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
+def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, count: int) -> FoundEffect:
     settings = bench.settings
-    strong = chance < settings.false_alarm_rate and evidence.mean > settings.least_fall
+    compared = compare_scores(bench.base_score, trial.score, bench.test)
+    chance = _chance(trial, bench, evidence, count)
+    strong = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
-    return FoundEffect(trial, evidence, share, chance, strong and better, inclusion)
+    return FoundEffect(trial, compared, share, chance, strong and better, inclusion)
+
+
+def _chance(trial: Trial, bench: Bench, evidence: _Evidence, count: int) -> float:
+    """Chance that the best of all candidates does as well as this one when nothing is missing.
+
+    The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
+    other is blind to, and each gets half of the false alarms.
+    """
+    if trial.id not in evidence.falls:
+        return 1.0
+    times, data = times_longer(trial, bench), bench.test
+    block = data.blocks_of(times * data.block_seconds)
+    by_rank = count * compare_scores(bench.base_score, trial.score, data, block).p_value
+    return min(1.0, 2.0 * min(evidence.chance.p_value(evidence.falls[trial.id], times), by_rank))
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,10 @@ class BlockSettings:
     blocks: int = 24
     longest: float = 5.0  # s
     shortest: float = 1.0  # s
+    # What is left with a longer memory gets longer blocks, but at least so many of them.
+    forgotten: float = 0.3  # autocorrelation below which a series has forgotten its past
+    memories: float = 3.0  # length of a block in units of that time
+    fewest: int = 6
     # Bytes that the noise of as many windows as are computed at a time may take.
     bytes: int = 32_000_000
 
@@ -446,18 +450,34 @@ class WeakData:
         return np.concatenate([np.full(s.functions.count * len(self.rows), s.run) for s in self.segments])
 
     @cached_property
+    def seconds(self) -> float:
+        """Length of all segments together."""
+        return sum(float(s.t[-1] - s.t[0]) for s in self.segments)
+
+    @cached_property
     def block_seconds(self) -> float:
         """Length of blocks: long against the memory of vehicles, short enough that there are many."""
-        total = sum(float(s.t[-1] - s.t[0]) for s in self.segments)
-        return float(np.clip(total / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
+        return float(np.clip(self.seconds / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
 
     @cached_property
     def block(self) -> Index:
         """Number of the time block that every residual entry belongs to; blocks never span two runs."""
-        seconds = self.block_seconds
+        return self.blocks_of(self.block_seconds)
+
+    def blocks_of(self, seconds: float) -> Index:
+        """The same with blocks of another length."""
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
         within = ((self.time - start) // seconds).astype(np.intp)
         return numbered(self.run_of, within)
+
+    def forgetful(self, series: Array) -> float:
+        """Length of blocks, s, of which a series (K,) by test function forgets one in the next, if there are
+        enough of them.
+        """
+        covariance = np.correlate(series, series, "full")[len(series) - 1 :]
+        lag = int(np.argmax(covariance < BLOCKS.forgotten * covariance[0])) or len(series)
+        step = float(np.median(np.diff(self.time[:: len(self.rows)])))
+        return min(max(self.block_seconds, BLOCKS.memories * lag * step), self.seconds / BLOCKS.fewest)
 
 
 def numbered(*columns: Index) -> Index:
