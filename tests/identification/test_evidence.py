@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import (
     Blocks,
+    Chance,
     Comparison,
     FoundEffect,
     Linear,
@@ -20,8 +25,10 @@ from undertow.identification.diagnosis.evidence import (
     null_distribution,
     p_value,
 )
+from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.splitting import repeats
 from undertow.identification.diagnosis.trial import (
+    Bench,
     best_start,
     comparable_mean_squares,
     open_bench,
@@ -29,7 +36,7 @@ from undertow.identification.diagnosis.trial import (
 )
 from undertow.identification.diagnosis.validation import worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
-from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -92,6 +99,62 @@ def test_the_effect_that_is_there_is_the_best_one_in_nearly_all_resamples() -> N
     share = inclusion(_candidates(np.random.default_rng(4), [0.3, 0.0]))
     assert share.sum() == pytest.approx(1.0)
     assert share[0] > 0.95
+
+
+@cache
+def _minutes_of_a_usv() -> tuple[WeakData, WeakData]:
+    case = make_case("usv", (), 21, duration=100.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    train = prepare(runs[:3], model)
+    return train, prepare(runs[3:], model, sigma=train.sigma)
+
+
+def _wandering(data: WeakData, memory: float, rng: np.random.Generator, columns: int) -> np.ndarray:
+    """Rows of unit variance in every equation, (m, columns), with a time constant of so many s."""
+    step = float(np.median(np.diff(data.time[:: len(data.rows)])))
+    keep = np.exp(-step / memory)
+    white = rng.standard_normal((len(data.time) // len(data.rows), len(data.rows), columns))
+    return lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], white, axis=0).reshape(-1, columns)
+
+
+def test_blocks_are_as_long_as_what_they_hold_needs_to_forget_itself() -> None:
+    data, rng = _minutes_of_a_usv()[0], np.random.default_rng(6)
+    quick, slow = (data.summed(_wandering(data, s, rng, 200)).T for s in (0.01, 4.0))
+    assert all(data.forgetful(series) == data.block_seconds for series in quick)
+    size, step = quick.shape[1], data.seconds / quick.shape[1]
+    equations = len(data.rows)
+    assert np.mean([*map(data.variance_of_sum, quick)]) == pytest.approx(equations * size, rel=0.05)
+    # The sum of a series with a time constant of T has 2 T / step times the variance of white noise.
+    assert np.mean([*map(data.variance_of_sum, slow)]) > 0.7 * 8.0 / step * equations * size
+    block = data.block[::equations]
+    short = [np.sum(np.bincount(block, weights=series) ** 2) for series in slow]
+    assert np.mean(short) < 0.6 * 8.0 / step * equations * size
+
+
+def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
+    rng = np.random.default_rng(7)
+    train, test = _minutes_of_a_usv()
+    bench = cast("Bench", SimpleNamespace(train=train, test=test, settings=Settings(null_draws=200)))
+
+    def chance(longer: bool) -> float:
+        r, own = ([_wandering(d, 6.0, rng, k) for d in (train, test)] for k in (1, 5))
+        found = []
+        for k in range(5):
+            tables = (
+                Blocks.of(own[i][:, [k]], np.zeros(len(d.time)), r[i][:, 0], d.block)
+                for i, d in enumerate((train, test))
+            )
+            found.append(Linear(*tables, 1, np.zeros(1)))
+        falls = [_observed(c) for c in found]
+        best = int(np.argmax(falls))
+        x, y = own[0][:, best], r[0][:, 0]
+        size = x @ y / (x @ x)
+        times = round(train.forgetful(train.summed((y - size * x) * size * x)) / train.block_seconds)
+        return Chance(found, bench).p_value(falls[best], max(1, times) if longer else 1)
+
+    often = [np.mean([chance(longer) < 0.05 for _ in range(100)]) for longer in (False, True)]
+    assert often[0] > 0.2
+    assert often[1] <= 0.12
 
 
 def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:

@@ -316,7 +316,7 @@ def _groups(data: WeakData, times: int) -> NDArray[np.intp]:
 def times_longer(trial: Trial, bench: Bench) -> int:
     """How many times as long as usual blocks have to be, for the score of an effect to forget itself."""
     data, r = bench.train, bench.on_train(trial.fit).r
-    score = (r * (bench.base.at.r - r)).reshape(-1, len(data.rows)).sum(axis=1)
+    score = data.summed(r * (bench.base.at.r - r))
     return max(1, round(data.forgetful(score) / data.block_seconds))
 
 

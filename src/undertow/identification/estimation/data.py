@@ -470,6 +470,15 @@ class WeakData:
         within = ((self.time - start) // seconds).astype(np.intp)
         return numbered(self.run_of, within)
 
+    def summed(self, rows: Array) -> Array:
+        """Rows of the residual, (m,) or (m, k), summed over the equations of each test function."""
+        return np.asarray(rows.reshape(-1, len(self.rows), *rows.shape[1:]).sum(axis=1))
+
+    def variance_of_sum(self, series: Array) -> float:
+        """Variance of the sum of a series (K,) by test function, from blocks that forget each other."""
+        block = self.blocks_of(self.forgetful(series))[:: len(self.rows)]
+        return float(np.sum(np.bincount(block, weights=series) ** 2))
+
     def forgetful(self, series: Array) -> float:
         """Length of blocks, s, of which a series (K,) by test function forgets one in the next, if there are
         enough of them.

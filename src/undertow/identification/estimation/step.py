@@ -515,9 +515,13 @@ def clustered(information: Array, scores: Array) -> Array:
     count as independent of each other.
     """
     inverse = inverse_of(information)
-    robust = np.diag(inverse @ (scores.T @ scores) @ inverse)
-    inflation = np.sqrt(np.maximum(1.0, robust / np.maximum(np.diag(inverse), 1e-300)))
-    return np.asarray(inverse * np.outer(inflation, inflation))
+    return inflated(inverse, np.sum((scores @ inverse) ** 2, axis=0))
+
+
+def inflated(covariance: Array, robust: Array) -> Array:
+    """A covariance with variances that are no smaller than the robust ones, (k,)."""
+    inflation = np.sqrt(np.maximum(1.0, robust / np.maximum(np.diag(covariance), 1e-300)))
+    return np.asarray(covariance * np.outer(inflation, inflation))
 
 
 # --- more equations than parameters ---------------------------------------------------------------

@@ -23,10 +23,10 @@ from .residual import Linearised, WeakModel, whitened
 from .step import (
     Constraints,
     SearchSpace,
-    clustered,
+    inflated,
+    inverse_of,
     require_equations,
     squared,
-    summed_scores,
 )
 from .windows import Windows, cut
 
@@ -133,9 +133,12 @@ class WeakFit(Fitted):
         """Covariance of the free parameters: never less than noise alone gives, and robust to
         autocorrelation.
 
-        Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
+        A sandwich estimator with clusters: blocks of time as long as what each parameter learns in them needs
+        to forget itself.
         """
-        return clustered(self.information, summed_scores(self.at.r, self.at.J, self.data.block))
+        inverse = inverse_of(self.information)
+        influence = self.data.summed(self.at.J * self.at.r[:, None]) @ inverse
+        return inflated(inverse, np.array([self.data.variance_of_sum(part) for part in influence.T]))
 
     @property
     def cost(self) -> float:
