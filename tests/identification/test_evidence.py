@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import (
     Blocks,
@@ -27,13 +28,7 @@ from undertow.identification.diagnosis.evidence import (
 )
 from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.splitting import repeats
-from undertow.identification.diagnosis.trial import (
-    Bench,
-    best_start,
-    comparable_mean_squares,
-    open_bench,
-    try_candidate,
-)
+from undertow.identification.diagnosis.trial import best_start, try_candidate
 from undertow.identification.diagnosis.validation import worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
 from undertow.identification.estimation.data import WeakData, prepare

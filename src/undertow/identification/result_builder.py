@@ -21,6 +21,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
+from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.candidates import possible
 from .diagnosis.consistency import knows_time, own_variables, states_time
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
@@ -41,7 +42,6 @@ from .diagnosis.result import (
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
 from .diagnosis.selection import Selection, size_beside
-from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,

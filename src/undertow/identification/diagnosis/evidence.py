@@ -21,8 +21,9 @@ from undertow.model.effect import Measurement
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from .bench import Bench, Score, comparable_mean_squares, is_noise, noise_ratio, rows_of
 from .settings import DEFAULT, Settings
-from .trial import Bench, Score, Trial, comparable_mean_squares, is_noise, noise_ratio, rows_of
+from .trial import Trial
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
 
+from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate, possible
 from .evidence import (
     Chance,
@@ -38,13 +39,10 @@ from .evidence import (
 from .parallel import mapped
 from .settings import DEFAULT, Settings
 from .trial import (
-    Bench,
     PackedTrial,
-    Score,
     Screened,
     Trial,
     best_start,
-    comparable_mean_squares,
     packed,
     rejected,
     screen,

@@ -24,6 +24,7 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
+from .bench import Bench, noise_ratio, only_noise, open_bench
 from .candidates import Candidate
 from .consistency import is_spring
 from .evidence import (
@@ -42,7 +43,7 @@ from .evidence import (
 )
 from .rounds import Round, try_all, values_to_free
 from .settings import DEFAULT, Settings
-from .trial import Bench, noise_ratio, only_noise, open_bench, parameters_that_matter
+from .trial import parameters_that_matter
 
 
 def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:

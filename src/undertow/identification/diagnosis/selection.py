@@ -20,6 +20,7 @@ from undertow.identification.estimation.weak_form import WeakFit, free_parameter
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
 
+from .bench import Bench
 from .consistency import (
     SPRING,
     disagreement,
@@ -36,7 +37,6 @@ from .reference import captured
 from .rounds import Round, try_all
 from .search import Search
 from .settings import DEFAULT, Settings
-from .trial import Bench
 from .validation import SimulationValidator
 from .worth import Worth, best_in_resamples, compared, error_ahead, explained_motions, gained
 

@@ -27,6 +27,7 @@ from undertow.model.plausibility import check_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
 from .result import Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
@@ -34,7 +35,7 @@ from .rounds import other_values
 from .search import Search
 from .selection import Graded, Selection
 from .settings import DEFAULT, Settings
-from .trial import Bench, Score, comparable_mean_squares, screen
+from .trial import screen
 
 
 @dataclass(frozen=True)
