@@ -159,15 +159,18 @@ class ResultBuilder:
 
     @cached_property
     def _verdict(self) -> Judgement:
-        """The judgement, or that nothing is missing which these logs could show."""
-        noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
-        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable, noisy):
-            return self.judgement
-        if any(r.depends_on or r.spectrum or r.between_runs for r in self._left):
+        """The judgement; of `unexplained`, whether sensors contradict each other, or all is a disturbance."""
+        if self.judgement.verdict != "unexplained":
             return self.judgement
         compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
         contradiction = error_of_sensors(self.found.rounds[0].findings, compared, self.settings)
-        return contradiction or only_disturbance(self._predictable, self.judgement.share)
+        if contradiction:
+            return contradiction
+        noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
+        depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
+        if depends or not is_disturbance(self._predictable, noisy):
+            return self.judgement
+        return only_disturbance(self._predictable, self.judgement.share)
 
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""

@@ -164,13 +164,12 @@ def error_of_sensors(
     if most is None or most.explained < settings.sensor_share:
         return None
     takes = f"{most.id} removes {most.explained:.0%} of the excess over noise"
-    lowers = "but lowers the error of no predicted velocity or position by enough to matter"
     text = (
-        f"Unexplained: the sensors contradict each other. {takes}, where no disturbance acts, {lowers}: see "
-        "what undertow doctor says about the logs."
+        f"Unexplained: the sensors contradict each other. {takes}, where no disturbance acts, but is not "
+        "established as the cause: see what undertow doctor says about the logs."
         if compared
-        else f"Unexplained: {takes}, {lowers}. Pose and velocity were not both measured: an error of the "
-        "sensor and a missing force look alike."
+        else f"Unexplained: {takes}, but is not established as the cause. Pose and velocity were not both "
+        "measured: an error of the sensor and a missing force look alike."
     )
     return Judgement("unexplained", text, [], [], most.explained)
 
