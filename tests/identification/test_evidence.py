@@ -31,6 +31,7 @@ from undertow.identification.diagnosis.splitting import repeats
 from undertow.identification.diagnosis.trial import best_start, try_candidate
 from undertow.identification.diagnosis.validation import worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
+from undertow.identification.estimation.covariance import clustered, summed_scores
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak, mean_square
@@ -114,16 +115,31 @@ def _wandering(data: WeakData, memory: float, rng: np.random.Generator, columns:
 
 def test_blocks_are_as_long_as_what_they_hold_needs_to_forget_itself() -> None:
     data, rng = _minutes_of_a_usv()[0], np.random.default_rng(6)
-    quick, slow = (data.summed(_wandering(data, s, rng, 200)).T for s in (0.01, 4.0))
-    assert all(data.forgetful(series) == data.block_seconds for series in quick)
-    size, step = quick.shape[1], data.seconds / quick.shape[1]
-    equations = len(data.rows)
-    assert np.mean([*map(data.variance_of_sum, quick)]) == pytest.approx(equations * size, rel=0.05)
-    # The sum of a series with a time constant of T has 2 T / step times the variance of white noise.
-    assert np.mean([*map(data.variance_of_sum, slow)]) > 0.7 * 8.0 / step * equations * size
-    block = data.block[::equations]
-    short = [np.sum(np.bincount(block, weights=series) ** 2) for series in slow]
-    assert np.mean(short) < 0.6 * 8.0 / step * equations * size
+    rows = len(data.rows)
+    for memory, longest in ((0.01, 5.0), (4.0, 20.0)):
+        series = _wandering(data, memory, rng, 100).reshape(-1, rows, 100).sum(axis=1)
+        lengths = [data.forgetful(s) for s in series.T]
+        assert np.median(lengths) <= longest
+        assert np.median(lengths) > 0.5 * longest
+
+
+def test_standard_errors_know_of_a_slow_disturbance() -> None:
+    """Of the mean of a series with a time constant, from groups of 5 s that do not forget each other."""
+    data, rng = _minutes_of_a_usv()[0], np.random.default_rng(8)
+    block, rows = data.block, len(data.time)
+    information = np.array([[float(rows)]])
+
+    def variance(memory: float) -> float:
+        draws = _wandering(data, memory, rng, 100).T
+        found = [clustered(information, summed_scores(r, np.ones((rows, 1)), block)) for r in draws]
+        return rows * float(np.mean(found))
+
+    step = data.seconds * len(data.rows) / rows
+    assert variance(0.01) == pytest.approx(1.0, abs=0.35)
+    # White noise has a variance of 1, one that forgets with T of 2 T over the step.
+    assert variance(6.0) == pytest.approx(2 * 6.0 / step, rel=0.35)
+    blocks = [np.bincount(block, weights=r) for r in _wandering(data, 6.0, rng, 100).T]
+    assert np.mean([np.sum(b**2) for b in blocks]) / rows < 0.55 * 2 * 6.0 / step
 
 
 def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
@@ -144,7 +160,8 @@ def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
         best = int(np.argmax(falls))
         x, y = own[0][:, best], r[0][:, 0]
         size = x @ y / (x @ x)
-        times = round(train.forgetful(train.summed((y - size * x) * size * x)) / train.block_seconds)
+        score = ((y - size * x) * size * x).reshape(-1, len(train.rows)).sum(axis=1)
+        times = round(train.forgetful(score) / train.block_seconds)
         return Chance(found, bench).p_value(falls[best], max(1, times) if longer else 1)
 
     often = [np.mean([chance(longer) < 0.05 for _ in range(100)]) for longer in (False, True)]

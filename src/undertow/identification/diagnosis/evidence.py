@@ -13,9 +13,10 @@ from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
 from undertow.identification.estimation.by_run import plain
+from undertow.identification.estimation.covariance import inverse_of
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import Linearised
-from undertow.identification.estimation.step import inverse_of, prior_of
+from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.effect import Measurement
 from undertow.model.vehicle import Vehicle
@@ -317,7 +318,7 @@ def _groups(data: WeakData, times: int) -> NDArray[np.intp]:
 def times_longer(trial: Trial, bench: Bench) -> int:
     """How many times as long as usual blocks have to be, for the score of an effect to forget itself."""
     data, r = bench.train, bench.on_train(trial.fit).r
-    score = data.summed(r * (bench.base.at.r - r))
+    score = (r * (bench.base.at.r - r)).reshape(-1, len(data.rows)).sum(axis=1)
     return max(1, round(data.forgetful(score) / data.block_seconds))
 
 

@@ -10,14 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from undertow.identification.estimation.by_run import origins
+from undertow.identification.estimation.covariance import inverse_of
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
-from undertow.identification.estimation.step import (
-    PRIOR_WIDTH,
-    inverse_of,
-    normal_equations,
-    prior_cost,
-    prior_of,
-)
+from undertow.identification.estimation.step import PRIOR_WIDTH, normal_equations, prior_cost, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress

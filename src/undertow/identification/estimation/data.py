@@ -19,6 +19,8 @@ from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
+from .covariance import SETTINGS as CLUSTERS
+from .covariance import memory
 from .inputs import held_commands
 from .test_functions import (
     Entries,
@@ -81,10 +83,6 @@ class BlockSettings:
     blocks: int = 24
     longest: float = 5.0  # s
     shortest: float = 1.0  # s
-    # What is left with a longer memory gets longer blocks, but at least so many of them.
-    forgotten: float = 0.3  # autocorrelation below which a series has forgotten its past
-    memories: float = 3.0  # length of a block in units of that time
-    fewest: int = 6
     # Bytes that the noise of as many windows as are computed at a time may take.
     bytes: int = 32_000_000
 
@@ -470,23 +468,13 @@ class WeakData:
         within = ((self.time - start) // seconds).astype(np.intp)
         return numbered(self.run_of, within)
 
-    def summed(self, rows: Array) -> Array:
-        """Rows of the residual, (m,) or (m, k), summed over the equations of each test function."""
-        return np.asarray(rows.reshape(-1, len(self.rows), *rows.shape[1:]).sum(axis=1))
-
-    def variance_of_sum(self, series: Array) -> float:
-        """Variance of the sum of a series (K,) by test function, from blocks that forget each other."""
-        block = self.blocks_of(self.forgetful(series))[:: len(self.rows)]
-        return float(np.sum(np.bincount(block, weights=series) ** 2))
-
     def forgetful(self, series: Array) -> float:
         """Length of blocks, s, of which a series (K,) by test function forgets one in the next, if there are
         enough of them.
         """
-        covariance = np.correlate(series, series, "full")[len(series) - 1 :]
-        lag = int(np.argmax(covariance < BLOCKS.forgotten * covariance[0])) or len(series)
         step = float(np.median(np.diff(self.time[:: len(self.rows)])))
-        return min(max(self.block_seconds, BLOCKS.memories * lag * step), self.seconds / BLOCKS.fewest)
+        seconds = CLUSTERS.memories * memory(series) * step
+        return min(max(self.block_seconds, seconds), self.seconds / CLUSTERS.fewest)
 
 
 def numbered(*columns: Index) -> Index:

@@ -16,6 +16,7 @@ from undertow.typing import Array, Index
 from .between_runs import SETTINGS as BETWEEN_RUNS
 from .between_runs import least_differing, may_differ, stated_by_run
 from .by_run import origins, with_values_by_run
+from .covariance import clustered, summed_scores
 from .data import Segment, WeakData, Whitening, prepare
 from .fitted import Fitted
 from .predictor import Predictor
@@ -23,8 +24,6 @@ from .residual import Linearised, WeakModel, whitened
 from .step import (
     Constraints,
     SearchSpace,
-    inflated,
-    inverse_of,
     require_equations,
     squared,
 )
@@ -133,12 +132,9 @@ class WeakFit(Fitted):
         """Covariance of the free parameters: never less than noise alone gives, and robust to
         autocorrelation.
 
-        A sandwich estimator with clusters: blocks of time as long as what each parameter learns in them needs
-        to forget itself.
+        Blocks of a few seconds are the groups of `clustered`.
         """
-        inverse = inverse_of(self.information)
-        influence = self.data.summed(self.at.J * self.at.r[:, None]) @ inverse
-        return inflated(inverse, np.array([self.data.variance_of_sum(part) for part in influence.T]))
+        return clustered(self.information, summed_scores(self.at.r, self.at.J, self.data.block))
 
     @property
     def cost(self) -> float:
