@@ -301,18 +301,19 @@ class ResultBuilder:
         )
 
     def _in_order(self) -> list[FoundEffect]:
-        """The candidates as they look beside the model as it is, led by the one that was chosen in the end.
+        """The effects that were chosen as they were found, and the others beside the model as it is.
 
         Where simulation decided, those that it saw are in the order of what they do to long predictions.
         """
-        leader = next(iter(unique_ids([*self.judgement.effects, *self.judgement.helps])), None)
+        chosen: dict[str, FoundEffect] = {}
+        for found in [*self.judgement.effects, *self.judgement.helps]:
+            chosen.setdefault(found.id, found)
         worth = {} if self._selection is None else self._selection.worth
         falls = {i: w.falls[max(w.falls)] for i, w in worth.items()}
+        others = (f for f in self.found.rounds[0].findings if f.id not in chosen)
         unseen = -math.inf
-        return sorted(
-            self.found.rounds[0].findings,
-            key=lambda f: (f.id != leader, not self._shown(f), -falls.get(f.id, unseen)),
-        )
+        rest = sorted(others, key=lambda f: (not self._shown(f), -falls.get(f.id, unseen)))
+        return [*chosen.values(), *rest]
 
     def _ranked(self, finding: FoundEffect) -> Ranked:
         trial = finding.trial

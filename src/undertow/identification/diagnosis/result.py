@@ -315,7 +315,7 @@ class Diagnosis(ResultTable):
     # effects that lower the error of predictions without being established as the cause
     helps: list[str] = Field(default_factory=list)
     added: list[AddedEffect] = Field(default_factory=list)  # gain and doubts of each effect that was added
-    ranking: list[Ranked]  # all candidates
+    ranking: list[Ranked]  # all candidates: those that were chosen as they were found, then the others
     steps: list[Step]  # errors as effects are added
     indistinguishable: list[Indistinguishable]  # sets that these data cannot tell apart
     equivalent: list[Equivalent] = Field(default_factory=list)
