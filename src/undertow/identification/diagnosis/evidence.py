@@ -289,7 +289,7 @@ class Chance:
 
     A slow disturbance goes on from one block to the next: with blocks that do not forget each other it has
     fewer independent pieces than blocks, and chance does more than their signs would show. What has to be
-    forgotten is the product of what an effect changes and of what is left with it (its score).
+    forgotten is the product of what an effect changes and of what the best candidate leaves (its score).
     """
 
     candidates: Sequence[Linear]
@@ -315,10 +315,14 @@ def _groups(data: WeakData, times: int) -> NDArray[np.intp]:
     return data.blocks_of(times * data.block_seconds)[first]
 
 
-def times_longer(trial: Trial, bench: Bench) -> int:
-    """How many times as long as usual blocks have to be, for the score of an effect to forget itself."""
-    data, r = bench.train, bench.on_train(trial.fit).r
-    score = (r * (bench.base.at.r - r)).reshape(-1, len(data.rows)).sum(axis=1)
+def times_longer(trial: Trial, left: Array, bench: Bench) -> int:
+    """How many times as long as usual blocks have to be, for the score of an effect to forget itself.
+
+    left: (m,), residual on the data of the fit of the best candidate: no other one leaves less that is not
+        disturbance.
+    """
+    data, change = bench.train, bench.base.at.r - bench.on_train(trial.fit).r
+    score = (left * change).reshape(-1, len(data.rows)).sum(axis=1)
     return max(1, round(data.forgetful(score) / data.block_seconds))
 
 

@@ -90,7 +90,9 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     behind = [replace(t, score=bench.judge(t.fit)) for t in able[settings.finalists :]]
     tried = {t.id for t in able}
     others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
-    return _judged(bench, [*finalists, *behind], others, _Evidence(falls, chance))
+    fits = [*finalists, *behind]
+    left = bench.on_train(fits[0].fit).r if fits else bench.base.at.r
+    return _judged(bench, fits, others, _Evidence(falls, chance, left))
 
 
 def _fall(before: Score, after: Score) -> float:
@@ -216,10 +218,11 @@ def far_behind(
 
 
 class _Evidence(NamedTuple):
-    """Falls of the errors of candidates, and what chance does."""
+    """Falls of the errors of candidates, what chance does, and the residual of the best one, (m,)."""
 
     falls: dict[str, float]
     chance: Chance
+    left: Array
 
 
 def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Evidence) -> Round:
@@ -259,7 +262,7 @@ def _chance(trial: Trial, bench: Bench, evidence: _Evidence, count: int) -> floa
     """
     if trial.id not in evidence.falls:
         return 1.0
-    times, data = times_longer(trial, bench), bench.test
+    times, data = times_longer(trial, evidence.left, bench), bench.test
     block = data.blocks_of(times * data.block_seconds)
     by_rank = count * compare_scores(bench.base_score, trial.score, data, block).p_value
     return min(1.0, 2.0 * min(evidence.chance.p_value(evidence.falls[trial.id], times), by_rank))
