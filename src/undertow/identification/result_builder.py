@@ -330,8 +330,10 @@ class ResultBuilder:
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,
             # Where nothing is missing the simulation, which has the last word, needs none of them.
-            significant=self._shown(finding) and self.judgement.verdict != "adequate",
-            p_value=finding.p_value if helps else None,
+            significant=self._shown(finding)
+            and not finding.by_slow_disturbance(self.settings)
+            and self.judgement.verdict != "adequate",
+            p_value=max(finding.p_value, finding.slow_p_value) if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
             not_named=self._reason(finding.id),
             falls=self._falls(finding.id),

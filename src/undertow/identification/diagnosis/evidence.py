@@ -98,7 +98,8 @@ class FoundEffect:
     evidence: fall of the validation error, block by block.
     explained: share of the excess over noise that it takes away.
     p_value: chance that the best of all candidates lowers the error as much when nothing is missing.
-    significant: whether it is held to be there.
+    significant: whether it is held to be there, and competes with others.
+    slow_p_value: the chance where a slow disturbance acts, by blocks that forget each other.
     inclusion: how often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
     """
 
@@ -107,6 +108,7 @@ class FoundEffect:
     explained: float
     p_value: float
     significant: bool
+    slow_p_value: float = 0.0
     inclusion: float = float("nan")
 
     @property
@@ -119,6 +121,10 @@ class FoundEffect:
     def id(self) -> str:
         """Id of the effect."""
         return self.trial.id
+
+    def by_slow_disturbance(self, settings: Settings = DEFAULT) -> bool:
+        """Whether chance does as much where a slow disturbance acts: then the effect may be that."""
+        return self.slow_p_value >= settings.false_alarm_rate
 
     @property
     def of_sensors(self) -> bool:

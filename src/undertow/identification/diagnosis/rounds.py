@@ -66,7 +66,9 @@ class Round:
     def winner(self) -> FoundEffect | None:
         """The best candidate, if the evidence for it is strong enough."""
         best = self.findings[0] if self.findings else None
-        return best if best is not None and best.significant else None
+        if best is None or not best.significant or best.by_slow_disturbance(self.bench.settings):
+            return None
+        return best
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what grows without bound is refused by its cost
@@ -237,8 +239,8 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Ev
     rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench)]
     for f in findings[:5]:
         _log.info(
-            "%s: normalised error %.3f, p = %.2g, best in %.0f %% of resamples",
-            f.id, f.trial.score.error, f.p_value, 100 * f.inclusion,
+            "%s: normalised error %.3f, p = %.2g (slow disturbance: %.2g), best in %.0f %% of resamples",
+            f.id, f.trial.score.error, f.p_value, f.slow_p_value, 100 * f.inclusion,
         )  # fmt: skip
     return Round(bench, findings, rivals)
 
@@ -246,25 +248,27 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Ev
 def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, count: int) -> FoundEffect:
     settings = bench.settings
     compared = compare_scores(bench.base_score, trial.score, bench.test)
-    chance = _chance(trial, bench, evidence, count)
+    longer = times_longer(trial, evidence.left, bench)
+    chance, slow = (_chance(trial, bench, evidence, count, times) for times in (1, longer))
     strong = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
-    return FoundEffect(trial, compared, share, chance, strong and better, inclusion)
+    return FoundEffect(trial, compared, share, chance, strong and better, slow, inclusion)
 
 
-def _chance(trial: Trial, bench: Bench, evidence: _Evidence, count: int) -> float:
+def _chance(trial: Trial, bench: Bench, evidence: _Evidence, count: int, times: int) -> float:
     """Chance that the best of all candidates does as well as this one when nothing is missing.
 
     The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
     other is blind to, and each gets half of the false alarms.
+
+    times: length of the blocks, in units of the usual one.
     """
     if trial.id not in evidence.falls:
         return 1.0
-    times, data = times_longer(trial, evidence.left, bench), bench.test
-    block = data.blocks_of(times * data.block_seconds)
-    by_rank = count * compare_scores(bench.base_score, trial.score, data, block).p_value
+    block = bench.test.blocks_of(times * bench.test.block_seconds)
+    by_rank = count * compare_scores(bench.base_score, trial.score, bench.test, block).p_value
     return min(1.0, 2.0 * min(evidence.chance.p_value(evidence.falls[trial.id], times), by_rank))
 
 

@@ -159,7 +159,7 @@ def error_of_sensors(
     where it changes no predicted velocity. Where only one of them was measured they are not `compared`, and
     what a sensor would explain may as well be a force.
     """
-    own = (f for f in findings if f.significant and f.of_sensors)
+    own = (f for f in findings if f.significant and f.of_sensors and not f.by_slow_disturbance(settings))
     most = max(own, key=lambda f: f.explained, default=None)
     if most is None or most.explained < settings.sensor_share:
         return None
