@@ -509,7 +509,8 @@ class _Selector:
         if variables and forces:
             share = captured(bench.base, fit, bench.train, bench.test, variables)
             if share < self._settings.own_share:
-                return f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
+                on = ", ".join(variables)
+                return f"it explains only {share:.0%} of what depends on its own variables ({on})"
         # Last, for unlike the others it does not refute a rival of another effect.
         return by_slow_disturbance(finding, self._settings)
 
