@@ -240,12 +240,15 @@ class Linear:
     stiffness: Array
 
     def falls(self, train_signs: Array, test_signs: Array) -> Array:
-        """Fall of the validation mean square by the candidate when both models are refitted, (draws,)."""
+        """Fall of the validation mean square by the candidate when both models are refitted, (draws,).
+
+        As a share of what it was: what is left says how much chance can do.
+        """
         without = Linear(
             self.train.without(self.own), self.test.without(self.own), 0, self.stiffness[: -self.own or None]
         )
         before = without._squares(train_signs, test_signs)
-        return np.asarray((before - self._squares(train_signs, test_signs)) / self.test.rows)
+        return np.asarray(1.0 - self._squares(train_signs, test_signs) / np.maximum(before, 1e-300))
 
     def _squares(self, train_signs: Array, test_signs: Array) -> Array:
         delta = -self.train.slope(train_signs) @ _inverse(self.train.gram, self.stiffness)
@@ -276,7 +279,7 @@ def _inverse(gram: Array, stiffness: Array) -> Array:
 
 
 def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
-    """Largest fall of the validation error over all candidates in draws where nothing is missing, (draws,).
+    """Largest relative fall of the validation error by a candidate where nothing is missing, (draws,).
 
     The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
     of every block is drawn at random (wild bootstrap), which undoes whatever the blocks have in common.
@@ -329,7 +332,8 @@ def times_longer(trial: Trial, left: Array, bench: Bench) -> int:
     """
     data, change = bench.train, bench.base.at.r - bench.on_train(trial.fit).r
     score = (left * change).reshape(-1, len(data.rows)).sum(axis=1)
-    return max(1, round(data.forgetful(score) / data.block_seconds))
+    longest = data.seconds / bench.settings.slow_blocks
+    return max(1, round(min(data.forgetful(score), longest) / data.block_seconds))
 
 
 def p_value(fall: float, by_chance: Array) -> float:

@@ -98,7 +98,7 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
 
 
 def _fall(before: Score, after: Score) -> float:
-    return float(np.mean(before.r**2) - np.mean(after.r**2))
+    return 1.0 - float(np.mean(after.r**2) / max(float(np.mean(before.r**2)), 1e-300))
 
 
 class _Look(NamedTuple):
