@@ -142,31 +142,41 @@ def test_standard_errors_know_of_a_slow_disturbance() -> None:
     assert np.mean([np.sum(b**2) for b in blocks]) / rows < 0.55 * 2 * 6.0 / step
 
 
+def _chance_of_slow(rng: np.random.Generator, size: float, *, longer: bool) -> float:
+    """p-value of the best of five slow effects under a slow disturbance; one is there with this size."""
+    train, test = _minutes_of_a_usv()
+    bench = cast("Bench", SimpleNamespace(train=train, test=test, settings=Settings(null_draws=400)))
+    r, own = ([_wandering(d, 6.0, rng, k) for d in (train, test)] for k in (1, 5))
+    r = [left[:, 0] + size * columns[:, 0] for left, columns in zip(r, own, strict=True)]
+    found = []
+    for k in range(5):
+        tables = (
+            Blocks.of(own[i][:, [k]], np.zeros(len(d.time)), r[i], d.block)
+            for i, d in enumerate((train, test))
+        )
+        found.append(Linear(*tables, 1, np.zeros(1)))
+    falls = [_observed(c) for c in found]
+    best = int(np.argmax(falls))
+    x = own[0][:, best]
+    change = (x @ r[0]) / (x @ x) * x
+    score = ((r[0] - change) * change).reshape(-1, len(train.rows)).sum(axis=1)
+    times = round(train.forgetful(score) / train.block_seconds)
+    return Chance(found, bench).p_value(falls[best], max(1, times) if longer else 1)
+
+
 def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
     rng = np.random.default_rng(7)
-    train, test = _minutes_of_a_usv()
-    bench = cast("Bench", SimpleNamespace(train=train, test=test, settings=Settings(null_draws=200)))
-
-    def chance(longer: bool) -> float:
-        r, own = ([_wandering(d, 6.0, rng, k) for d in (train, test)] for k in (1, 5))
-        found = []
-        for k in range(5):
-            tables = (
-                Blocks.of(own[i][:, [k]], np.zeros(len(d.time)), r[i][:, 0], d.block)
-                for i, d in enumerate((train, test))
-            )
-            found.append(Linear(*tables, 1, np.zeros(1)))
-        falls = [_observed(c) for c in found]
-        best = int(np.argmax(falls))
-        x, y = own[0][:, best], r[0][:, 0]
-        size = x @ y / (x @ x)
-        score = ((y - size * x) * size * x).reshape(-1, len(train.rows)).sum(axis=1)
-        times = round(train.forgetful(score) / train.block_seconds)
-        return Chance(found, bench).p_value(falls[best], max(1, times) if longer else 1)
-
-    often = [np.mean([chance(longer) < 0.05 for _ in range(100)]) for longer in (False, True)]
+    often = [
+        np.mean([_chance_of_slow(rng, 0.0, longer=longer) < 0.05 for _ in range(100)])
+        for longer in (False, True)
+    ]
     assert often[0] > 0.2
     assert often[1] <= 0.12
+
+
+def test_a_slow_effect_that_is_there_shows_beside_a_slow_disturbance() -> None:
+    rng = np.random.default_rng(9)
+    assert np.mean([_chance_of_slow(rng, 2.0, longer=True) < 0.01 for _ in range(30)]) > 0.9
 
 
 def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:
