@@ -21,9 +21,7 @@ from undertow.identification.estimation.by_run import origins, plain, with_value
 from undertow.identification.estimation.data import WeakData, Whitening, numbered
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
-from undertow.identification.estimation.step import (
-    moved,
-)
+from undertow.identification.estimation.step import moved
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
