@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 from scipy.optimize import differential_evolution
@@ -32,9 +31,7 @@ class Attack:
     alive: float = 1e-3  # part of its first value above which V has to fall
     moved: float = 0.1  # part of its first value that a bound in time has to have moved by to count
     lag: float = 0.02  # part of the run after which V has to be lower
-    # s, of the simulations; what seems broken is attacked anew with a tenth of it, and what that finds is
-    # simulated with a hundredth: bounds are of a loop in continuous time, and a command is held for a step.
-    step: float = 0.02
+    step: float = 0.02  # s, of the simulations; what seems broken is attacked anew with a tenth of it
 
 
 class Target:
@@ -68,17 +65,11 @@ class Target:
             maxiter=self.how.generations - 1, polish=False, vectorized=True, updating="deferred",
         )  # fmt: skip
         worst = float(-found.fun)
-        if worst <= 1:
+        if worst <= 1 or self.how.step < Attack.step:
             return worst
-        if self.how.step == Attack.step:
-            return self._finer().worst(rng)
-        return float(self._finer().shares(found.x[None])[0])
-
-    def _finer(self) -> Self:
-        """The same target in steps of a tenth: an integral summed in steps is off by half of one, too."""
-        return type(self)(
-            self.gains, self.report, self.duration, self.settles, replace(self.how, step=self.how.step / 10)
-        )
+        # The law's integral, summed in steps, is off by up to half a step of the error: V has a floor then.
+        finer = replace(self.how, step=Attack.step / 10)
+        return type(self)(self.gains, self.report, self.duration, self.settles, finer).worst(rng)
 
     def shares(self, tries: Array) -> Array:
         """How far each try comes: its start's direction, heading and parameters are in (-1, 1)."""
