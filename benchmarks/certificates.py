@@ -450,6 +450,7 @@ for the parameters of the file ([how](gains.md#a-quadratic-v)).
 
 **Attack.** A differential evolution ({tries} simulations) looks for starts and headings that come closest to breaking
 a claim: an error, a speed or a command above its bound, V that rises, or a motion that does not come to rest.
+What seems broken is attacked anew with a law that is not sampled, for which the claims are made.
 
 | degrees of freedom | called stable | certified | share (95 % interval) | broken by attacks | closest to a bound | processor seconds, median | longest |
 |---|---|---|---|---|---|---|---|
@@ -476,11 +477,11 @@ def page_of(rows: list[Outcome], share: float) -> str:
     stable = [r for r in rows if r.called == "stable"]
     seeds = sorted({r.seed for r in stable})
     last = {size: max(r.case for r in stable if r.size == size) for size in sorted({r.size for r in stable})}
-    cases = ", ".join(f"{size}: {case}" for size, case in last.items())
+    cases = ", ".join(f"{case} with {size}" for size, case in last.items())
     refused = [r[2:5:2] for r in stable if r.said != "certified"]
     return PAGE.format(
         share=share,
-        sample=f"seed {', '.join(map(str, seeds))}, last case by degrees of freedom {cases}",
+        sample=f"seed {', '.join(map(str, seeds))}, the last stable loops are cases {cases} degrees of freedom",
         longest=LONGEST,
         headings=Attack().headings,
         tries=Attack().generations * Attack().many,

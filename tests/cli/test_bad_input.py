@@ -322,7 +322,7 @@ def test_of_more_samples_than_a_search_can_take_those_that_tell_most_are_used(
     assert main([*map(str, words), "--json", str(out)]) in (0, 1), capsys.readouterr().err  # 1: no help
     long = json.loads(out.read_text())["long_logs"]
     assert long["logs"][0]["samples"] == 10**6
-    assert 0 < long["held"] < 1
+    assert 0 < long["information_share"] < 1
     assert {s["role"] for s in long["chosen"]} == {"train", "holdout"}
     used = sum(s["samples"] for s in long["chosen"])
     assert used + long["rest"]["samples"] == pytest.approx(10**6 / long["every"], rel=0.01)

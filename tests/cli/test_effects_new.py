@@ -15,6 +15,7 @@ import sympy as sm
 from benchmarks.hidden_effects import make_case
 from benchmarks.hidden_effects.files import toml_text
 from undertow.cli.main import main
+from undertow.identification.diagnosis.bench import noise_ratio, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.residual import remaining
 from undertow.identification.diagnosis.result import (
@@ -25,7 +26,7 @@ from undertow.identification.diagnosis.result import (
     RunInfo,
     Spectrum,
 )
-from undertow.identification.diagnosis.trial import noise_ratio, open_bench, screen, try_candidate
+from undertow.identification.diagnosis.trial import screen, try_candidate
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
 from undertow.identification.report.scaffold import effect_file, suggested

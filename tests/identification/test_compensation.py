@@ -9,9 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
-from undertow.identification.diagnosis.trial import Bench, open_bench, screen, try_candidate
+from undertow.identification.diagnosis.trial import screen, try_candidate
 from undertow.identification.diagnosis.verdict import Relief, absorbing
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run

@@ -16,7 +16,7 @@ from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.errors import UndertowError
-from undertow.identification.diagnosis.trial import noise_ratio
+from undertow.identification.diagnosis.bench import noise_ratio
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import verdicts
 from undertow.identification.estimation.output_error import fit_output_error

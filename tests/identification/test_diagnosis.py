@@ -15,10 +15,11 @@ from benchmarks.hidden_effects import make_case, write_case
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import DiagnosisResult, diagnose
+from undertow.identification.diagnosis.bench import Score, open_bench
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import compare_scores, explained
 from undertow.identification.diagnosis.splitting import split_into_pieces
-from undertow.identification.diagnosis.trial import Score, open_bench, try_candidate
+from undertow.identification.diagnosis.trial import try_candidate
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import (
     Blocks,
+    Chance,
     Comparison,
     FoundEffect,
     Linear,
@@ -20,16 +26,13 @@ from undertow.identification.diagnosis.evidence import (
     null_distribution,
     p_value,
 )
+from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.splitting import repeats
-from undertow.identification.diagnosis.trial import (
-    best_start,
-    comparable_mean_squares,
-    open_bench,
-    try_candidate,
-)
+from undertow.identification.diagnosis.trial import best_start, try_candidate
 from undertow.identification.diagnosis.validation import worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
-from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.covariance import clustered, summed_scores
+from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -92,6 +95,88 @@ def test_the_effect_that_is_there_is_the_best_one_in_nearly_all_resamples() -> N
     share = inclusion(_candidates(np.random.default_rng(4), [0.3, 0.0]))
     assert share.sum() == pytest.approx(1.0)
     assert share[0] > 0.95
+
+
+@cache
+def _minutes_of_a_usv() -> tuple[WeakData, WeakData]:
+    case = make_case("usv", (), 21, duration=100.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    train = prepare(runs[:3], model)
+    return train, prepare(runs[3:], model, sigma=train.sigma)
+
+
+def _wandering(data: WeakData, memory: float, rng: np.random.Generator, columns: int) -> np.ndarray:
+    """Rows of unit variance in every equation, (m, columns), with a time constant of so many s."""
+    step = float(np.median(np.diff(data.time[:: len(data.rows)])))
+    keep = np.exp(-step / memory)
+    white = rng.standard_normal((len(data.time) // len(data.rows), len(data.rows), columns))
+    return lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], white, axis=0).reshape(-1, columns)
+
+
+def test_blocks_are_as_long_as_what_they_hold_needs_to_forget_itself() -> None:
+    data, rng = _minutes_of_a_usv()[0], np.random.default_rng(6)
+    rows = len(data.rows)
+    for memory, longest in ((0.01, 5.0), (4.0, 20.0)):
+        series = _wandering(data, memory, rng, 100).reshape(-1, rows, 100).sum(axis=1)
+        lengths = [data.forgetful(s) for s in series.T]
+        assert np.median(lengths) <= longest
+        assert np.median(lengths) > 0.5 * longest
+
+
+def test_standard_errors_know_of_a_slow_disturbance() -> None:
+    """Of the mean of a series with a time constant, from groups of 5 s that do not forget each other."""
+    data, rng = _minutes_of_a_usv()[0], np.random.default_rng(8)
+    block, rows = data.block, len(data.time)
+    information = np.array([[float(rows)]])
+
+    def variance(memory: float) -> float:
+        draws = _wandering(data, memory, rng, 100).T
+        found = [clustered(information, summed_scores(r, np.ones((rows, 1)), block)) for r in draws]
+        return rows * float(np.mean(found))
+
+    step = data.seconds * len(data.rows) / rows
+    assert variance(0.01) == pytest.approx(1.0, abs=0.35)
+    # White noise has a variance of 1, one that forgets with T of 2 T over the step.
+    assert variance(6.0) == pytest.approx(2 * 6.0 / step, rel=0.35)
+    blocks = [np.bincount(block, weights=r) for r in _wandering(data, 6.0, rng, 100).T]
+    assert np.mean([np.sum(b**2) for b in blocks]) / rows < 0.55 * 2 * 6.0 / step
+
+
+def _chance_of_slow(rng: np.random.Generator, size: float, *, longer: bool) -> float:
+    """p-value of the best of five slow effects under a slow disturbance; one is there with this size."""
+    train, test = _minutes_of_a_usv()
+    bench = cast("Bench", SimpleNamespace(train=train, test=test, settings=Settings(null_draws=400)))
+    r, own = ([_wandering(d, 6.0, rng, k) for d in (train, test)] for k in (1, 5))
+    r = [left[:, 0] + size * columns[:, 0] for left, columns in zip(r, own, strict=True)]
+    found = []
+    for k in range(5):
+        tables = (
+            Blocks.of(own[i][:, [k]], np.zeros(len(d.time)), r[i], d.block)
+            for i, d in enumerate((train, test))
+        )
+        found.append(Linear(*tables, 1, np.zeros(1)))
+    falls = [_observed(c) for c in found]
+    best = int(np.argmax(falls))
+    x = own[0][:, best]
+    change = (x @ r[0]) / (x @ x) * x
+    score = ((r[0] - change) * change).reshape(-1, len(train.rows)).sum(axis=1)
+    times = round(train.forgetful(score) / train.block_seconds)
+    return Chance(found, bench).p_value(falls[best], max(1, times) if longer else 1)
+
+
+def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
+    rng = np.random.default_rng(7)
+    often = [
+        np.mean([_chance_of_slow(rng, 0.0, longer=longer) < 0.05 for _ in range(100)])
+        for longer in (False, True)
+    ]
+    assert often[0] > 0.2
+    assert often[1] <= 0.12
+
+
+def test_a_slow_effect_that_is_there_shows_beside_a_slow_disturbance() -> None:
+    rng = np.random.default_rng(9)
+    assert np.mean([_chance_of_slow(rng, 2.0, longer=True) < 0.01 for _ in range(30)]) > 0.9
 
 
 def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:

@@ -15,9 +15,9 @@ from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import DiagnosisResult, diagnose
+from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.rounds import Round, other_values, try_all
 from undertow.identification.diagnosis.settings import Settings
-from undertow.identification.diagnosis.trial import Bench, open_bench
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.page import render_report
 from undertow.model.catalogue import catalogue

@@ -11,18 +11,11 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis.bench import Bench, noise_ratio, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import EffectSet
 from undertow.identification.diagnosis.search import last_fit
-from undertow.identification.diagnosis.trial import (
-    Bench,
-    Screened,
-    noise_ratio,
-    open_bench,
-    screen,
-    try_candidate,
-    without_redundant,
-)
+from undertow.identification.diagnosis.trial import Screened, screen, try_candidate, without_redundant
 from undertow.identification.diagnosis.validation import (
     Contender,
     SimulationValidator,

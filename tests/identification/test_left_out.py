@@ -12,8 +12,9 @@ import sympy as sm
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.quick import first_quick
+from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.trial import Trial, best_start, open_bench, screen, try_candidate
+from undertow.identification.diagnosis.trial import Trial, best_start, screen, try_candidate
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Effect, Wrench

@@ -10,7 +10,7 @@ import pytest
 
 from tests.identification.surge import surge_run, surge_vehicle
 from tests.quick import first_quick
-from undertow.identification.diagnosis.trial import is_noise
+from undertow.identification.diagnosis.bench import is_noise
 from undertow.identification.diagnosis.validation import SimulationValidator, means_over, simulates_to_noise
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.weak_form import fit_weak

@@ -78,6 +78,27 @@ def test_an_antenna_off_the_origin_is_named_where_slow_forces_act() -> None:
 
 
 @pytest.mark.slow
+def test_a_slow_disturbance_lends_no_effect_its_name() -> None:
+    """Forces of 20 to 200 s, ten times the noise, and a heading that reads 1.7 degrees too much.
+
+    Chance gives a coupling of damping as much in 3 of 100 such logs. That the heading is wrong is certain,
+    but it changes no predicted velocity.
+    """
+    case = make_case("catamaran", ("attitude_bias", "slow_force_10"), 24106210)
+    runs = runs_of(case)
+    found = diagnose(vehicle_of(case), runs[:-1], runs[-1:]).diagnosis
+    assert found.verdict == "unexplained"
+    assert "the sensors contradict each other. attitude_bias removes" in found.headline
+    by_effect = {r.effect: r for r in found.ranking}
+    assert not by_effect["quadratic_damping_coupling"].significant
+    bias = by_effect["attitude_bias"].parameters[0]
+    truth, error = case.truth["values"]["attitude_bias"]["b_psi"], bias.standard_error
+    assert error is not None
+    assert error < 0.1 * truth
+    assert bias.value == pytest.approx(truth, abs=3 * error)
+
+
+@pytest.mark.slow
 def test_what_stood_in_for_an_effect_found_later_is_dropped() -> None:
     """Lift gains something while the memory in surge is missing, and nothing beside it."""
     case = make_case("usv", ("radiation_memory", "thruster_asymmetry"), 19888640, noise=0.3)

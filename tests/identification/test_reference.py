@@ -59,7 +59,7 @@ def _by_motion(*effects: str, variables: tuple[str, ...] | None = None) -> dict[
 
 def test_noise_cannot_be_predicted() -> None:
     for found in _by_motion().values():
-        assert not found.something
+        assert not found.significant
         assert found.noise_share > 0.85
         assert found.variables == {}
 
@@ -70,14 +70,14 @@ def test_a_missing_lift_can_nearly_all_be_predicted_and_mostly_from_its_own_vari
     # The refit without it took up some of it with other values, of the gains of thrusters, too.
     assert own.share > 0.5
     assert set(own.variables) == {"u", "v", "r"}
-    assert not _by_motion("lift", variables=("psi",))["yaw"].something
+    assert not _by_motion("lift", variables=("psi",))["yaw"].significant
 
 
 @pytest.mark.parametrize("memory", [0.5, 5.0])
 def test_a_disturbance_is_none_of_the_signals(memory: float) -> None:
     fit, aside = _split(surge_vehicle(), [surge_run(seed, 0.05, memory) for seed in range(4)])
     (found,) = predictable(fit, fit.data, aside)
-    assert not found.something
+    assert not found.significant
     assert found.share < 0.02
     # Some of it is averaged away, some goes into the parameters.
     assert 0.02 < found.disturbance_rms < 0.06
@@ -107,8 +107,8 @@ def test_noise_is_no_disturbance_and_what_is_stated_is_shown() -> None:
 
 
 def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:
-    left = _predictability("surge", share=0.2, interval=(0.1, 0.31), something=True)
-    noise = _predictability("yaw", share=0.0, interval=(0.0, 0.2), something=False)
+    left = _predictability("surge", share=0.2, interval=(0.1, 0.31), significant=True)
+    noise = _predictability("yaw", share=0.0, interval=(0.0, 0.2), significant=False)
     assert in_words(0.44, [left, noise]) == (
         "the model leaves 44 %; of that at most 31 % in surge can be predicted from the logged signals; "
         "the rest is disturbance: 0.4 N rms in surge and 0.4 N rms in yaw"
@@ -124,12 +124,12 @@ def _predictability(motion: str, **found: object) -> Predictability:
         "noise_share": 0.64,
         "disturbance_rms": 0.4,
     }
-    given = {"degree_of_freedom": motion, "of_motion": 0.1, "variables": {}, **size, **found}
+    given = {"degree_of_freedom": motion, "relative_to_inertia": 0.1, "variables": {}, **size, **found}
     return Predictability.model_validate(given)
 
 
 @pytest.mark.parametrize(
-    ("high", "something", "noisy", "said"),
+    ("high", "significant", "noisy", "said"),
     [
         (0.10, False, (), True),
         (0.25, False, (), False),  # the logs are too short to say that nothing hides there
@@ -138,14 +138,14 @@ def _predictability(motion: str, **found: object) -> Predictability:
     ],
 )
 def test_nothing_hides_in_the_noise_of_the_sensors(
-    high: float, *, something: bool, noisy: tuple[str, ...], said: bool
+    high: float, *, significant: bool, noisy: tuple[str, ...], said: bool
 ) -> None:
     common = {"unit": "N m", "averaged_over": 1.0, "residual_rms": 1.0, "share": 0.0, "variables": {}}
-    rest = {"noise_share": 0.8, "disturbance_rms": 0.3, "of_motion": 0.01}
+    rest = {"noise_share": 0.8, "disturbance_rms": 0.3, "relative_to_inertia": 0.01}
     found = [
-        Predictability(degree_of_freedom="heave", interval=(0.0, 0.02), something=False, **common, **rest),
+        Predictability(degree_of_freedom="heave", interval=(0.0, 0.02), significant=False, **common, **rest),
         Predictability(
-            degree_of_freedom="pitch", interval=(0.0, high), something=something, **common, **rest
+            degree_of_freedom="pitch", interval=(0.0, high), significant=significant, **common, **rest
         ),
     ]
     assert is_disturbance(found, noisy) == said

@@ -9,13 +9,13 @@ import pytest
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.identification.diagnosis.bench import Bench, only_noise, open_bench
 from undertow.identification.diagnosis.evidence import (
     a_little_more_than_noise,
     explains_all,
     hidden_by_disturbance,
 )
 from undertow.identification.diagnosis.search import search
-from undertow.identification.diagnosis.trial import Bench, only_noise, open_bench
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak, mean_square

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import undertow as ut
 from benchmarks.real.cases import without
+from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.consistency import disagreement
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.trial import open_bench
 from undertow.identification.estimation.data import prepare
 from undertow.model.catalogue import catalogue
 

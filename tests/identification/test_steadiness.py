@@ -10,10 +10,10 @@ import pytest
 
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from tests.quick import first_quick
+from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.consistency import agreements, never_turned, no_step
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.settings import DEFAULT
-from undertow.identification.diagnosis.trial import open_bench
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue

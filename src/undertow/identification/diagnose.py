@@ -30,6 +30,7 @@ from undertow.notebook import html
 from undertow.typing import Progress
 
 from .compare.comparison import compare
+from .diagnosis.bench import noise_ratio
 from .diagnosis.result import (
     Diagnosis,
     Role,
@@ -38,7 +39,6 @@ from .diagnosis.result import (
 from .diagnosis.search import Search, search
 from .diagnosis.selection import Selection, select, selected
 from .diagnosis.settings import DEFAULT, Settings
-from .diagnosis.trial import noise_ratio
 from .diagnosis.validation import SimulationValidator
 from .report.data import ReportData
 from .report.sentences import summarised

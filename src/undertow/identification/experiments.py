@@ -20,8 +20,9 @@ from undertow.typing import Array
 from .api import Refit, history, roles
 from .diagnose import DiagnosisResult
 from .diagnosis.result import Role, RunInfo
+from .estimation.covariance import inverse_of
 from .estimation.fitted import SURE, Fitted
-from .estimation.step import estimated, follower_errors, followers, inverse_of
+from .estimation.step import estimated, follower_errors, followers
 
 # What of the motion of a rig the equations may feel: depth and attitude, and all velocities.
 _FELT = dict(zip(DOFS, zip((None, None, *POSE[2:]), VELOCITY, strict=True), strict=True))

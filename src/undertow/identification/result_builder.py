@@ -21,6 +21,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
+from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.candidates import possible
 from .diagnosis.consistency import knows_time, own_variables, states_time
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
@@ -41,7 +42,6 @@ from .diagnosis.result import (
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
 from .diagnosis.selection import Selection, size_beside
-from .diagnosis.trial import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,
@@ -159,15 +159,18 @@ class ResultBuilder:
 
     @cached_property
     def _verdict(self) -> Judgement:
-        """The judgement, or that nothing is missing which these logs could show."""
-        noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
-        if self.judgement.verdict != "unexplained" or not is_disturbance(self._predictable, noisy):
-            return self.judgement
-        if any(r.depends_on or r.spectrum or r.between_runs for r in self._left):
+        """The judgement; of `unexplained`, whether sensors contradict each other, or all is a disturbance."""
+        if self.judgement.verdict != "unexplained":
             return self.judgement
         compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
         contradiction = error_of_sensors(self.found.rounds[0].findings, compared, self.settings)
-        return contradiction or only_disturbance(self._predictable, self.judgement.share)
+        if contradiction:
+            return contradiction
+        noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
+        depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
+        if depends or not is_disturbance(self._predictable, noisy):
+            return self.judgement
+        return only_disturbance(self._predictable, self.judgement.share)
 
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""
@@ -298,18 +301,19 @@ class ResultBuilder:
         )
 
     def _in_order(self) -> list[FoundEffect]:
-        """The candidates as they look beside the model as it is, led by the one that was chosen in the end.
+        """The effects that were chosen as they were found, and the others beside the model as it is.
 
         Where simulation decided, those that it saw are in the order of what they do to long predictions.
         """
-        leader = next(iter(unique_ids([*self.judgement.effects, *self.judgement.helps])), None)
+        chosen: dict[str, FoundEffect] = {}
+        for found in [*self.judgement.effects, *self.judgement.helps]:
+            chosen.setdefault(found.id, found)
         worth = {} if self._selection is None else self._selection.worth
         falls = {i: w.falls[max(w.falls)] for i, w in worth.items()}
+        others = (f for f in self.found.rounds[0].findings if f.id not in chosen)
         unseen = -math.inf
-        return sorted(
-            self.found.rounds[0].findings,
-            key=lambda f: (f.id != leader, not self._shown(f), -falls.get(f.id, unseen)),
-        )
+        rest = sorted(others, key=lambda f: (not self._shown(f), -falls.get(f.id, unseen)))
+        return [*chosen.values(), *rest]
 
     def _ranked(self, finding: FoundEffect) -> Ranked:
         trial = finding.trial
@@ -326,8 +330,10 @@ class ResultBuilder:
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,
             # Where nothing is missing the simulation, which has the last word, needs none of them.
-            significant=self._shown(finding) and self.judgement.verdict != "adequate",
-            p_value=finding.p_value if helps else None,
+            significant=self._shown(finding)
+            and not finding.by_slow_disturbance(self.settings)
+            and self.judgement.verdict != "adequate",
+            p_value=max(finding.p_value, finding.slow_p_value) if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
             not_named=self._reason(finding.id),
             falls=self._falls(finding.id),

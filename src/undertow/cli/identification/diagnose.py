@@ -232,9 +232,11 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     )
     more = f"{rest} more effects were tried and do not help. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
+    later = len(diagnosis.effects) + len(diagnosis.helps) > 1
+    beside = " Each effect that was chosen is beside those chosen before it." if later else ""
     say(
         f"{more}Chance: the probability that the best of all candidates looks as good when nothing is "
-        f"missing.{partly}",
+        f"missing.{beside}{partly}",
         "dim",
     )
     fitted = [(r.effect, _values(r.parameters, 4 if i == 0 else 1)) for i, r in enumerate(helping)]

@@ -9,16 +9,11 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification.diagnosis.bench import Bench, error_of, open_bench
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.result import Step
-from undertow.identification.diagnosis.trial import (
-    Bench,
-    Trial,
-    error_of,
-    open_bench,
-    try_candidate,
-)
+from undertow.identification.diagnosis.trial import Trial, try_candidate
 from undertow.identification.estimation.by_run import origins, plain
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted

@@ -18,10 +18,10 @@ from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
+from .bench import Bench
 from .candidates import Candidate
 from .evidence import FoundEffect, fitted
 from .settings import DEFAULT, Settings
-from .trial import Bench
 
 
 # --- whether it says the same everywhere ----------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -13,16 +13,18 @@ from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
 from undertow.identification.estimation.by_run import plain
+from undertow.identification.estimation.covariance import inverse_of
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import Linearised
-from undertow.identification.estimation.step import inverse_of, prior_of
+from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.effect import Measurement
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from .bench import Bench, Score, comparable_mean_squares, is_noise, noise_ratio, rows_of
 from .settings import DEFAULT, Settings
-from .trial import Bench, Score, Trial, comparable_mean_squares, is_noise, noise_ratio, rows_of
+from .trial import Trial
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,15 @@ class Comparison:
         return among * self.p_value < settings.false_alarm_rate and self.mean > settings.least_fall
 
 
-def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
-    """Compare two models on the same data, both whitened by the same noise model."""
+def compare_scores(
+    worse: Score, better: Score, data: WeakData, block: NDArray[np.intp] | None = None
+) -> Comparison:
+    """Compare two models on the same data, both whitened by the same noise model.
+
+    block: number of the block of every row; by default those of the data.
+    """
     fall = worse.r**2 - better.r**2
-    block = data.block
+    block = data.block if block is None else block
     total, count = np.bincount(block, weights=fall), np.bincount(block)
     means = total / np.maximum(count, 1)
     return _summary(means)
@@ -91,7 +98,8 @@ class FoundEffect:
     evidence: fall of the validation error, block by block.
     explained: share of the excess over noise that it takes away.
     p_value: chance that the best of all candidates lowers the error as much when nothing is missing.
-    significant: whether it is held to be there.
+    significant: whether it is held to be there, and competes with others.
+    slow_p_value: the chance where a slow disturbance acts, by blocks that forget each other.
     inclusion: how often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
     """
 
@@ -100,6 +108,7 @@ class FoundEffect:
     explained: float
     p_value: float
     significant: bool
+    slow_p_value: float = 0.0
     inclusion: float = float("nan")
 
     @property
@@ -112,6 +121,10 @@ class FoundEffect:
     def id(self) -> str:
         """Id of the effect."""
         return self.trial.id
+
+    def by_slow_disturbance(self, settings: Settings = DEFAULT) -> bool:
+        """Whether chance does as much where a slow disturbance acts: then the effect may be that."""
+        return self.slow_p_value >= settings.false_alarm_rate
 
     @property
     def of_sensors(self) -> bool:
@@ -178,6 +191,12 @@ class Blocks:
         """Number of blocks."""
         return len(self.table)
 
+    def joined(self, group: NDArray[np.intp]) -> Blocks:
+        """With the blocks of a group as one; `group` (B,) is the number of that of each block."""
+        table = np.zeros((int(group.max()) + 1, *self.table.shape[1:]))
+        np.add.at(table, group, self.table)
+        return Blocks(table, self.rows)
+
     @cached_property
     def gram(self) -> Array:
         """J' J over all blocks, shape (k, k)."""
@@ -221,12 +240,15 @@ class Linear:
     stiffness: Array
 
     def falls(self, train_signs: Array, test_signs: Array) -> Array:
-        """Fall of the validation mean square by the candidate when both models are refitted, (draws,)."""
+        """Fall of the validation mean square by the candidate when both models are refitted, (draws,).
+
+        As a share of what it was: what is left says how much chance can do.
+        """
         without = Linear(
             self.train.without(self.own), self.test.without(self.own), 0, self.stiffness[: -self.own or None]
         )
         before = without._squares(train_signs, test_signs)
-        return np.asarray((before - self._squares(train_signs, test_signs)) / self.test.rows)
+        return np.asarray(1.0 - self._squares(train_signs, test_signs) / np.maximum(before, 1e-300))
 
     def _squares(self, train_signs: Array, test_signs: Array) -> Array:
         delta = -self.train.slope(train_signs) @ _inverse(self.train.gram, self.stiffness)
@@ -257,7 +279,7 @@ def _inverse(gram: Array, stiffness: Array) -> Array:
 
 
 def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
-    """Largest fall of the validation error over all candidates in draws where nothing is missing, (draws,).
+    """Largest relative fall of the validation error by a candidate where nothing is missing, (draws,).
 
     The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
     of every block is drawn at random (wild bootstrap), which undoes whatever the blocks have in common.
@@ -268,6 +290,50 @@ def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT
     first = candidates[0]
     train, test = (rng.choice([-1.0, 1.0], (settings.null_draws, b.count)) for b in (first.train, first.test))
     return np.asarray(np.max([c.falls(train, test) for c in candidates], axis=0))
+
+
+@dataclass(frozen=True)
+class Chance:
+    """What chance does for the best of all candidates, with blocks as long as each of them needs.
+
+    A slow disturbance goes on from one block to the next: with blocks that do not forget each other it has
+    fewer independent pieces than blocks, and chance does more than their signs would show. What has to be
+    forgotten is the product of what an effect changes and of what the best candidate leaves (its score).
+    """
+
+    candidates: Sequence[Linear]
+    bench: Bench
+    _known: dict[int, Array] = field(default_factory=dict)
+
+    def p_value(self, fall: float, times: int) -> float:
+        """Chance that the best lowers the error by as much, with blocks so many times as long as usual."""
+        if times not in self._known:
+            self._known[times] = null_distribution(self._joined(times), self.bench.settings)
+        return p_value(fall, self._known[times])
+
+    def _joined(self, times: int) -> Sequence[Linear]:
+        if times == 1:
+            return self.candidates
+        train, test = (_groups(data, times) for data in (self.bench.train, self.bench.test))
+        return [replace(c, train=c.train.joined(train), test=c.test.joined(test)) for c in self.candidates]
+
+
+def _groups(data: WeakData, times: int) -> NDArray[np.intp]:
+    """Number of the longer block that each block of the data is in, (B,)."""
+    first = np.unique(data.block, return_index=True)[1]
+    return data.blocks_of(times * data.block_seconds)[first]
+
+
+def times_longer(trial: Trial, left: Array, bench: Bench) -> int:
+    """How many times as long as usual blocks have to be, for the score of an effect to forget itself.
+
+    left: (m,), residual on the data of the fit of the best candidate: no other one leaves less that is not
+        disturbance.
+    """
+    data, change = bench.train, bench.base.at.r - bench.on_train(trial.fit).r
+    score = (left * change).reshape(-1, len(data.rows)).sum(axis=1)
+    longest = data.seconds / bench.settings.slow_blocks
+    return max(1, round(min(data.forgetful(score), longest) / data.block_seconds))
 
 
 def p_value(fall: float, by_chance: Array) -> float:

@@ -120,7 +120,7 @@ def _seen(lags: int, time: float) -> Array:
 
 def in_words(left: float, found: Sequence[Predictability]) -> str:
     """How much of what a model leaves can be predicted, as a sentence; `left` is its share of the motion."""
-    shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.something]
+    shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.significant]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]

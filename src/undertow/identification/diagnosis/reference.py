@@ -31,7 +31,7 @@ from undertow.typing import Array, Flags, Index
 from .associations import WAVE, Along, Clock, Column, command_of, plain_of, terms_of
 from .force_rows import ForceRow, ForceRows, sliding, tested
 from .parallel import one_thread
-from .residual import forgetful, measured_pose
+from .residual import measured_pose
 from .result import Predictability
 
 
@@ -124,7 +124,7 @@ def is_disturbance(found: Sequence[Predictability], noisy: Container[str]) -> bo
     noisy: degrees of freedom in which the noise of the sensors explains all: nothing can hide there.
     """
     hidden = (p for p in found if p.interval[1] > SETTINGS.most_hidden)
-    return not any(p.something for p in found) and all(p.degree_of_freedom in noisy for p in hidden)
+    return not any(p.significant for p in found) and all(p.degree_of_freedom in noisy for p in hidden)
 
 
 def captured(
@@ -358,7 +358,7 @@ class _Force:
         judged, (share, interval, left) = self.judged, self.share(change)
         square = max(judged.square, 1e-300)
         vehicle = self._logs[0].vehicle
-        something = interval[0] > 0.0 and share > SETTINGS.least_share
+        significant = interval[0] > 0.0 and share > SETTINGS.least_share
         return Predictability(
             degree_of_freedom=vehicle.degrees_of_freedom[self._dof],
             unit=FORCE_UNITS[vehicle.dof_indices[self._dof]],
@@ -366,17 +366,17 @@ class _Force:
             residual_rms=float(np.sqrt(judged.square)),
             share=share,
             interval=interval,
-            something=something,
+            significant=significant,
             noise_share=min(judged.noise / square, 1.0),
             disturbance_rms=float(np.sqrt(max(left - judged.noise, 0.0))),
-            of_motion=square / max(float(np.mean(judged.inertia**2)), 1e-300),
-            variables=self._needed() if something else {},
+            relative_to_inertia=square / max(float(np.mean(judged.inertia**2)), 1e-300),
+            variables=self._needed() if significant else {},
         )
 
     def _share(self, before: Array, after: Array) -> _Share:
         """Share of the mean square that is predicted, with its interval from independent blocks."""
         judged, log = self.judged, self._logs[1]
-        block = log.clock.blocks(forgetful(judged.force, log.rows.data))[judged.row]
+        block = log.clock.blocks(log.rows.data.forgetful(judged.force))[judged.row]
         number = np.unique(block, return_inverse=True)[1]
         whole, fall = (np.bincount(number, a) for a in (judged.force**2, before**2 - after**2))
         total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)

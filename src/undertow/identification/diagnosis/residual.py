@@ -55,9 +55,6 @@ class DescriptionSettings:
     shown_alike: int = 2  # terms that are named beside one that they resemble
     loud: float = 1.3  # mean square, in units of the noise, above which something is left
     spreads: float = 5.0  # the same for short logs, in standard deviations of that of noise
-    fewest_blocks: int = 6  # least number of blocks that logs are cut into
-    forgotten: float = 0.3  # autocorrelation below which a residual has forgotten its past
-    memories: float = 3.0  # length of a block in units of that time
 
 
 SETTINGS = DescriptionSettings()
@@ -328,14 +325,6 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def forgetful(r: Array, data: WeakData) -> float:
-    """Length of blocks of data, s, that forget each other where r (K,) is left, but enough of them."""
-    covariance = np.correlate(r, r, "full")[len(r) - 1 :]
-    memory = Clock.of(data).step * int(np.argmax(covariance < SETTINGS.forgotten * covariance[0]))
-    total = sum(float(s.t[-1] - s.t[0]) for s in data.segments)
-    return min(max(data.block_seconds, SETTINGS.memories * memory), total / SETTINGS.fewest_blocks)
-
-
 def _statable(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:
     """Terms without logged inputs: those are for the effects that declare them, no other can state them."""
     for term in terms:
@@ -385,7 +374,7 @@ class Characteriser:
             self.rows[dof].whitened(level, second),
             self.rows[dof].whitened(0.0, second),
         ]
-        seconds = forgetful(tables[0].r, self._validation.data)
+        seconds = self._validation.data.forgetful(tables[0].r)
         blocks = [c.blocks(seconds) for c in (*self._clocks, self._clocks[1])]
         samples = [Sample(t.r, t.J[:, :own], t.J[:, own:], b) for t, b in zip(tables, blocks, strict=True)]
         return Association(self._terms, Samples(*samples), self._stiffness(dof))

@@ -228,10 +228,10 @@ class Predictability(ResultTable):
     residual_rms: float  # rms of the averaged force, N or N m
     share: float  # predicted share, beyond what other values of the model's parameters would predict
     interval: tuple[float, float]  # 95 % interval of `share`, from blocks of the validation data
-    something: bool  # whether `share` is significant and large enough to report
+    significant: bool  # whether `share` is significant and large enough to report
     noise_share: float  # share of sensor noise
     disturbance_rms: float  # rms of what nothing explains
-    of_motion: float  # mean square of the residual over that of inertia times acceleration
+    relative_to_inertia: float  # mean square of the residual over that of inertia times acceleration
     # Signals that the prediction needs, largest first: the part of the residual that is lost without each of
     # them.
     variables: dict[str, float]
@@ -315,7 +315,7 @@ class Diagnosis(ResultTable):
     # effects that lower the error of predictions without being established as the cause
     helps: list[str] = Field(default_factory=list)
     added: list[AddedEffect] = Field(default_factory=list)  # gain and doubts of each effect that was added
-    ranking: list[Ranked]  # all candidates
+    ranking: list[Ranked]  # all candidates: those that were chosen as they were found, then the others
     steps: list[Step]  # errors as effects are added
     indistinguishable: list[Indistinguishable]  # sets that these data cannot tell apart
     equivalent: list[Equivalent] = Field(default_factory=list)

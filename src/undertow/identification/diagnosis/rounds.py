@@ -10,20 +10,17 @@ from typing import NamedTuple
 import numpy as np
 
 from undertow.identification.estimation.by_run import origins
+from undertow.identification.estimation.covariance import inverse_of
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
-from undertow.identification.estimation.step import (
-    PRIOR_WIDTH,
-    inverse_of,
-    normal_equations,
-    prior_cost,
-    prior_of,
-)
+from undertow.identification.estimation.step import PRIOR_WIDTH, normal_equations, prior_cost, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
 
+from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate, possible
 from .evidence import (
+    Chance,
     FoundEffect,
     IsNoise,
     Linear,
@@ -32,19 +29,15 @@ from .evidence import (
     explained,
     inclusion,
     linear,
-    null_distribution,
-    p_value,
+    times_longer,
 )
 from .parallel import mapped
 from .settings import DEFAULT, Settings
 from .trial import (
-    Bench,
     PackedTrial,
-    Score,
     Screened,
     Trial,
     best_start,
-    comparable_mean_squares,
     packed,
     rejected,
     screen,
@@ -73,7 +66,9 @@ class Round:
     def winner(self) -> FoundEffect | None:
         """The best candidate, if the evidence for it is strong enough."""
         best = self.findings[0] if self.findings else None
-        return best if best is not None and best.significant else None
+        if best is None or not best.significant or best.by_slow_disturbance(self.bench.settings):
+            return None
+        return best
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what grows without bound is refused by its cost
@@ -87,21 +82,23 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     ]
     screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
-    by_chance = null_distribution([s.linear for s in screened], settings)
+    chance = Chance([s.linear for s in screened], bench)
     worth = _worth_a_fit(screened, bench)
     trials = _tried(worth, bench, report)
-    chances = {c.id: p_value(_fall(bench.base_score, t.score), by_chance) for c, t in trials}
+    falls = {c.id: _fall(bench.base_score, t.score) for c, t in trials}
     able = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.removable]
     able.sort(key=lambda trial: trial.score.error)
     bench, finalists = _final(bench, able[: settings.finalists], report)
     behind = [replace(t, score=bench.judge(t.fit)) for t in able[settings.finalists :]]
     tried = {t.id for t in able}
     others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
-    return _judged(bench, [*finalists, *behind], others, chances)
+    fits = [*finalists, *behind]
+    left = bench.on_train(fits[0].fit).r if fits else bench.base.at.r
+    return _judged(bench, fits, others, _Evidence(falls, chance, left))
 
 
 def _fall(before: Score, after: Score) -> float:
-    return float(np.mean(before.r**2) - np.mean(after.r**2))
+    return 1.0 - float(np.mean(after.r**2) / max(float(np.mean(before.r**2)), 1e-300))
 
 
 class _Look(NamedTuple):
@@ -222,11 +219,19 @@ def far_behind(
     return left > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
-def _judged(bench: Bench, tried: list[Trial], others: list[Trial], chances: dict[str, float]) -> Round:
+class _Evidence(NamedTuple):
+    """Falls of the errors of candidates, what chance does, and the residual of the best one, (m,)."""
+
+    falls: dict[str, float]
+    chance: Chance
+    left: Array
+
+
+def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Evidence) -> Round:
     linears = [linear(t.fit, bench) for t in tried]
     often = [*inclusion(linears, bench.settings).tolist(), *[float("nan")] * len(others)]
     findings = [
-        _finding(t, bench, chances.get(t.id, 1.0), share, len(often))
+        _finding(t, bench, evidence, share, len(often))
         for t, share in zip([*tried, *others], often, strict=True)
     ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
@@ -234,23 +239,37 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], chances: dict
     rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench)]
     for f in findings[:5]:
         _log.info(
-            "%s: normalised error %.3f, p = %.2g, best in %.0f %% of resamples",
-            f.id, f.trial.score.error, f.p_value, 100 * f.inclusion,
+            "%s: normalised error %.3f, p = %.2g (slow disturbance: %.2g), best in %.0f %% of resamples",
+            f.id, f.trial.score.error, f.p_value, f.slow_p_value, 100 * f.inclusion,
         )  # fmt: skip
     return Round(bench, findings, rivals)
 
 
-def _finding(trial: Trial, bench: Bench, p: float, inclusion: float, count: int) -> FoundEffect:
-    evidence = compare_scores(bench.base_score, trial.score, bench.test)
-    # The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
-    # other is blind to, and each gets half of the false alarms.
-    chance = min(1.0, 2.0 * min(p, count * evidence.p_value))
+def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, count: int) -> FoundEffect:
     settings = bench.settings
-    strong = chance < settings.false_alarm_rate and evidence.mean > settings.least_fall
+    compared = compare_scores(bench.base_score, trial.score, bench.test)
+    longer = times_longer(trial, evidence.left, bench)
+    chance, slow = (_chance(trial, bench, evidence, count, times) for times in (1, longer))
+    strong = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
-    return FoundEffect(trial, evidence, share, chance, strong and better, inclusion)
+    return FoundEffect(trial, compared, share, chance, strong and better, slow, inclusion)
+
+
+def _chance(trial: Trial, bench: Bench, evidence: _Evidence, count: int, times: int) -> float:
+    """Chance that the best of all candidates does as well as this one when nothing is missing.
+
+    The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
+    other is blind to, and each gets half of the false alarms.
+
+    times: length of the blocks, in units of the usual one.
+    """
+    if trial.id not in evidence.falls:
+        return 1.0
+    block = bench.test.blocks_of(times * bench.test.block_seconds)
+    by_rank = count * compare_scores(bench.base_score, trial.score, bench.test, block).p_value
+    return min(1.0, 2.0 * min(evidence.chance.p_value(evidence.falls[trial.id], times), by_rank))
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ from itertools import combinations
 import numpy as np
 
 from undertow.identification.estimation.by_run import plain
+from undertow.identification.estimation.covariance import inverse_of
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.residual import whitened
-from undertow.identification.estimation.step import freed, inverse_of
+from undertow.identification.estimation.step import freed
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
@@ -24,6 +25,7 @@ from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
+from .bench import Bench, noise_ratio, only_noise, open_bench
 from .candidates import Candidate
 from .consistency import is_spring
 from .evidence import (
@@ -42,7 +44,7 @@ from .evidence import (
 )
 from .rounds import Round, try_all, values_to_free
 from .settings import DEFAULT, Settings
-from .trial import Bench, noise_ratio, only_noise, open_bench, parameters_that_matter
+from .trial import parameters_that_matter
 
 
 def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:

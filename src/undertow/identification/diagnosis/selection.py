@@ -20,6 +20,7 @@ from undertow.identification.estimation.weak_form import WeakFit, free_parameter
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
 
+from .bench import Bench
 from .consistency import (
     SPRING,
     disagreement,
@@ -36,7 +37,6 @@ from .reference import captured
 from .rounds import Round, try_all
 from .search import Search
 from .settings import DEFAULT, Settings
-from .trial import Bench
 from .validation import SimulationValidator
 from .worth import Worth, best_in_resamples, compared, error_ahead, explained_motions, gained
 
@@ -104,7 +104,14 @@ def _stands(finding: FoundEffect, doubt: str, bench: Bench) -> bool:
 
     A current on one heading is not refuted: these logs do not show what would be special about it.
     """
-    return not doubt or doubt == never_turned(finding, bench)
+    return not doubt or doubt in (never_turned(finding, bench), by_slow_disturbance(finding, bench.settings))
+
+
+def by_slow_disturbance(finding: FoundEffect, settings: Settings = DEFAULT) -> str:
+    """That an effect may be a slow disturbance, in words; empty where it is none."""
+    if not finding.by_slow_disturbance(settings):
+        return ""
+    return f"a slow disturbance would look like it by chance in {finding.slow_p_value:.1%} of such logs"
 
 
 def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
@@ -499,14 +506,13 @@ class _Selector:
         fit = finding.trial.fit
         vehicles = (m.model.functions.vehicle for m in (bench.base, fit))
         variables = own_variables(finding.trial.candidate, *vehicles)
-        if not variables or not forces:
-            return ""
-        share = captured(bench.base, fit, bench.train, bench.test, variables)
-        if share < self._settings.own_share:
-            return (
-                f"it explains only {share:.0%} of what depends on its own variables ({', '.join(variables)})"
-            )
-        return ""
+        if variables and forces:
+            share = captured(bench.base, fit, bench.train, bench.test, variables)
+            if share < self._settings.own_share:
+                on = ", ".join(variables)
+                return f"it explains only {share:.0%} of what depends on its own variables ({on})"
+        # Last, for unlike the others it does not refute a rival of another effect.
+        return by_slow_disturbance(finding, self._settings)
 
     def _in_place_of_inertia(self, finding: FoundEffect, bench: Bench) -> str:
         """What of the water's inertia an effect takes the place of, in words; empty for none."""

@@ -95,6 +95,10 @@ class Settings:
     comparison_level: float = _number(
         0.01, "p-value below which one model counts as better than another (rank test)", _LEVEL, off=1.0
     )
+    slow_blocks: float = _number(
+        12, "least number of blocks of the training data on which a slow disturbance is tried",
+        "their signs show 1 in 2 000", off=_NEVER,
+    )  # fmt: skip
     null_draws: int = _number(1000, "draws of the null distribution of the best candidate", "shows 0.1 %")
     resamples: int = _number(200, "resamples that show how often a candidate is the best", "shows 0.5 %")
     seed: int = _number(20150518, "seed of draws and resamples", "any")

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
-from undertow.codegen.functions import Functions
-from undertow.identification.estimation.adaptation import (
-    factor_of_the_rest,
-    first_part,
-    learned_from,
-    values_in,
-)
 from undertow.identification.estimation.between_runs import SETTINGS as BETWEEN_RUNS
-from undertow.identification.estimation.between_runs import least_differing, may_differ, stated_by_run
+from undertow.identification.estimation.between_runs import least_differing, may_differ
 from undertow.identification.estimation.by_run import origins, plain, with_values_by_run
-from undertow.identification.estimation.data import WeakData, Whitening, numbered
-from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.covariance import inverse_of
+from undertow.identification.estimation.data import WeakData, Whitening
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import (
     bounded_step,
     bounds_of,
-    inverse_of,
-    moved,
     search_prior,
     step_limits,
     within_limits,
@@ -37,58 +26,15 @@ from undertow.identification.estimation.step import (
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
-    fit_weak_by_run,
-    free_parameters,
-    mean_square,
     predicted_cost,
     separated,
     start_fit,
-    with_process_noise,
     with_reestimated_noise,
 )
-from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .candidates import Candidate, dominant_frequency
-from .settings import DEFAULT, Settings
-
-
-@dataclass(frozen=True)
-class Score:
-    """A model on data that it was not fitted to.
-
-    r: (m,), whitened residual.
-    mean_square: (2n,), mean square for each equation.
-    open: (m,), part of the residual that belongs to unknown first states of effects, which no model could
-        have foretold; it is that of the model beside which this one is judged.
-    error: normalised error: geometric mean over the equations of the whitened rms.
-    """
-
-    r: Array
-    mean_square: Array
-    open: Array | float = 0.0
-
-    @property
-    def error(self) -> float:
-        return error_of(self.mean_square)
-
-
-def comparable_mean_squares(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
-    """Mean squares of two models for each equation, without what the later one leaves open."""
-    return mean_square(before.r - after.open, data), mean_square(after.r - after.open, data)
-
-
-def error_of(mean_squares: Array) -> float:
-    """Geometric mean over the equations of the whitened rms."""
-    return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(mean_squares, 1e-12)))))
-
-
-def scored(fit: Fitted, data: WeakData, noise: list[Whitening], beside: Array | None = None) -> Score:
-    """Score of a model on data, judged beside the residual of another (see `whitened`)."""
-    parts = fit.model.linearise(data, fit.p)
-    r = whitened(parts, noise, beside).r
-    stated = beside is not None and any(np.any(part.start) for part in parts)
-    return Score(r, mean_square(r, data), r - whitened(parts, noise).r if stated else 0.0)
+from .bench import Bench, Score
+from .candidates import Candidate
 
 
 @dataclass(frozen=True)
@@ -117,210 +63,6 @@ class Trial:
         """The same candidate with these of its parameters alone."""
         fit = bench.in_all_runs(_refit(self.candidate, self.full, tuple(kept), bench.settings.rough_step))
         return replace(self, fit=fit, kept=tuple(kept), score=bench.judge(fit))
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Data and noise model that all candidates face alike.
-
-    train, test: what models are fitted to, and what they are judged by.
-    train_whitening, test_whitening: noise of both, the same for all candidates.
-    base: the model without any candidate, fitted to the training data.
-    settings: the numbers that decide.
-    """
-
-    train: WeakData
-    test: WeakData
-    train_whitening: list[Whitening]
-    test_whitening: list[Whitening]
-    base: WeakFit
-    settings: Settings = DEFAULT
-
-    @cached_property
-    def base_score(self) -> Score:
-        """How the model without any candidate does on the validation data."""
-        return self.judge(self.base)
-
-    @cached_property
-    def base_on_test(self) -> Linearised:
-        """The model without any candidate on the validation data."""
-        return self.on_test(self.base)
-
-    @cached_property
-    def stated(self) -> dict[str, float]:
-        """Stated values of the free parameters, where the refit of the model as it is moved one of them far.
-
-        That is a sign of something missing, and then the better place to begin from once that is there;
-        otherwise empty.
-        """
-        model = self.base.model
-        if not np.any(moved(model, self.base.p) > self.settings.far_from_prior):
-            return {}
-        values = {n: model.functions.vehicle.value_of(plain(n)).value for n in model.free}
-        return {n: v for n, v in values.items() if np.isfinite(v)}
-
-    def work_out(self) -> None:
-        """What all candidates look at, once; processes that share this bench then need not."""
-        for name in ("base_score", "base_on_test", "seen", "stated"):
-            getattr(self, name)
-
-    def judge(self, fit: WeakFit) -> Score:
-        """Score of a fitted model on the validation data."""
-        beside = None if fit is self.base else self.base_score.r
-        score = scored(fit, self.test, self.test_whitening, beside)
-        if not fit.model.values.known:
-            return score
-        r = self._by_the_rest(fit, score.r)
-        return Score(r, mean_square(r, self.test), score.open)
-
-    def _by_the_rest(self, fit: WeakFit, r: Array) -> Array:
-        """A residual that is no smaller where a fit learned of a run than in the rest of that run."""
-        data = self.test
-        first = learned_from(fit, data.runs, data.run_of, data.time)
-        return r * np.sqrt(factor_of_the_rest(r**2, first, numbered(data.run_of, data.equation)))
-
-    @cached_property
-    def _first_parts(self) -> list[WeakData]:
-        """First parts of the validation runs that are no stretches of what is fitted."""
-        fitted, vehicle = origins(self.train.runs), self.base.model.functions.vehicle
-        others = (r for r in self.test.runs if r.origin not in fitted)
-        parts = (first_part(r, vehicle, self.train.sigma) for r in others)
-        return [part for part in parts if part is not None]
-
-    def in_all_runs(self, fit: WeakFit) -> WeakFit:
-        """A fit with values in the validation runs of what has a value in every run."""
-        if not fit.model.values.split:
-            return fit
-        return replace(fit, model=fit.model.knowing(values_in(fit, self._first_parts)))
-
-    def on_train(self, fit: WeakFit) -> Linearised:
-        """A fitted model on the data for the fit, under the noise model of the bench."""
-        if fit.whitening is self.train_whitening:
-            return fit.at
-        return whitened(fit.model.linearise(self.train, fit.p), self.train_whitening)
-
-    def on_test(self, fit: WeakFit) -> Linearised:
-        """A fitted model on the validation data, where unknown first states win nothing over the base."""
-        parts = fit.model.linearise(self.test, fit.p)
-        at = whitened(parts, self.test_whitening, self.base_score.r)
-        return replace(at, r=self._by_the_rest(fit, at.r)) if fit.model.values.known else at
-
-    def fit(
-        self,
-        model: Vehicle | WeakModel,
-        free: Sequence[str] | None = None,
-        start: Mapping[str, float] | None = None,
-        *,
-        enough: float = 0.0,
-    ) -> WeakFit:
-        """Fit a model to the training data under the noise model of the base."""
-        if isinstance(model, Vehicle):
-            names = free_parameters(model) if free is None else free
-            free = with_values_by_run(names, stated_by_run(model, names), origins(self.train.runs))
-        fit = fit_weak(
-            model,
-            self.train,
-            free,
-            start=start,
-            whitening=self.train_whitening,
-            disturbance=self.base.disturbance,
-            enough=enough,
-        )
-        return self.in_all_runs(fit)
-
-    @cached_property
-    def noise_level(self) -> Array:
-        """Mean square that the noise of the channels alone would have on the validation data, for each
-        equation.
-        """
-        rng = np.random.default_rng(0)
-        return mean_square(np.concatenate([w.noise_sample(rng) for w in self.test_whitening]), self.test)
-
-    def sharpened(self, fit: WeakFit) -> Bench:
-        """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
-        fit = with_reestimated_noise(fit, most=self.settings.noise_rounds)
-        test = with_process_noise(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
-        refitted = self._base_under(fit.whitening, fit.disturbance, self.settings.rough_step)
-        return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
-
-    def without_disturbance(self) -> Bench:
-        """The bench under the noise of the sensors alone."""
-        base = self.base
-        sensor_noise = base.model.whitening(self.train, base.p)
-        refitted = self._base_under(sensor_noise, np.zeros_like(base.disturbance))
-        on_test = refitted.model.whitening(self.test, refitted.p)
-        return replace(self, train_whitening=sensor_noise, test_whitening=on_test, base=refitted)
-
-    def _base_under(self, noise: list[Whitening], disturbance: Array, enough: float = 0.0) -> WeakFit:
-        """The model without any candidate, fitted under another noise model."""
-        return fit_weak(
-            self.base.model,
-            self.train,
-            start=self.base.values,
-            whitening=noise,
-            disturbance=disturbance,
-            enough=enough,
-        )
-
-    @property
-    def command_scale(self) -> float:
-        """Typical large command, for starting values in units of the command."""
-        pieces = [np.abs(s.u) for s in self.train.segments if s.u.size]
-        return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
-
-    @cached_property
-    def seen(self) -> dict[str, tuple[float, float]]:
-        """Least and greatest value of each pose coordinate, and of the dominant frequency of what is left."""
-        names = self.base.model.functions.vehicle.pose_names
-        poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
-        low, high = np.nanmin(poses, axis=0).tolist(), np.nanmax(poses, axis=0).tolist()
-        found = dict(zip(names, zip(low, high, strict=True), strict=True))
-        line = dominant_frequency(self.base.at.r, self.train, self.settings)
-        return found if line is None else found | {"dominant_frequency": line}
-
-
-def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
-    """Fit the model as it is and take its noise model for both parts of the data."""
-    base = _marked(fit_weak_by_run(vehicle, train))
-    sensor_noise = base.model.whitening(test, base.p)
-    noise = base.whitening, with_process_noise(sensor_noise, base.disturbance, test)
-    bench = Bench(train, test, *noise, base, settings)
-    return replace(bench, base=bench.in_all_runs(base))
-
-
-def _marked(fit: WeakFit) -> WeakFit:
-    """The fit of a vehicle that says which of its parameters were found to have a value in every run."""
-    if not fit.model.values.split:
-        return fit
-    vehicle = fit.model.functions.vehicle
-    by_run = {n: replace(vehicle.value_of(n), per_run=True) for n in fit.model.values.by_run}
-    return replace(fit, model=WeakModel(Functions(vehicle.with_values(by_run)), fit.model.free))
-
-
-def noise_ratio(fit: Fitted, data: WeakData) -> Array:
-    """Mean square of the residual for each equation, in units of what the sensors' noise alone gives.
-
-    The noise model has no room for a disturbance here, so a slow error of the model shows with full force.
-    """
-    whitening = fit.model.whitening(data, fit.p)
-    return mean_square(whitened(fit.model.linearise(data, fit.p), whitening).r, data)
-
-
-def only_noise(fit: Fitted, data: WeakData, settings: Settings = DEFAULT) -> bool:
-    """Whether the sensors' noise explains what a model leaves in each equation, as far as rows can show."""
-    return is_noise(noise_ratio(fit, data), rows_of(data), settings)
-
-
-def rows_of(data: WeakData) -> NDArray[np.intp]:
-    """Number of rows of each equation."""
-    return np.bincount(data.equation, minlength=len(data.names))
-
-
-def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT) -> bool:
-    """Whether mean squares over so many rows each are those of noise; what has no rows has no say."""
-    used = rows > 0
-    limit = 1.0 + settings.noise_uncertainty + settings.chance_errors * np.sqrt(2.0 / rows[used])
-    return bool(np.all(ratio[used] <= limit))
 
 
 def try_candidate(

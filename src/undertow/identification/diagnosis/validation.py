@@ -45,10 +45,10 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from .bench import only_noise
 from .evidence import EffectSet
 from .parallel import mapped
 from .settings import DEFAULT, Settings
-from .trial import only_noise
 
 
 def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Settings = DEFAULT) -> bool:

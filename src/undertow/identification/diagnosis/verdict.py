@@ -27,6 +27,7 @@ from undertow.model.plausibility import check_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
 from .result import Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
@@ -34,7 +35,7 @@ from .rounds import other_values
 from .search import Search
 from .selection import Graded, Selection
 from .settings import DEFAULT, Settings
-from .trial import Bench, Score, comparable_mean_squares, screen
+from .trial import screen
 
 
 @dataclass(frozen=True)
@@ -158,18 +159,17 @@ def error_of_sensors(
     where it changes no predicted velocity. Where only one of them was measured they are not `compared`, and
     what a sensor would explain may as well be a force.
     """
-    own = (f for f in findings if f.significant and f.of_sensors)
+    own = (f for f in findings if f.significant and f.of_sensors and not f.by_slow_disturbance(settings))
     most = max(own, key=lambda f: f.explained, default=None)
     if most is None or most.explained < settings.sensor_share:
         return None
     takes = f"{most.id} removes {most.explained:.0%} of the excess over noise"
-    lowers = "but lowers the error of no predicted velocity or position by enough to matter"
     text = (
-        f"Unexplained: the sensors contradict each other. {takes}, where no disturbance acts, {lowers}: see "
-        "what undertow doctor says about the logs."
+        f"Unexplained: the sensors contradict each other. {takes}, where no disturbance acts, but is not "
+        "established as the cause: see what undertow doctor says about the logs."
         if compared
-        else f"Unexplained: {takes}, {lowers}. Pose and velocity were not both measured: an error of the "
-        "sensor and a missing force look alike."
+        else f"Unexplained: {takes}, but is not established as the cause. Pose and velocity were not both "
+        "measured: an error of the sensor and a missing force look alike."
     )
     return Judgement("unexplained", text, [], [], most.explained)
 

@@ -19,6 +19,8 @@ from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
+from .covariance import SETTINGS as CLUSTERS
+from .covariance import memory
 from .inputs import held_commands
 from .test_functions import (
     Entries,
@@ -446,18 +448,33 @@ class WeakData:
         return np.concatenate([np.full(s.functions.count * len(self.rows), s.run) for s in self.segments])
 
     @cached_property
+    def seconds(self) -> float:
+        """Length of all segments together."""
+        return sum(float(s.t[-1] - s.t[0]) for s in self.segments)
+
+    @cached_property
     def block_seconds(self) -> float:
         """Length of blocks: long against the memory of vehicles, short enough that there are many."""
-        total = sum(float(s.t[-1] - s.t[0]) for s in self.segments)
-        return float(np.clip(total / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
+        return float(np.clip(self.seconds / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
 
     @cached_property
     def block(self) -> Index:
         """Number of the time block that every residual entry belongs to; blocks never span two runs."""
-        seconds = self.block_seconds
+        return self.blocks_of(self.block_seconds)
+
+    def blocks_of(self, seconds: float) -> Index:
+        """The same with blocks of another length."""
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
         within = ((self.time - start) // seconds).astype(np.intp)
         return numbered(self.run_of, within)
+
+    def forgetful(self, series: Array) -> float:
+        """Length of blocks, s, of which a series (K,) by test function forgets one in the next, if there are
+        enough of them.
+        """
+        step = float(np.median(np.diff(self.time[:: len(self.rows)])))
+        seconds = CLUSTERS.memories * memory(series) * step
+        return min(max(self.block_seconds, seconds), self.seconds / CLUSTERS.fewest)
 
 
 def numbered(*columns: Index) -> Index:

@@ -16,9 +16,10 @@ from undertow.typing import Array, Flags
 
 from .between_runs import BetweenRuns, of_the_vehicle, table_of
 from .by_run import plain
+from .covariance import inverse_of
 from .residual import WeakModel
 from .scales import scale_directions
-from .step import at_bounds, default_weights, estimated, follower_errors, followers, inverse_of, prior_of
+from .step import at_bounds, default_weights, estimated, follower_errors, followers, prior_of
 
 
 @dataclass(frozen=True)

@@ -16,20 +16,13 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
+from .covariance import clustered, inverse_of, summed_scores
 from .data import numbered
 from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
 from .shooting import OneRun, Shooting
-from .step import (
-    Constraints,
-    SearchSpace,
-    clustered,
-    inverse_of,
-    require_rows,
-    squared,
-    summed_scores,
-)
+from .step import Constraints, SearchSpace, require_rows, squared
 from .weak_form import free_parameters, mean_square_by
 from .windows import Windows, cut_by_samples
 

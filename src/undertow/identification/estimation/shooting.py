@@ -18,8 +18,8 @@ from undertow.identification.logs.run import Run
 from undertow.typing import Array, Flags, Index, Integers
 
 from .by_run import RunValues
+from .covariance import inverse_of
 from .predictor import Predictor, reported_late
-from .step import inverse_of
 from .windows import Drive, Windows
 
 

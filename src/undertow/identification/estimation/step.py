@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
 from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array
 
 from .by_run import plain
 from .data import WeakData
@@ -348,13 +348,6 @@ def _within(factor: Array, target: Array, low: Array, high: Array, table: Array,
     return np.linalg.solve(factor, target - reach * missing[:-1] / missing[-1])
 
 
-def inverse_of(information: Array) -> Array:
-    """Inverse of an information matrix; a direction that nothing determines gets a very large variance."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-100))
-    scaled = information * np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
-    return np.linalg.inv(scaled) * np.outer(scale, scale)
-
-
 def freed(vehicle: Vehicle, names: Iterable[str]) -> Vehicle:
     """The vehicle with these values to be estimated; itself where they are."""
     known = {n: vehicle.value_of(n) for n in names}
@@ -499,25 +492,6 @@ def follower_errors(model: WeakModel, errors: Mapping[str, float]) -> dict[str, 
     """Standard errors of the parameters that are tied to others; zero where those are known."""
     tied = _tied_by_fit(model.functions).items()
     return {name: abs(factor) * errors.get(other, 0.0) for name, (other, factor) in tied}
-
-
-def summed_scores(r: Array, J: Array, block: Index) -> Array:
-    """J' r of the rows of each block, (blocks, k)."""
-    scores = np.zeros((int(block.max(initial=0)) + 1, J.shape[1]))
-    np.add.at(scores, block, J * r[:, None])
-    return scores
-
-
-def clustered(information: Array, scores: Array) -> Array:
-    """Covariance of an estimate: never less than noise alone gives, and robust to correlated residuals.
-
-    `information` is J' J with what priors add; `scores` (groups, k) holds J' r of groups of residuals that
-    count as independent of each other.
-    """
-    inverse = inverse_of(information)
-    robust = np.diag(inverse @ (scores.T @ scores) @ inverse)
-    inflation = np.sqrt(np.maximum(1.0, robust / np.maximum(np.diag(inverse), 1e-300)))
-    return np.asarray(inverse * np.outer(inflation, inflation))
 
 
 # --- more equations than parameters ---------------------------------------------------------------

@@ -16,6 +16,7 @@ from undertow.typing import Array, Index
 from .between_runs import SETTINGS as BETWEEN_RUNS
 from .between_runs import least_differing, may_differ, stated_by_run
 from .by_run import origins, with_values_by_run
+from .covariance import clustered, summed_scores
 from .data import Segment, WeakData, Whitening, prepare
 from .fitted import Fitted
 from .predictor import Predictor
@@ -23,10 +24,8 @@ from .residual import Linearised, WeakModel, whitened
 from .step import (
     Constraints,
     SearchSpace,
-    clustered,
     require_equations,
     squared,
-    summed_scores,
 )
 from .windows import Windows, cut
 
@@ -133,7 +132,7 @@ class WeakFit(Fitted):
         """Covariance of the free parameters: never less than noise alone gives, and robust to
         autocorrelation.
 
-        Blocks of a few seconds are taken as independent (sandwich estimator with clusters).
+        Blocks of a few seconds are the groups of `clustered`.
         """
         return clustered(self.information, summed_scores(self.at.r, self.at.J, self.data.block))
 

@@ -276,8 +276,8 @@ def _result(
         stretches=len(cut),
         seconds=usual,
         chosen=[s for pool, choice, role in tables for s in _stretches(spools, pool, choice, role, motions)],
-        held=work.whole,
-        held_by_motion=dict(zip(motions, work.held.tolist(), strict=True)),
+        information_share=work.whole,
+        information_share_by_motion=dict(zip(motions, work.held.tolist(), strict=True)),
     )
 
 
@@ -314,8 +314,8 @@ def _stretch(spool: Spool, s: Stretch, gain: Array, role: Role, motions: Sequenc
         end=end,
         samples=s.samples,
         role=role,
-        gain=float(gain.sum()),
-        most=motions[int(np.argmax(gain))],
+        information_gain=float(gain.sum()),
+        motion=motions[int(np.argmax(gain))],
     )
 
 

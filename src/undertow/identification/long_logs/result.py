@@ -44,10 +44,8 @@ class ChosenStretch(ResultTable):
     end: float  # s
     samples: int  # after the log was thinned
     role: Role
-    # gain: increase of the logarithm of the determinant of the information; most: motion whose equation
-    # gained most. Zero and empty if all stretches were used.
-    gain: float
-    most: str
+    information_gain: float  # Increase of the logarithm of its determinant; zero if all stretches were used
+    motion: str  # The one whose equation gained most; empty if all stretches were used
 
 
 class ModelOnTheRest(ResultTable):
@@ -92,8 +90,8 @@ class LongLogs(ResultTable):
     chosen: list[ChosenStretch]
     # Share of the information on the parameters in the chosen stretches: ratio of the determinants to the
     # power of 1 / number of parameter directions.
-    held: float
-    held_by_motion: dict[str, float]
+    information_share: float
+    information_share_by_motion: dict[str, float]
     rest: Rest | None = None
 
     @property
@@ -130,15 +128,16 @@ class LongLogs(ResultTable):
 
     def _chosen(self) -> str:
         used = self._of("train")
-        least = min(self.held_by_motion, key=lambda n: self.held_by_motion[n])
-        reasons = Counter(s.most for s in used)
+        shares = self.information_share_by_motion
+        least = min(shares, key=lambda n: shares[n])
+        reasons = Counter(s.motion for s in used)
         tell = ", ".join(f"{motion} {count}" for motion, count in reasons.most_common())
         whole = sum(log.seconds for log in self.logs)
         return (
             f"{len(used)} of {self.stretches} stretches of {self.seconds:.3g} s, "
-            f"{_time(sum(s.end - s.start for s in used))} of {_time(whole)}, hold {self.held:.0%} of the "
-            f"information on the parameters (least in {least}: {self.held_by_motion[least]:.0%}); chosen "
-            f"because they add most information on {tell}"
+            f"{_time(sum(s.end - s.start for s in used))} of {_time(whole)}, hold "
+            f"{self.information_share:.0%} of the information on the parameters (least in {least}: "
+            f"{shares[least]:.0%}); chosen because they add most information on {tell}"
         )
 
 

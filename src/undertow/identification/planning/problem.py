@@ -11,10 +11,11 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
+from undertow.identification.estimation.covariance import inverse_of
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.predictor import Predictor
 from undertow.identification.estimation.residual import WeakModel, whitened
-from undertow.identification.estimation.step import inverse_of, prior_of
+from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.estimation.windows import late_by
 from undertow.identification.logs.run import Run

@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from undertow.errors import UndertowError
+from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.trial import Bench, open_bench, screen
+from undertow.identification.diagnosis.trial import screen
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
