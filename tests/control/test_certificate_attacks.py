@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.attacks import Attack, BoxTarget, Target
 from benchmarks.certificates import Outcome, page_of
-from tests.control.test_certificates import law, sinker
+from tests.control.test_certificates import law, loaded, sinker
 from undertow.control.conditions.result import Quadratic, Transient
 from undertow.control.conditions.whole import certify
 
 pytest.importorskip("clarabel")
 pytestmark = pytest.mark.docs
+SPRING = """schema = "undertow/vehicle/1"
+name = "spring"
+degrees_of_freedom = ["surge"]
+signs = "sname"
+[effects.rigid_body]
+m = 10.0
+[[thrusters]]
+name = "f1"
+wrench = [1, 0, 0, 0, 0, 0]
+"""
 START = {"x": 0.4, "y": 0.4, "z": 0.4, "psi": 0.4}
 
 
@@ -61,6 +72,23 @@ def test_rounding_of_a_simulation_breaks_no_bound() -> None:
     for late, most in ((3e-14, 0.5), (1e-2, 10.0)):
         commands = np.array([[[0.5, late]]])
         assert target._used(t, np.zeros((1, 2, 2)), commands)[1].max() == pytest.approx(most)
+
+
+def test_a_law_that_is_sampled_breaks_no_bound_of_one_that_is_not() -> None:
+    """A mass on a spring: the speed that damping leaves of its first swing, and what a held command adds."""
+    k_p, k_v, box = 40.0, 4.0, 0.1
+    omega, zeta = np.sqrt(k_p / 10.0), k_v / 2 / np.sqrt(k_p * 10.0)
+    root = np.sqrt(1 - zeta**2)
+    fastest = box * omega * np.exp(-zeta / root * np.arctan(root / zeta))
+    gains = law(loaded(SPRING), "pd", gains={"K_P": {"x": k_p}, "K_V": {"x": k_v}})
+    for share, broken in ((1.0001, False), (0.999, True)):
+        claim = Transient(
+            np.zeros(1), np.full((1, 1), 1.1 * box), np.full((1, 1), share * fastest), np.empty((1, 0)), 0.1
+        )
+        report = SimpleNamespace(region=SimpleNamespace(transient=claim, starts={"x": box}, commands=()))
+        target = BoxTarget(gains, report, 10.0, False, Attack(generations=1, many=5))  # type: ignore[arg-type]
+        assert (target.worst(np.random.default_rng(5)) > 1) == broken
+        assert target.shares(np.ones((1, 3))) > 1  # as sampled
 
 
 def test_the_page_has_shares_with_their_exact_intervals() -> None:

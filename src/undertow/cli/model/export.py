@@ -210,10 +210,10 @@ def c(
     undertow export c mini-auv --controller paper-pid
     undertow export c mini-auv --sizes "arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb -DMINI_AUV_SINGLE"
 
-    C99 in float or double with math.h behind it, nothing allocated, every number of the files in a struct;
-    with CMakeLists.txt (install target), library.properties for Arduino and PlatformIO, README, an example
-    main for each module and a manifest. What has changed since the last time is printed. Examples that were
-    edited are kept.
+    C99 in float or double with math.h behind it, nothing allocated, parameters, gains and allocation in
+    structs; with CMakeLists.txt (install target), library.properties for Arduino and PlatformIO, README, an
+    example main for each module and a manifest. What has changed since the last time is printed. Examples
+    that were edited are kept.
 
     A controller is one step function with schedule, thrust allocation and anti-windup; with --path it follows
     a mission: reference or line of sight, and law. An observer is predict, and one update for each sensor
