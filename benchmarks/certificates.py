@@ -481,7 +481,7 @@ def page_of(rows: list[Outcome], share: float) -> str:
     refused = [r[2:5:2] for r in stable if r.said != "certified"]
     return PAGE.format(
         share=share,
-        sample=f"seed {', '.join(map(str, seeds))}, the last stable loops are cases {cases} degrees of freedom",
+        sample=f"seed {', '.join(map(str, seeds))}; the last stable loops: {cases} degrees of freedom",
         longest=LONGEST,
         headings=Attack().headings,
         tries=Attack().generations * Attack().many,
