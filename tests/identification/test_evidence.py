@@ -21,14 +21,16 @@ from undertow.identification.diagnosis.evidence import (
     Comparison,
     FoundEffect,
     Linear,
+    fitted,
     in_its_place,
     inclusion,
     null_distribution,
     p_value,
+    thinned,
 )
 from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.splitting import repeats
-from undertow.identification.diagnosis.trial import best_start, try_candidate
+from undertow.identification.diagnosis.trial import best_start, screen, try_candidate
 from undertow.identification.diagnosis.validation import worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
 from undertow.identification.estimation.covariance import clustered, summed_scores
@@ -39,6 +41,7 @@ from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.model.catalogue import catalogue
 
 _ROWS, _PER_BLOCK = 600, 20
+_INERTIA = ("added_mass", "added_mass_coriolis")
 
 
 def _candidates(rng: np.random.Generator, sizes: list[float]) -> list[Linear]:
@@ -350,3 +353,27 @@ def test_a_repeated_manoeuvre_is_no_independent_judge() -> None:
     still = {n: np.ones_like(c) if n in model.command_names else c for n, c in runs[0].channels.items()}
     steady = replace(runs[0], channels=still)
     assert repeats(model, [steady], [replace(steady, name="other")]) == []
+
+
+def test_an_effect_leaves_with_the_one_whose_parameters_it_shares() -> None:
+    """A memory of the flow has the added mass of the vehicle: a model without that has no memory either."""
+    case = make_case("box", ("radiation_memory",), 21, duration=40.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    bare = replace(model, effects=tuple(e for e in model.effects if e.id not in _INERTIA))
+    train = prepare(runs[:3], bare)
+    bench = open_bench(bare, train, prepare(runs[3:], bare, sigma=train.sigma))
+
+    def found(name: str, on: Bench) -> FoundEffect:
+        candidate = Candidate(catalogue()[name], on.base.model.functions.vehicle)
+        starts = [look.values for look in screen(candidate, on)]
+        trial = try_candidate(candidate, on, best_start(candidate, on, starts, 0.1))
+        return FoundEffect(trial, Comparison(1.0, (0.5, 1.5), 0.0), 1.0, 0.0, True)
+
+    mass = found("added_mass", bench)
+    with_mass = fitted(bare, [mass], bench)
+    memory = found("radiation_memory", replace(bench, base=with_mass.fit))
+    both = fitted(bare, [mass, memory], bench)
+    assert [f.id for f in both.findings] == ["added_mass", "radiation_memory"]
+    assert both.score.error < with_mass.score.error
+    assert fitted(bare, [memory], bench).findings == ()
+    assert [f.id for f in thinned(bare, both, bench).findings] == ["added_mass", "radiation_memory"]

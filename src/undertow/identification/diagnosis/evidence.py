@@ -384,20 +384,27 @@ class EffectSet:
 
 
 def with_effects(vehicle: Vehicle, findings: Sequence[FoundEffect]) -> Vehicle:
-    """The model with effects in it, at the values at which they were found."""
+    """The model with effects in it, at the values at which they were found.
+
+    What shares parameters of an effect that is not there is left out: without an added mass that was found,
+    there is no memory of it either.
+    """
     for finding in findings:
-        vehicle = finding.trial.candidate.on(vehicle).adopted(finding.trial.fit.values)
+        candidate = finding.trial.candidate
+        if not vehicle.lacks(candidate.effect):
+            vehicle = candidate.on(vehicle).adopted(finding.trial.fit.values)
     return vehicle
 
 
 def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> EffectSet:
-    """Fit a model with effects together and judge it."""
+    """Fit a model with effects together, as of `with_effects`, and judge it."""
     grown = with_effects(vehicle, findings)
+    there = {e.id for e in grown.all_effects}
     free = free_parameters(grown)
     known = findings[-1].trial.fit.values if findings else bench.base.values
     own = set(free_parameters(vehicle))
     fit = bench.fit(grown, free, {n: v for n, v in known.items() if n in own})
-    return EffectSet(tuple(findings), fit, bench.judge(fit))
+    return EffectSet(tuple(f for f in findings if f.id in there), fit, bench.judge(fit))
 
 
 def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> FoundEffect | None:
@@ -474,6 +481,8 @@ def alternatives(
             continue
         others[place] = rival
         tried = fitted(vehicle, others, bench)
+        if len(tried.findings) < len(others):
+            continue
         if not as_good(effect_set.score, tried.score, bench):
             tried = under_own_noise(tried, bench)
             if _times_own_noise(tried, bench) > least():
