@@ -104,10 +104,13 @@ class ResultBuilder:
         selection = self._selection
         if selection is not None and not (residual_is_noise and selection.all_but_one_established):
             judged = judge_selection(self.found, scores, noise, selection)
-            weak = self._weak[0], self._weak[len(judged.effects)]
-            if doubt := contradiction(judged.effects, weak, self.bench, self.validator):
-                doubted = [replace(g, doubt=g.doubt or doubt) for g in selection.graded]
-                self._selection = replace(selection, graded=doubted)
+            doubts = self._contradictions(judged.effects)
+            if doubts:
+                first = len(judged.effects) - len(doubts)
+                later = selection.graded[first:]
+                words = [*doubts, *[""] * (len(later) - len(doubts))]
+                doubted = [replace(g, doubt=g.doubt or w) for g, w in zip(later, words, strict=True)]
+                self._selection = replace(selection, graded=[*selection.graded[:first], *doubted])
                 judged = judge_selection(self.found, scores, noise, self._selection)
             return judged
         left = Remainder(
@@ -117,6 +120,20 @@ class ResultBuilder:
             or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
         )
         return judge(self.found, scores, noise, left)
+
+    def _contradictions(self, named: Sequence[FoundEffect]) -> list[str]:
+        """Doubts of as few of the last named effects as possible, so that nothing contradicts the others.
+
+        What was named first does not lose its name by what was found later.
+        """
+        doubts: list[str] = []
+        for count in range(len(named), 0, -1):
+            weak = self._weak[0], self._weak[count]
+            doubt = contradiction(named[:count], weak, self.bench, self.validator)
+            if not doubt:
+                break
+            doubts.insert(0, doubt)
+        return doubts
 
     def worth(self) -> list[Worth]:
         """What every effect that was added does to predictions, between the fits of the result."""

@@ -130,12 +130,16 @@ def size_beside(
 ) -> float:
     """Size of effects beside another one, as a share of that without it.
 
-    One where predictions do not get better with the other one beside them.
+    One where predictions do not get better with the other one beside them, or are clearly worse with that one
+    alone: what stands in for something predicts no better than it.
     """
-    vehicle = bench.base.model.functions.vehicle
-    given, both = (validator.final(fitted(vehicle, fs, bench).fit)[0] for fs in (found, [other, *found]))
-    adds = gained(validator.squares_ahead(given), validator.squares_ahead(both), found, validator)
-    if not adds.enough(bench.settings.worth):
+    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
+    sets = (found, [other], [other, *found])
+    given, alone, both = (validator.final(fitted(vehicle, fs, bench).fit)[0] for fs in sets)
+    ahead, rival, joint = (validator.squares_ahead(fit) for fit in (given, alone, both))
+    pair = [compared(squares, found, validator) for squares in (ahead, rival)]
+    better = best_in_resamples(pair, settings)[0] >= settings.best_share
+    if better or not gained(ahead, joint, found, validator).enough(settings.worth):
         return 1.0
     names = {p.name: p.linear for f in found for p in f.trial.candidate.effect(()).parameters}
     own = [n for n in given.model.free if plain(n) in names]
