@@ -30,6 +30,9 @@ class Measurable:
     samples: int = 300_000
     # Lines of a file per sample, at most: some are blank or comments. Only used to stop reading early.
     rows_per_sample: int = 2
+    # Samples a second beyond which a vehicle moves more slowly than it is logged, and as many as will do.
+    fast: float = 50.0
+    enough: float = 20.0
 
 
 MEASURABLE = Measurable()
@@ -72,8 +75,8 @@ def check_time(t: Array, column: str, where: str) -> None:
 
 def in_order(t: Array) -> NDArray[np.bool_]:
     """Tell which times are later than all before them; a missing one counts as in order."""
-    latest = np.fmax.accumulate(t)
-    return np.concatenate([[True], (t[1:] > latest[:-1]) | np.isnan(t[1:])]) if len(t) else t == t
+    latest = np.fmax.accumulate(np.concatenate([[-np.inf], t]))
+    return np.asarray((t > latest[:-1]) | np.isnan(t))
 
 
 def disorder(t: Array, later: NDArray[np.bool_]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.symbols import DOFS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
@@ -382,9 +382,6 @@ def _cut(intervals: list[Interval], length: int) -> list[Interval]:
     return [(at, min(at + length, stop)) for start, stop in intervals for at in range(start, stop, length)]
 
 
-_DOF = ("surge", "sway", "heave", "roll", "pitch", "yaw")
-
-
 def as_reported(vehicle: Vehicle, runs: Sequence[Run]) -> Vehicle:
     """The vehicle with its velocity reported along the earth, where all logs have it so."""
     along = bool(runs) and all(r.mapping is not None and r.mapping.frames.velocity != "body" for r in runs)
@@ -403,7 +400,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     medians of their standard deviations in `sigma`; outliers in the pose become NaN.
     """
     asked = list(degrees_of_freedom)
-    lacking = [VELOCITY[_DOF.index(name)] for name in asked if not run.has(VELOCITY[_DOF.index(name)])]
+    lacking = [VELOCITY[DOFS.index(name)] for name in asked if not run.has(VELOCITY[DOFS.index(name)])]
     if not lacking:
         return run
     tracks = {name: _tracked(run, name) for name in _pose_needed(run, asked, lacking)}
@@ -424,7 +421,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
 
 def _pose_needed(run: Run, asked: list[str], lacking: list[str]) -> list[str]:
     """Pose that the velocities which a run lacks are taken from, and what else of the pose it has."""
-    of_asked = {POSE[_DOF.index(name)] for name in asked}
+    of_asked = {POSE[DOFS.index(name)] for name in asked}
     needed = {POSE[VELOCITY.index(name)] for name in lacking} | of_asked & set(POSE[3:])
     # A vehicle that only surges along x, say a towed hull, may do without a heading; with one, x and y are
     # turned by it.
@@ -437,7 +434,7 @@ def _pose_needed(run: Run, asked: list[str], lacking: list[str]) -> list[str]:
         blind = [n for n in lacking if POSE[VELOCITY.index(n)] in across.union(missing)] or lacking
         raise UndertowError(
             f"run {run.name!r} has neither {', '.join(blind)} nor the pose {', '.join(missing)} for "
-            f"{', '.join(_DOF[VELOCITY.index(n)] for n in blind)}: map these columns, leave "
+            f"{', '.join(DOFS[VELOCITY.index(n)] for n in blind)}: map these columns, leave "
             f"{'it' if len(blind) == 1 else 'them'} out of degrees_of_freedom in the vehicle file, or say "
             'which motions a rig holds (held = ["sway"] in a mapping file)'
         )

@@ -23,12 +23,8 @@ from undertow.identification.logs.table import (
     WHOLE,
     LogLimits,
     Origin,
-    elapsed,
     in_unit_of_cells,
-    is_dates,
-    lacking_zeros,
     numbers,
-    seconds,
     taken_as_missing,
 )
 from undertow.model.actuators import TURNS
@@ -50,6 +46,7 @@ from .opening import (
     opened_field_log,
     opened_table,
     stretches_of,
+    times_of,
 )
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
@@ -332,19 +329,8 @@ def _time(
     table: pl.DataFrame, mapping: LogMapping, where: str, origin: Origin | None
 ) -> tuple[pl.DataFrame, Array, list[str]]:
     """Return the rows that are used, their times and notes."""
-    spec, notes = mapping.time, []
-    if spec.unit == "iso" or is_dates(table, spec.column):
-        t, first, _ = seconds(table, spec.column, where, origin)
-        notes += [f"time starts at {first}"] if first else []
-        notes += lacking_zeros(table, spec.column)
-    else:
-        scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
-        since, start = elapsed(table, mapping, scale, where, origin)
-        t = scale * since + offset
-        notes += (
-            [f"time starts at the first sample, {_shown(start)} {spec.unit} in the file"] if start else []
-        )
-    t = t + spec.offset
+    spec = mapping.time
+    t, _, notes = times_of(table, mapping, where, origin)
     if spec.disorder == "drop":
         later = checks.in_order(t)
         notes += checks.disorder(t, later)
@@ -352,10 +338,6 @@ def _time(
     notes += [f"one row in {spec.every} used"] if spec.every > 1 else []
     checks.check_time(t, spec.column, where)
     return table, t, notes
-
-
-def _shown(number: Origin) -> str:
-    return f"{number:.17g}" if isinstance(number, float) else f"{number:f}".rstrip("0").rstrip(".")
 
 
 def _values(

@@ -30,11 +30,6 @@ from .mapping import Column, LogMapping
 _DECODE = """
 import json, sys
 import polars as pl
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_AS, 2 * (int(sys.argv[1]),))
-except (ImportError, ValueError, OSError):
-    pass
 for line in sys.stdin:
     try:
         table = pl.scan_parquet(json.loads(line), glob=False, hive_partitioning=False)
