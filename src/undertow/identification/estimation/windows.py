@@ -511,7 +511,11 @@ def prediction_error(prediction: Prediction) -> float:
 
     0.05 is five per cent; the noise of the sensors is in it. `Prediction.relative` holds the parts.
     """
-    parts = np.array(list(prediction.relative.values()))
+    return geometric_mean(np.array(list(prediction.relative.values())))
+
+
+def geometric_mean(parts: Array) -> float:
+    """Geometric mean of errors; NaN of none."""
     return float(np.exp(np.mean(np.log(np.maximum(parts, 1e-12))))) if len(parts) else float("nan")
 
 

@@ -165,6 +165,13 @@ class LogMapping(_Strict):
     # Folder with definitions that are not in the log: ROS messages (.msg), glider sensors (.cac).
     messages: Path | None = None
 
+    def jumps(self, channel: str) -> bool:
+        """Whether an angle may jump by a turn: psi does unless that is denied."""
+        stated = {column.channel: column.wrapped for column in self.columns.values()}
+        stated |= {name: one.wrapped for name, one in self.channels.items()}
+        asked = stated.get(channel)
+        return asked or (channel == "psi" and asked is None)
+
 
 def read_mapping(path: str | Path) -> LogMapping:
     """Read a mapping file, TOML with ``schema = "undertow/mapping/1"``."""

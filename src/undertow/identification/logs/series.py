@@ -265,6 +265,8 @@ def held_together(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def last_known(column: Array) -> Array:
-    """A column whose reports are held until the next; NaN before the first."""
-    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), -1))
-    return np.where(last >= 0, column[last], np.nan)
+    """A column, or several side by side, whose reports are held until the next; NaN before the first."""
+    row = np.arange(len(column)).reshape(-1, *(1,) * (column.ndim - 1))
+    last = np.maximum.accumulate(np.where(np.isfinite(column), row, 0), axis=0)
+    held = np.take_along_axis(column, last, axis=0)
+    return np.where(np.isfinite(held), held, np.nan)
