@@ -11,11 +11,12 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.series import robust_scale
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .adaptation import in_runs
-from .data import NOISE, prepare
+from .data import prepare
 from .fitted import Fitted
 from .predictor import Predictor, predict_each
 from .residual import Linearised, WeakModel
@@ -367,11 +368,6 @@ LOSSES: dict[str, Loss] = {
     "huber": Loss(_huber_weight, _huber_slope),
     "student-t": Loss(_student_weight, _student_slope),
 }
-
-
-def robust_scale(errors: Array) -> float:
-    """Standard deviation of errors by their median magnitude: up to half of them may be anything."""
-    return NOISE.gaussian_mad * float(np.median(np.abs(errors))) if len(errors) else 1.0
 
 
 _PLAIN = Constraints()

@@ -16,6 +16,7 @@ from undertow.typing import Array, Flags
 
 from .mapping import to_body
 from .run import UNITS, Run
+from .series import SETTINGS as SERIES
 from .series import with_reports
 
 ORDER = 3  # position, velocity, acceleration
@@ -184,8 +185,6 @@ def _profile(lanes: Lanes, decades: Array) -> tuple[Array, Array]:
     return number * np.log(variance) + spread, variance
 
 
-_NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-
 Interval = tuple[int, int]
 
 
@@ -336,7 +335,7 @@ def _gross_outliers(t: Array, y: Array) -> Flags:
     close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t[index])
     odd = np.zeros(len(seen))
     odd[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
-    limit = max(5 * SETTINGS.limit * _NORMAL * float(np.median(odd[2:-2])), 2 * _usual_change(y))
+    limit = max(5 * SETTINGS.limit * SERIES.gaussian_mad * float(np.median(odd[2:-2])), 2 * _usual_change(y))
     beside = np.maximum(np.roll(odd, 1), np.roll(odd, -1))
     result[index[_peaks(odd, limit, SETTINGS.apart) & (odd > 1.25 * beside)]] = True
     return result
@@ -373,7 +372,7 @@ def _suspects(signal: _Signal, state: States, shock: Array, noise: float, apart:
     own = np.nan_to_num(1.0 - state.covariance[:, 0, 0], nan=1.0)
     alone = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
     shift = np.where(signal.jump, 0.0, np.abs(np.nan_to_num(shock)))
-    limit = SETTINGS.limit * max(noise, _NORMAL * float(np.median(alone[np.isfinite(signal.y)])))
+    limit = SETTINGS.limit * max(noise, SERIES.gaussian_mad * float(np.median(alone[np.isfinite(signal.y)])))
     peak = _peaks(np.maximum(alone, shift), limit, apart)
     return peak & (alone >= shift) & np.isfinite(signal.y), peak & (shift > alone)
 

@@ -205,10 +205,22 @@ def report_noise(t: Array, y: Array) -> float:
     apart = t[index][:, :, None] - t[index][:, None, :]
     weight = 1.0 / np.prod(apart + np.eye(count), axis=2)
     wild = np.sum(weight * y[index], axis=1) / np.linalg.norm(weight, axis=1)
-    rough = SETTINGS.gaussian_mad * float(np.median(np.abs(wild)))
-    # Of what is not a kink or a jump the mean square is known twice as well as the median.
+    return float(np.sqrt(noise_variance(wild)))
+
+
+def noise_variance(wild: Array) -> float:
+    """Variance of noise (k,) that may have a few kinks and jumps of a motion in it.
+
+    Of what is no kink or jump the mean square is known twice as well as the median.
+    """
+    rough = robust_scale(wild)
     within = wild[np.abs(wild) <= SETTINGS.outlying * rough]
-    return float(np.sqrt(np.mean(within**2) / SETTINGS.variance_within)) if len(within) else 0.0
+    return float(np.mean(within**2)) / SETTINGS.variance_within if len(within) else 0.0
+
+
+def robust_scale(errors: Array) -> float:
+    """Standard deviation by the median magnitude, of which up to half may be anything; 1 of none."""
+    return SETTINGS.gaussian_mad * float(np.median(np.abs(errors))) if len(errors) else 1.0
 
 
 def with_report_noise(run: Run, must: Collection[str] = (), *, part: bool = False) -> Run:
