@@ -295,8 +295,7 @@ def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str
 
     clause = " and ".join(dict.fromkeys(units.values()))
     was = " and ".join(dict.fromkeys(read_as.values()))
-    verb = "is" if len(names) == 1 else "are"
-    return Mistake(kind, f"{', '.join(names)} {verb} in {clause}, read as {was}", scaling(factors), edits)
+    return Mistake(kind, f"{they_are(names)} in {clause}, read as {was}", scaling(factors), edits)
 
 
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")
