@@ -134,10 +134,8 @@ class StatedForces(Forces):
 
     def _forcing(self, run: Run, u: Array, actuation: Array) -> Array:
         """Force at rest of the acceleration, (N, n); pose that the log lacks is zero."""
-        f, zero = self.functions, np.zeros(len(run.t))
-        pose = np.column_stack([run.channels.get(n, zero) for n in self.vehicle.pose_names])
-        memory = np.zeros((len(run.t), f.memory.shape[0]))
-        velocity = run.matrix(self.vehicle.velocity_names)
+        pose, velocity = run.known(self.vehicle.pose_names), run.matrix(self.vehicle.velocity_names)
+        memory = np.zeros((len(run.t), self.functions.memory.shape[0]))
         columns = [pose, velocity, memory, u, self.p, run.t[:, None], actuation]
         return at_samples(self._evaluated, columns, len(run.t))[0]
 

@@ -307,12 +307,10 @@ def _damped(at: Reduced, damping: float) -> Linearised:
 
 def channel_weights(windows: Windows, *, derived: bool = False) -> Array:
     """One over the noise of each channel; zero for what is not measured, or, unless it counts, derived."""
-    with_data = np.isfinite(windows.measured)
-    count = with_data.sum(axis=(0, 1))
-    size = np.sqrt(np.nansum(windows.measured**2, axis=(0, 1)) / np.maximum(count, 1))
+    with_data = np.isfinite(windows.measured).any(axis=(0, 1))
     left_out = set() if derived else {name for run in windows.runs for name in run.derived}
-    used = (count > 0) & np.array([name not in left_out for name in windows.names])
-    noise = np.maximum(windows.sigma, SETTINGS.least_noise * size)
+    used = with_data & np.array([name not in left_out for name in windows.names])
+    noise = np.maximum(windows.sigma, SETTINGS.least_noise * windows.size)
     return np.where(used & (noise > 0), 1.0 / np.where(noise > 0, noise, 1.0), 0.0)
 
 
