@@ -43,10 +43,9 @@ from .logs.opening import save_log as save_log
 from .logs.reading import read_log as read
 from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
-from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, Diagnosed, RivalSpec, specs_of
-from .planning.separation import plan_separation
+from .planning.search import Planned, plan_parameters, plan_separation
 from .report.results import AdditionResult, FitResult, FittedParameter, addition_result, channel_errors
 
 if TYPE_CHECKING:

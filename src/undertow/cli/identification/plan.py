@@ -41,8 +41,8 @@ from .._terminal import console, progress, say, section, table, text, write_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undertow.identification.planning.parameters import Planned
     from undertow.identification.planning.result import Plan, PlannedParameter
+    from undertow.identification.planning.search import Planned
 
 
 _LOGS = typer.Argument(metavar="LOG", help="Existing logs: CSV, CSV.gz or Parquet.")
