@@ -346,25 +346,16 @@ class Loss:
         return mean * float(np.mean((weight * z) ** 2)) / slope**2, mean / slope
 
 
-def _huber_weight(z: Array) -> Array:
-    return np.asarray(SETTINGS.huber / np.maximum(np.abs(z), SETTINGS.huber))
-
-
-def _huber_slope(z: Array) -> Array:
-    return (np.abs(z) < SETTINGS.huber).astype(float)
-
-
-def _student_weight(z: Array) -> Array:
-    return np.asarray((SETTINGS.student + 1) / (SETTINGS.student + z**2))
-
-
-def _student_slope(z: Array) -> Array:
-    return np.asarray((SETTINGS.student + 1) * (SETTINGS.student - z**2) / (SETTINGS.student + z**2) ** 2)
-
-
+_BEND, _TAIL = SETTINGS.huber, SETTINGS.student
 LOSSES: dict[str, Loss] = {
-    "huber": Loss(_huber_weight, _huber_slope),
-    "student-t": Loss(_student_weight, _student_slope),
+    "huber": Loss(
+        weight=lambda z: _BEND / np.maximum(np.abs(z), _BEND),
+        slope=lambda z: (np.abs(z) < _BEND).astype(float),
+    ),
+    "student-t": Loss(
+        weight=lambda z: (_TAIL + 1) / (_TAIL + z**2),
+        slope=lambda z: (_TAIL + 1) * (_TAIL - z**2) / (_TAIL + z**2) ** 2,
+    ),
 }
 
 

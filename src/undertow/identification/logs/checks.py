@@ -231,7 +231,9 @@ def with_distinct_names(runs: list[Run]) -> list[Run]:
     ended = Counter((run.name, _ending(run)) for run in runs)
 
     def longer_name(run: Run) -> Run:
-        return _with_ending(run) if ended[run.name, _ending(run)] == 1 else _with_folder(run)
+        if ended[run.name, _ending(run)] == 1:
+            return replace(run, name=f"{run.name} ({_ending(run)})")
+        return replace(run, name=f"{Path(run.source).resolve().parent.name}/{run.name}")
 
     longer = [longer_name(run) if count[run.name] > 1 else run for run in runs]
     again = Counter(run.name for run in longer)
@@ -242,11 +244,3 @@ def with_distinct_names(runs: list[Run]) -> list[Run]:
 
 def _ending(run: Run) -> str:
     return "".join(Path(run.source).suffixes)
-
-
-def _with_ending(run: Run) -> Run:
-    return replace(run, name=f"{run.name} ({_ending(run)})")
-
-
-def _with_folder(run: Run) -> Run:
-    return replace(run, name=f"{Path(run.source).resolve().parent.name}/{run.name}")
