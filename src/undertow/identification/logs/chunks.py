@@ -38,10 +38,11 @@ from .table import (
     DAMAGED,
     WHOLE,
     Origin,
+    columns_of,
     file_hash,
     flat_table,
+    header_of,
     is_gzip,
-    is_header,
     is_parquet,
     parquet_size,
     read_rows,
@@ -145,8 +146,7 @@ class LongLog:
         lines = text.split(b"\n")
         whole = size_of(self.path)
         length = np.mean([len(line) + 1 for line in lines[:-1]] or [max(whole, 1)])
-        header = next((line for line in lines if is_header(line, self._comment)), b"")
-        return int(whole / length), header.count(self.mapping.delimiter.encode()) + 1
+        return int(whole / length), columns_of(header_of(text, self.mapping), self.mapping)
 
     def stretches(self, column: str) -> list[pl.LazyFrame]:
         """The stretches of its file: of a Parquet file where they are in it, of a text their rows."""
@@ -255,10 +255,6 @@ class LongLog:
     def _flat(self) -> pl.LazyFrame:
         return flat_table(self.path, self._where) if self.table is None else self.table
 
-    @property
-    def _comment(self) -> bytes:
-        return (self.mapping.comment or "\0").encode()
-
     def _text_tables(self, rows: int, overlap: int, *, packed: bool) -> Iterator[pl.DataFrame]:
         with _opened(self.path, self._where, packed=packed) as file:
             stream = _lines(file, self._where)
@@ -270,9 +266,8 @@ class LongLog:
                 kept = lines[-overlap:] if overlap else []
 
     def _header(self, lines: Iterator[bytes]) -> bytes:
-        for line in lines:
-            if is_header(line, self._comment):
-                return line
+        if header := next((line for line in lines if header_of(line, self.mapping)), b""):
+            return header
         raise UndertowError(f"{self._where} is empty (no header): check that it is complete")
 
 
