@@ -310,7 +310,7 @@ def channel_weights(windows: Windows, *, derived: bool = False) -> Array:
     with_data = np.isfinite(windows.measured).any(axis=(0, 1))
     left_out = set() if derived else {name for run in windows.runs for name in run.derived}
     used = with_data & np.array([name not in left_out for name in windows.names])
-    noise = np.maximum(windows.sigma, SETTINGS.least_noise * windows.size)
+    noise = np.maximum(windows.sigma, SETTINGS.least_noise * windows.rms)
     return np.where(used & (noise > 0), 1.0 / np.where(noise > 0, noise, 1.0), 0.0)
 
 

@@ -178,7 +178,7 @@ def _stretches(windows: Windows) -> list[Index]:
 
 def _noise(windows: Windows) -> Array:
     """Noise of the channels, with a floor for logs that have none."""
-    least = SETTINGS.least_noise * windows.size
+    least = SETTINGS.least_noise * windows.rms
     return np.maximum(np.maximum(windows.sigma, least), SETTINGS.least_noise)
 
 

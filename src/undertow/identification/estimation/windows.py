@@ -82,7 +82,7 @@ class Windows:
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
     @property
-    def size(self) -> Array:
+    def rms(self) -> Array:
         """Root mean square of the reports of every channel, (2n,); zero for one without."""
         count = np.isfinite(self.measured).sum(axis=(0, 1))
         return np.sqrt(np.nansum(self.measured**2, axis=(0, 1)) / np.maximum(count, 1))
