@@ -63,6 +63,7 @@ def read_log(
     window: Window = (None, None),
     missing_commands: CommandPolicy | None = None,
     also: Iterable[str] = (),
+    limits: LogLimits = WHOLE,
 ) -> Run:
     """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN.
 
@@ -75,7 +76,7 @@ def read_log(
     larger than the limits is refused before it is held in memory. Of a log of several stretches the longest
     is taken, and its notes say so.
     """
-    asked = _Asked(mapping, tuple(channels), window, missing_commands, tuple(also), WHOLE)
+    asked = _Asked(mapping, tuple(channels), window, missing_commands, tuple(also), limits)
     runs = _runs_of(Path(path), asked)
     longest = max(runs, key=lambda run: float(run.t[-1] - run.t[0]))
     others = len(runs) - 1
