@@ -15,7 +15,6 @@ import numpy as np
 
 from undertow.figures import save_png, unit_text
 from undertow.files import make_folder, templates, write_whole
-from undertow.identification.api import save_diagnosis
 from undertow.identification.compare.comparison import compare
 from undertow.identification.compare.forces import Forces, residual_forces
 from undertow.identification.diagnose import DiagnosisResult, diagnose
@@ -26,6 +25,7 @@ from undertow.identification.diagnosis.addition import (
     set_up_addition,
     visible_effects,
 )
+from undertow.identification.history import save_diagnosis
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.report.data import ErrorMap

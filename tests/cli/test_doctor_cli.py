@@ -90,7 +90,8 @@ def test_rows_out_of_order_are_reported_and_not_refused(
     assert main([*LOG, "--mend", "mended.toml"]) == 1
     out = _lines(capsys)
     assert out[0].startswith("mistake: train: 2 of 402 rows are not later than an earlier row")
-    assert (case / "mended.toml").read_text() == 'schema = "undertow/mapping/1"\n[time]\ndisorder = "drop"\n'
+    text = (case / "mended.toml").read_text()
+    assert text == 'schema = "undertow/mapping/1"\n\n[time]\ndisorder = "drop"\n'
     assert main(["compare", *LOG[1:], "--map", "mended.toml"]) == 0
     assert main(["compare", *LOG[1:]]) == 2
     capsys.readouterr()

@@ -22,7 +22,7 @@ from undertow.identification.doctor.findings import (
     reassigned,
 )
 from undertow.identification.doctor.sampling import excitation, excitation_findings, sampling, was_filtered
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.mapping import LogMapping, mapping_text
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
@@ -251,8 +251,8 @@ def test_a_mapping_file_keeps_comments_and_odd_names() -> None:
     assert new.startswith("# mine\n")
     assert '"my heading" = { channel = "psi", unit = "deg" }' in new
     assert new.endswith("[water]\nvelocity = [0.1, 0.0, 0.0]\n")
-    whole = as_toml(edits, whole=True)
-    assert whole.startswith('schema = "undertow/mapping/1"\n[columns]\n"my heading" = ')
+    whole = into_file(mapping_text(LogMapping()), edits)
+    assert whole.startswith('schema = "undertow/mapping/1"\n\n[columns]\n"my heading" = ')
 
 
 def test_a_formula_is_mended_in_the_formula() -> None:

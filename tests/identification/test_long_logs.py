@@ -21,10 +21,10 @@ from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.identification.long_logs.checking import checked
 from undertow.identification.long_logs.choosing import (
     Budget,
     at_full_rate,
+    checked,
     choose,
     most_informative,
     read_in_parts,

@@ -27,7 +27,6 @@ from undertow.identification.planning.manoeuvres import (
     pushes,
     trim,
 )
-from undertow.identification.planning.parameters import Planned, plan_parameters
 from undertow.identification.planning.picture import command_csv
 from undertow.identification.planning.problem import (
     Manoeuvre,
@@ -38,7 +37,13 @@ from undertow.identification.planning.problem import (
     stated,
 )
 from undertow.identification.planning.rivals import RivalSpec, rival_models
-from undertow.identification.planning.separation import Separations, plan_separation, suggest
+from undertow.identification.planning.search import (
+    Planned,
+    Separations,
+    plan_parameters,
+    plan_separation,
+    suggest,
+)
 from undertow.identification.result_builder import ResultBuilder
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, load_vehicle, resolve_vehicle, vehicle_from_table

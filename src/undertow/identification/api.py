@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import date
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError
 from undertow.model.catalogue import Catalogue, catalogue, lookup
-from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
-from undertow.typing import Array, Progress
+from undertow.typing import Progress
 
 from .compare.comparison import finite
-from .diagnose import DiagnosisResult
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
 from .diagnosis.parallel import one_thread
-from .diagnosis.result import Role, RunInfo, ValuesByRun, read_diagnosis, run_info
+from .diagnosis.result import ValuesByRun, read_diagnosis, run_info
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
@@ -37,6 +34,7 @@ from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
+from .history import known_by, roles, save_found
 from .logs.checks import check_fit
 from .logs.chunks import long_logs
 from .logs.formats.registry import format_of
@@ -45,10 +43,9 @@ from .logs.opening import save_log as save_log
 from .logs.reading import read_log as read
 from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
-from .planning.parameters import Planned, plan_parameters
 from .planning.problem import PlanRequest
 from .planning.rivals import NONE, Diagnosed, RivalSpec, specs_of
-from .planning.separation import plan_separation
+from .planning.search import Planned, plan_parameters, plan_separation
 from .report.results import AdditionResult, FitResult, FittedParameter, addition_result, channel_errors
 
 if TYPE_CHECKING:
@@ -258,8 +255,8 @@ class Refit:
 
     def save(self, template: str | Path, out: Path) -> None:
         """Write the vehicle file with the fitted values, in the form of the one that it came from."""
-        entry = history(self.command, roles(self.train, self.test), self.errors, *known_by(self.fit))
-        save_vehicle(self.vehicle, template, out, history=entry)
+        logs = roles(self.train, self.test)
+        save_found(self.vehicle, template, out, self.command, logs, self.errors, known_by(self.fit))
 
     @property
     def command(self) -> str:
@@ -280,45 +277,6 @@ class Refit:
 
 def _spread(row: Mapping[str, Any]) -> str:
     return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
-
-
-def known_by(fit: Fitted) -> tuple[tuple[str, ...], Array, list[ValuesByRun]]:
-    """Names and covariance of what a fit found, and what has values in every run."""
-    return (*fit.vehicle_covariance, values_by_run(fit, fit.model.functions.vehicle))
-
-
-def history(
-    command: str,
-    logs: Sequence[tuple[str, Run | RunInfo]],
-    errors: tuple[float, float],
-    names: Sequence[str],
-    covariance: Array,
-    by_run: Sequence[ValuesByRun] = (),
-    **more: object,
-) -> dict[str, object]:
-    """How the values of a vehicle file came about."""
-    return {
-        "command": command,
-        "date": date.today().isoformat(),
-        **more,
-        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
-        "error_before": errors[0],
-        "error_after": errors[1],
-        **({"by_run": list(map(_history_of, by_run))} if by_run else {}),
-        "covariance": {"parameters": list(names), "matrix": covariance.tolist()},
-    }
-
-
-def _history_of(table: ValuesByRun) -> dict[str, object]:
-    """Values by run for a vehicle file."""
-    errors = table.standard_errors
-    runs = [{"run": run, "value": value, "sigma": errors[run]} for run, value in table.values.items()]
-    return {"parameter": table.parameter, "runs": runs, "spread": table.spread, "q": table.q}
-
-
-def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
-    names: tuple[Role, Role] = ("train", "holdout")
-    return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
 
 
 def read_log(
@@ -542,15 +500,17 @@ def result_of(setup: AdditionSetup, addition: Addition) -> AdditionResult:
 
 def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
     """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
-    entry = history(
+    save_found(
+        addition.fit.vehicle,
+        template,
+        out,
         "undertow add",
         roles(setup.train, setup.test),
         (addition.before.error, addition.after.error),
-        *known_by(addition.fit),
+        known_by(addition.fit),
         added=[addition.effect],
         helps=addition.helps,
     )
-    save_vehicle(addition.fit.vehicle, template, out, history=entry)
 
 
 @one_thread()
@@ -581,13 +541,3 @@ def plan(
     else:
         specs = [RivalSpec(name, {}) for name in (between if len(between) > 1 else [*between, NONE])]
     return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)
-
-
-def save_diagnosis(
-    result: DiagnosisResult, template: str | Path, out: Path, command: str = "undertow diagnose"
-) -> None:
-    """Write the vehicle file with what was found, in the form of the one that it came from."""
-    d = result.diagnosis
-    errors = d.steps[0].error, d.last_step.error
-    entry = history(command, [(r.role, r) for r in d.runs], errors, *known_by(result.fit), added=d.effects)
-    save_vehicle(result.after, template, out, history=entry)

@@ -7,22 +7,25 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from undertow.errors import UndertowError, listed
 from undertow.identification.logs.run import Run
-from undertow.model.saving import save_vehicle
 from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .api import Refit, history, roles
 from .diagnose import DiagnosisResult
 from .diagnosis.result import Role, RunInfo
 from .estimation.covariance import inverse_of
 from .estimation.fitted import SURE, Fitted
 from .estimation.step import estimated, follower_errors, followers
+from .history import roles, save_found
+
+if TYPE_CHECKING:
+    from .api import Refit
 
 # What of the motion of a rig the equations may feel: depth and attitude, and all velocities.
 _FELT = dict(zip(DOFS, zip((None, None, *POSE[2:]), VELOCITY, strict=True), strict=True))
@@ -159,8 +162,8 @@ class Together:
     def save(self, template: str | Path, out: Path, command: str, **more: object) -> None:
         """Write the whole vehicle, in the form of its file; errors are root mean squares."""
         before, after = np.sqrt(np.mean(np.square(self.shares), axis=0)).tolist()
-        entry = history(command, self.logs, (before, after), self.names, self.covariance, (), **more)
-        save_vehicle(self.vehicle, template, out, history=entry)
+        known = self.names, self.covariance, ()
+        save_found(self.vehicle, template, out, command, self.logs, (before, after), known, **more)
 
     def disagreements(self) -> Iterator[str]:
         """Parameters of which two experiments say what the other's errors do not allow."""

@@ -16,8 +16,9 @@ from undertow.observer.filters import SEARCH, Estimate, Method, Observer, Report
 from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, longest_step, process_of
 from undertow.typing import Array, Flags, Index, Progress
 
+from .estimation.inputs import without_gaps
 from .logs.run import Run
-from .logs.series import last_known, report_noise
+from .logs.series import report_noise
 
 
 @dataclass(frozen=True)
@@ -306,14 +307,8 @@ def _commands(run: Run, process: Process, t: Array) -> Array:
             f"run {run.name!r} has no command {missing[0]!r}, which the model needs: map its column, or "
             "estimate with kinematics (--process kinematics)"
         )
-    columns = [_held(run.channels[n]) if run.has(n) else np.zeros(len(run.t)) for n in names]
     at = np.searchsorted(run.t, t - process.dead_time + SETTINGS.together, side="right") - 1
-    return np.column_stack(columns)[np.maximum(at, 0)] if columns else np.zeros((len(t), 0))
-
-
-def _held(data: Array) -> Array:
-    """A column without gaps: the last value is held, zero before the first."""
-    return np.nan_to_num(last_known(data))
+    return without_gaps(run.known(names))[np.maximum(at, 0)]
 
 
 # --- first guesses --------------------------------------------------------------------------------

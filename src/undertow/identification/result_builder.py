@@ -15,7 +15,7 @@ from undertow.identification.diagnosis.splitting import repeats
 from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.fitted import Fitted, notes
 from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.planning.separation import suggest
+from undertow.identification.planning.search import suggest
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array

@@ -143,8 +143,8 @@ def channels(
     shapes = [_band(a, b, COLOURS[role], 0.10) for a, b, role in spans]
     shapes += [_band(a, b, _MARK, 0.45) for a, b in marks]
     shapes += [_box(*selected)] if selected else []
-    layout: Figure = {
-        "xaxis": _axis("time (s)", anchor=f"y{rows if rows > 1 else ''}"),
+    layout = {
+        **_stacked([label(name, unit_of(name, units)) for name in names]),
         "shapes": shapes,
         "dragmode": "select",
         "selectdirection": "h",
@@ -153,19 +153,31 @@ def channels(
         "margin": {"l": 80, "r": 15, "t": 28, "b": 45},
     }
     for row, name in enumerate(names, start=1):
-        top = 1.0 - (row - 1) / rows
-        domain = [max(top - (1.0 - SETTINGS.gap) / rows, 0.0), top]
-        axis = _axis(label(name, unit_of(name, units)), domain=domain, nticks=4)
         if doubtful and name in doubtful:
-            axis["title"]["font"] = {"color": doubtful[name]}
-        layout[f"yaxis{row if row > 1 else ''}"] = axis
+            layout[f"yaxis{_nth(row)}"]["title"]["font"] = {"color": doubtful[name]}
         if name in apart:
-            beside: Figure = {"overlaying": f"y{row if row > 1 else ''}", "side": "right", "showgrid": False}
+            beside: Figure = {"overlaying": f"y{_nth(row)}", "side": "right", "showgrid": False}
             ticks = {"nticks": 4, "zeroline": False, "tickfont": {"color": _BEFORE}}
             layout[f"yaxis{row + rows}"] = _axis("", **beside, **ticks)
     figure = _figure(data, height, **layout)
     figure["config"] = _WITH_ZOOM
     return figure
+
+
+def _stacked(titles: Sequence[str]) -> Figure:
+    """Axes of rows one below the other, on one axis of time."""
+    rows = len(titles)
+    layout = {"xaxis": _axis("time (s)", anchor=f"y{_nth(rows)}")}
+    for row, title in enumerate(titles, start=1):
+        top = 1.0 - (row - 1) / rows
+        domain = [max(top - (1.0 - SETTINGS.gap) / rows, 0.0), top]
+        layout[f"yaxis{_nth(row)}"] = _axis(title, domain=domain, nticks=4)
+    return layout
+
+
+def _nth(row: int) -> str:
+    """The number of an axis as Plotly has it: that of the first is left out."""
+    return str(row) if row > 1 else ""
 
 
 def _box(begin: float, end: float) -> Figure:
@@ -189,7 +201,7 @@ def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour:
     first, last = np.searchsorted(run.t, window)
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
     t, y = thinned(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
-    return _curve(plain(t, 9), plain(y), escaped(said), colour, 1, yaxis=f"y{row if row > 1 else ''}")
+    return _curve(plain(t, 9), plain(y), escaped(said), colour, 1, yaxis=f"y{_nth(row)}")
 
 
 def _curve(x: Sequence[Any], y: Sequence[Any], name: str, colour: str, width: float, **more: Any) -> Figure:
@@ -364,18 +376,14 @@ def simulation(
 ) -> Figure:
     """Velocities of a validation run, measured and simulated, by the model and with a candidate in it."""
     rows, data = len(run["channels"]), list[Figure]()
-    layout: Figure = {"xaxis": _axis("time (s)", anchor=f"y{rows if rows > 1 else ''}")}
+    layout = _stacked([label(channel["name"], channel["unit"]) for channel in run["channels"]])
     for row, channel in enumerate(run["channels"], start=1):
-        axis, first = f"y{row if row > 1 else ''}", row == 1
+        axis, first = f"y{_nth(row)}", row == 1
         data.append(_trace(channel["measured"], "measured", _MEASURED, axis, first))
         data.append(_trace(channel["simulated"], model, _MODEL, axis, first))
         if better is not None:
             own = better[1]["channels"][row - 1]
             data.append(_trace(own["simulated"], escaped(better[0]), _BETTER, axis, first))
-        top = 1.0 - (row - 1) / rows
-        domain = [max(top - (1.0 - SETTINGS.gap) / rows, 0.0), top]
-        title = label(channel["name"], channel["unit"])
-        layout[f"yaxis{row if row > 1 else ''}"] = _axis(title, domain=domain, nticks=4)
     title = f"{run['run']}, simulated every {horizon} from the measured motion"
     layout["xaxis"]["title"]["text"] = escaped(f"time (s); {title}")
     return _figure(

@@ -22,7 +22,7 @@ from undertow.model.vehicle import Vehicle
 
 from . import figures
 from .session import FORCE, REFITTED, ModelStep, Workspace, near
-from .view import View, action, equation, heading, lines, measures, shown, stale, words_of
+from .view import View, action, button, equation, heading, lines, measures, shown, stale, words_of
 
 
 # --- What is missing ------------------------------------------------------------------------------
@@ -54,8 +54,7 @@ def _undo(view: View) -> None:
     steps = view.bench.session.steps
     if len(steps) > 1:
         words = steps[-1].what
-        button = ui.button(f"Undo: {words[:40]}", on_click=view.bench.undo).mark("undo")
-        button.props("dense no-caps outline padding='4px 12px'").set_enabled(view.bench.work is None)
+        button(f"Undo: {words[:40]}", view, view.bench.undo, "undo", flat=True)
 
 
 def _verdict(found: Mapping[str, Any], current: bool) -> None:
@@ -193,13 +192,12 @@ def _remaining(view: View, found: Mapping[str, Any]) -> None:
         if left:
             with ui.row().classes("items-end gap-2"):
                 name = ui.input("id of a new effect", value="my_force").props("dense").mark("effect-id")
-                button = ui.button(
-                    "Make an effect of it",
-                    on_click=lambda: view.bench.start(
-                        "invent", effect=name.value, key=view.bench.session.latest.get("diagnose")
-                    ),
-                )
-                button.props("dense no-caps outline").mark("invent").set_enabled(view.bench.work is None)
+
+                def invent() -> None:
+                    key = view.bench.session.latest.get("diagnose")
+                    view.bench.start("invent", effect=name.value, key=key)
+
+                button("Make an effect of it", view, invent, "invent", flat=True)
         for effect in own:
             with ui.row().classes("items-center gap-2"):
                 ui.label(f"effect of your own: {effect}").classes("text-sm")
@@ -272,8 +270,7 @@ def parameters_page(view: View) -> None:
     with ui.row().classes("w-full items-center gap-4"):
         heading("Parameters", f"of the model {view.bench.session.steps[-1].what}, signs as in its file")
         action("Refit", view, "fit")
-        apply = ui.button("Apply changes", on_click=lambda: _apply(view)).mark("apply")
-        apply.props("dense no-caps outline padding='4px 12px'").set_enabled(view.bench.work is None)
+        button("Apply changes", view, lambda: _apply(view), "apply", flat=True)
         _undo(view)
     found, current = view.bench.place.last_result("fit")
     rows = parameter_rows(view, found if current else None)
@@ -435,10 +432,7 @@ def out_page(view: View) -> None:
 def _output(view: View, title: str, task: str, name: str, **args: Any) -> None:
     ui.label(title)
     path = ui.input(value=name).props("dense").mark(f"path-{task}")
-    button = ui.button("Write", on_click=lambda: view.bench.start(task, out=path.value, **args))
-    button.props("dense no-caps padding='4px 12px'").mark(f"write-{task}").set_enabled(
-        view.bench.work is None
-    )
+    button("Write", view, lambda: view.bench.start(task, out=path.value, **args), f"write-{task}")
 
 
 def commands(place: Workspace) -> list[str]:

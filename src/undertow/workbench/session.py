@@ -16,9 +16,15 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_text, write_whole
-from undertow.identification.doctor.findings import as_toml, edits_of, into_file, read_edits
+from undertow.identification.doctor.findings import into_file, read_edits
 from undertow.identification.logs.checks import MEASURABLE
-from undertow.identification.logs.mapping import CommandPolicy, LogMapping, place_beside, read_mapping
+from undertow.identification.logs.mapping import (
+    CommandPolicy,
+    LogMapping,
+    mapping_text,
+    place_beside,
+    read_mapping,
+)
 from undertow.identification.logs.run import Run
 from undertow.identification.long_logs.result import ResultTable
 from undertow.identification.report.sentences import CommandLine
@@ -246,8 +252,7 @@ class Workspace:
         if self.session.mapping or used is None or not used.columns:
             return
         out = self.folder / "mapping-given.toml"
-        content = used.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude={"schema_"})
-        write_whole(out, as_toml(edits_of(content), whole=True) + "\n")
+        write_whole(out, mapping_text(used))
         self.session.mapping = str(out.absolute())
 
     def write_mapping(self) -> None:
@@ -257,7 +262,7 @@ class Workspace:
 
     def _mapping_text(self, remedies: Sequence[Remedy]) -> str:
         given = self.session.mapping
-        text = read_text(given, "mapping file") if given else as_toml((), whole=True) + "\n"
+        text = read_text(given, "mapping file") if given else mapping_text(LogMapping())
         for remedy in remedies:
             text = into_file(text, read_edits(remedy.lines))
         return text

@@ -175,8 +175,6 @@ def _compared(found: Comparison) -> Result:
     rows = slice(None, None, every)
     return {
         "headline": result.headline,
-        "horizon": result.horizon,
-        "prediction_error": result.prediction_error,
         "runs": [r.name for r in result.runs],
         "dofs": {d.degree_of_freedom: d.unit for d in result.dofs},
         "cells": [c.model_dump() for c in cells],
@@ -199,11 +197,9 @@ def _profile(p: Profile) -> Result:
     return {
         "dof": p.degree_of_freedom,
         "variable": p.variable,
-        "unit": p.unit,
         "centre": _plain(p.centre),
         "force": _plain(p.force),
         "error": _plain(1.96 * p.error),  # half the 95 % interval, as in reports
-        "count": p.count.tolist(),
     }
 
 
@@ -250,7 +246,6 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
     return {
         "effect": name,
         "about": ranked.about,
-        "family": ranked.family,
         "equations": [f"{e.left} = {e.plain}" for e in equations],
         "typeset": [e.latex for e in equations],
         "parameters": [estimate_text(p) for p in ranked.parameters],

@@ -102,7 +102,12 @@ def equation(plain: str, picture: str | None) -> None:
 
 def action(text: str, view: View, task: str, *, flat: bool = False, **args: Any) -> Any:
     """A button that starts a task; it rests while another one is going on."""
-    button = ui.button(text, on_click=lambda: view.bench.start(task, **args))
-    button.props("dense no-caps padding='4px 12px'" + (" outline" if flat else "")).mark(f"do-{task}")
-    button.set_enabled(view.bench.work is None)
-    return button
+    return button(text, view, lambda: view.bench.start(task, **args), f"do-{task}", flat=flat)
+
+
+def button(text: str, view: View, do: Callable[[], None], mark: str, *, flat: bool = False) -> Any:
+    """A button that changes the model or starts work; it rests while something is going on."""
+    made = ui.button(text, on_click=do).mark(mark)
+    made.props("dense no-caps padding='4px 12px'" + (" outline" if flat else ""))
+    made.set_enabled(view.bench.work is None)
+    return made

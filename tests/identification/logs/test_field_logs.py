@@ -12,9 +12,8 @@ import pytest
 import undertow as ut
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats import registry
-from undertow.identification.logs.formats.fieldlog import FieldLog, Series, in_order, rising, union
+from undertow.identification.logs.formats.fieldlog import FieldLog, Series, cut_at, in_order, rising, union
 from undertow.identification.logs.formats.registry import format_of, read_field_log
-from undertow.identification.logs.formats.stretches import cut_at
 from undertow.identification.logs.helper import Helper
 from undertow.identification.logs.mapping import Column, LogMapping, mapping_text, read_mapping
 from undertow.identification.logs.reading import read_log, read_logs

@@ -140,8 +140,8 @@ def _write(
 ) -> None:
     """Write the files of all experiments, and one vehicle file with what was found in any of them."""
     from undertow.files import together, write_whole
-    from undertow.identification.api import save_diagnosis
     from undertow.identification.experiments import diagnosed
+    from undertow.identification.history import save_diagnosis
 
     outcomes = [outcome for outcome, *_ in written]
     with progress("writing", None), together():

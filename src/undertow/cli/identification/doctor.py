@@ -146,11 +146,8 @@ def mended_mapping(examined: Examined, map: Path | None, known: LogMapping | Non
     Without a file, what the format of the log is `known` to mean is written out and mended.
     """
     from undertow.files import read_text
-    from undertow.identification.doctor.findings import as_toml, into_file
-    from undertow.identification.logs.mapping import mapping_text
+    from undertow.identification.doctor.findings import into_file
+    from undertow.identification.logs.mapping import LogMapping, mapping_text
 
-    if map is None and known is not None and known.columns:
-        return into_file(mapping_text(known), examined.edits)
-    if map is None:
-        return as_toml(examined.edits, whole=True) + "\n"
-    return into_file(read_text(map, "mapping file"), examined.edits)
+    given = read_text(map, "mapping file") if map else mapping_text(known or LogMapping())
+    return into_file(given, examined.edits)

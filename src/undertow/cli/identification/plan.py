@@ -35,14 +35,22 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import JsonFileOption, LogOptions, VehicleArgument, bundled, say_long, words
+from .._options import (
+    JsonFileOption,
+    LogOptions,
+    VehicleArgument,
+    bundled,
+    names_and_values,
+    say_long,
+    words,
+)
 from .._terminal import console, progress, say, section, table, text, write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undertow.identification.planning.parameters import Planned
     from undertow.identification.planning.result import Plan, PlannedParameter
+    from undertow.identification.planning.search import Planned
 
 
 _LOGS = typer.Argument(metavar="LOG", help="Existing logs: CSV, CSV.gz or Parquet.")
@@ -202,13 +210,10 @@ def _listed(texts: Sequence[str]) -> list[str]:
 
 def _named(option: str, texts: Sequence[str], *, whole: bool) -> dict[str, float]:
     """``NAME=VALUE``, or ``VALUE`` alone (named "") where `whole` allows it."""
-    found: dict[str, float] = {}
-    for word in _listed(texts):
-        name, mark, number = word.partition("=")
-        if not mark and not whole:
-            raise UndertowError(f"{option} {word}: write NAME=VALUE, for instance u=0.01")
-        found[name.strip() if mark else ""] = _number(option, number if mark else word)
-    return found
+    listed = _listed(texts)
+    alone = [word for word in listed if whole and "=" not in word]
+    named = names_and_values(option, [word for word in listed if word not in alone], "u=0.01")
+    return {name: _number(option, value) for name, value in [*(("", word) for word in alone), *named]}
 
 
 def _number(option: str, word: str) -> float:

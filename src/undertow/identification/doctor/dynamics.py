@@ -152,10 +152,8 @@ class Dynamics:
         return replace(self.data, runs=runs, segments=segments, sigma=sigma)
 
     def _segment(self, run: Run, s: Segment) -> Segment:
-        zero = np.zeros(len(run.t))
-        measured = [run.channels.get(n, zero)[s.samples] for n in self.data.names]
-        commands = run.matrix(self.data.commands)[s.samples]
-        return replace(s, measured=np.column_stack(measured), u=commands)
+        measured, commands = run.known(self.data.names), run.matrix(self.data.commands)
+        return replace(s, measured=measured[s.samples], u=commands[s.samples])
 
     def explained_by(self, mistake: Mistake) -> bool:
         """Whether little more than noise is left of any equation of motion once a mistake is undone."""
@@ -289,12 +287,12 @@ def rederived(run: Run, undo: Undo) -> Run:
     if not run.derived:
         return after
     places = [VELOCITY.index(n) for n in run.derived]
-    pose = _six(run, POSE)
-    rate = np.einsum("nij,nj->ni", jacobian(pose), _six(run, VELOCITY))
+    pose = run.known(POSE)
+    rate = np.einsum("nij,nj->ni", jacobian(pose), run.known(VELOCITY))
     # Mistakes are affine in the pose, so that this difference is exact.
     plain = replace(run, wrapped={})
     moved = with_channels(plain, {n: run.channels[n] + rate[:, POSE.index(n)] for n in POSE if run.has(n)})
-    before, later = (_six(undo(r), POSE) for r in (plain, moved))
+    before, later = (undo(r).known(POSE) for r in (plain, moved))
     # The clock may be another one, too.
     slower = (after.t[-1] - after.t[0]) / (run.t[-1] - run.t[0])
     velocity = np.linalg.solve(jacobian(before), (later - before)[..., None]) / slower
@@ -303,11 +301,6 @@ def rederived(run: Run, undo: Undo) -> Run:
     noise = zip(new, _other_unit(*spread), strict=True)
     sigma = {n: factor * run.sigma[n] for n, factor in noise if n in run.sigma}
     return replace(with_channels(after, new), sigma={**run.sigma, **sigma})
-
-
-def _six(run: Run, names: tuple[str, ...]) -> Array:
-    zero = np.zeros(len(run.t))
-    return np.column_stack([run.channels.get(n, zero) for n in names])
 
 
 def reversed_commands(vehicle: Vehicle) -> list[Mistake]:

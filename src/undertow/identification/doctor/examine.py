@@ -31,7 +31,7 @@ from .dynamics import (
     wirings,
 )
 from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
-from .impossible import impossible, suspicious
+from .forces import impossible, suspicious
 from .kinematics import Kinematics, rms
 from .mistakes import (
     POSITIONS,

@@ -197,24 +197,19 @@ def edited(mapping: LogMapping, edits: Iterable[Edit]) -> LogMapping:
     return LogMapping.model_validate(content | {"schema": SCHEMA})
 
 
-def as_toml(edits: Iterable[Edit], *, whole: bool = False) -> str:
-    """Changes as lines of a mapping file; with `whole` as a file of its own."""
+def as_toml(edits: Iterable[Edit]) -> str:
+    """Changes as lines of a mapping file."""
     tables: dict[str, dict[str, Any]] = {}
     for table, key, value in edits:
         tables.setdefault(table, {})[key] = value
     parts = [_lines(tables.pop("", {}))]
     parts += [f"[{table}]\n{_lines(content)}" for table, content in tables.items()]
-    head = f'schema = "{SCHEMA}"\n' if whole else ""
-    return head + "\n".join(part for part in parts if part).strip()
+    return "\n".join(part for part in parts if part).strip()
 
 
 def read_edits(lines: str) -> Edits:
     """The changes that the lines of a finding stand for: the way back of `as_toml`."""
-    return edits_of(tomllib.loads(lines))
-
-
-def edits_of(content: TypingMapping[str, Any]) -> Edits:
-    """The changes that state all of a mapping file's content."""
+    content = tomllib.loads(lines)
     tables = {key: value for key, value in content.items() if isinstance(value, dict)}
     on_top = [Edit("", key, value) for key, value in content.items() if key not in tables]
     inside = [Edit(table, key, value) for table, own in tables.items() for key, value in own.items()]

@@ -1,38 +1,58 @@
-"""The force that a motion needs, and what the commands and the rest give, as means over test functions."""
+"""The force that a motion needs against what the commands give; forces and speeds that no vehicle has."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
 
 from undertow.codegen.engine import at_samples
 from undertow.codegen.functions import Functions
+from undertow.errors import UndertowError
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
 from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.hardware import Curve, Propeller
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .kinematics import most_active, weights_over
+from .dynamics import largest_commands, other_units, rederived
+from .kinematics import Kinematics, most_active, weights_over
+from .mistakes import (
+    PLAUSIBLE,
+    RATES,
+    SPEEDS,
+    UNITS_OF_MOTION,
+    Explanation,
+    Mistake,
+    PlausibilitySettings,
+    likely_time_units,
+    reading_mistakes,
+    rescaled,
+    they_are,
+)
+from .sensors import clustered_least_squares
 
 
-class TableSettings(Protocol):
-    """How much of a log is looked at, and how closely."""
+@dataclass(frozen=True)
+class ForceSettings:
+    """How forces are compared."""
 
-    @property
-    def samples(self) -> int:
-        """Samples that are looked at, all runs together."""
+    width: float = (
+        2.0  # of test functions, in the narrowest that the sampling allows: what is faster is noise
+    )
+    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
+    # Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
+    # follow from others.
+    distinct: float = 1e-4
 
-    @property
-    def width(self) -> float:
-        """Width of test functions, in the narrowest that the sampling allows."""
+
+FORCES = ForceSettings()
 
 
 def allocation(vehicle: Vehicle) -> Array:
@@ -75,24 +95,22 @@ class Forces:
         self.mass = _mass_matrix(self.functions, self.p)
         self.chain = ActuatorStates(self.functions, ())
 
-    def table(self, runs: Sequence[Run], settings: TableSettings) -> ForceTable | None:
-        """The table of logs; None where they are too short."""
-        parts = [part for i, run in enumerate(runs) for part in self._parts(run, i, len(runs), settings)]
+    def table(self, runs: Sequence[Run], samples: int) -> ForceTable | None:
+        """The table of so many samples of logs, the most active; None where they are too short."""
+        parts = [part for i, run in enumerate(runs) for part in self._parts(run, i, len(runs), samples)]
         return ForceTable(*(np.concatenate(c) for c in zip(*parts, strict=True))) if parts else None
 
-    def _parts(
-        self, run: Run, index: int, count: int, settings: TableSettings
-    ) -> Iterator[tuple[Array, Array, Array]]:
+    def _parts(self, run: Run, index: int, count: int, samples: int) -> Iterator[tuple[Array, Array, Array]]:
         velocities, commands = self.vehicle.velocity_names, self.vehicle.command_names
         angles = [n for n in ("phi", "theta") if n in self.vehicle.pose_names and run.has(n)]
-        active, force = most_active(run, velocities, settings.samples // count), self.commanded(run)
+        active, force = most_active(run, velocities, samples // count), self.commanded(run)
         for piece in run.segments([*velocities, *commands, *angles]):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = weights_over(t, settings.width * knot_spacing(t)) if len(t) > 2 else None
+            functions = weights_over(t, FORCES.width * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
                 motion = run.matrix([*velocities, *angles])[part]
-                yield _tested(functions, motion, len(velocities), force[part], self.mass, (index, count))
+                yield _means(functions, motion, len(velocities), force[part], self.mass, (index, count))
 
     def commanded(self, run: Run) -> Array:
         """Force of every command at every sample, (N, n, n_commands); NaN where a command is missing."""
@@ -134,10 +152,8 @@ class StatedForces(Forces):
 
     def _forcing(self, run: Run, u: Array, actuation: Array) -> Array:
         """Force at rest of the acceleration, (N, n); pose that the log lacks is zero."""
-        f, zero = self.functions, np.zeros(len(run.t))
-        pose = np.column_stack([run.channels.get(n, zero) for n in self.vehicle.pose_names])
-        memory = np.zeros((len(run.t), f.memory.shape[0]))
-        velocity = run.matrix(self.vehicle.velocity_names)
+        pose, velocity = run.known(self.vehicle.pose_names), run.matrix(self.vehicle.velocity_names)
+        memory = np.zeros((len(run.t), self.functions.memory.shape[0]))
         columns = [pose, velocity, memory, u, self.p, run.t[:, None], actuation]
         return at_samples(self._evaluated, columns, len(run.t))[0]
 
@@ -148,7 +164,7 @@ class StatedForces(Forces):
         return ca.Function("forcing", arguments, [ca.densify(f.forcing)])
 
 
-def _tested(
+def _means(
     functions: TestFunctions, motion: Array, n: int, force: Array, mass: Array, run: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
     """One stretch: inertial force, force of the commands, and what else may act."""
@@ -180,3 +196,316 @@ def _mass_matrix(functions: Functions, p: Array) -> Array:
     zeros = [np.zeros(a.shape) for a in arguments]
     zeros[2] = p
     return np.array(evaluate(*zeros), dtype=float)
+
+
+# --- what is impossible, whatever the physics -----------------------------------------------------
+_INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
+
+
+@dataclass(frozen=True)
+class Response:
+    """How one motion answers one command, or all of them together."""
+
+    degree_of_freedom: str
+    command: str  # the command; empty for all together
+    # gain, error: inertial force found per force commanded, 1 as the vehicle file has it, and its standard
+    # error.
+    gain: float
+    error: float
+    share: float  # share that the command explains of what nothing else does
+    # needed, given: inertial and commanded force or moment, rms, N or N m.
+    needed: float
+    given: float
+
+    def sure(self, errors: float, share: float) -> bool:
+        """Whether the gain stands out of its error, and the command explains a share of the motion."""
+        return abs(self.gain) > errors * self.error and self.share > share
+
+
+class Responses:
+    """Where and how motion is compared with commands; the same for a log as given and as mended.
+
+    An actuation that depends on the motion is refused.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle, self._forces = vehicle, Forces(vehicle)
+
+    def of(self, runs: Sequence[Run]) -> list[Response]:
+        """Responses of every motion whose inertia is known to every command and to all together."""
+        table = self._forces.table(runs, PLAUSIBLE.samples)
+        if table is None:
+            return []
+        rows = range(len(self.vehicle.dof_indices))
+        return [r for row in rows if self._known(row) for r in self._row(table, row)]
+
+    def _known(self, row: int) -> bool:
+        """Whether the vehicle file knows the inertia: what is to be estimated is no evidence."""
+        name = _INERTIA[self.vehicle.dof_indices[row]]
+        return name in self.vehicle.values and not self.vehicle.values[name].estimate
+
+    def _row(self, table: ForceTable, row: int) -> Iterator[Response]:
+        given = table.commanded[:, row]
+        acting = [k for k in range(given.shape[1]) if np.any(given[:, k]) and not self._open(k)]
+        rest = np.delete(given, acting, axis=1)
+        beside = np.column_stack([table.beside, rest[:, np.any(rest != 0, axis=0)]])
+        if len(table.force) < 2 * (beside.shape[1] + len(acting)):
+            return
+        names = [(self.vehicle.command_names[k], k) for k in acting]
+        if len(acting) != 1:
+            yield from self._responses(table, row, beside, [("", given[:, acting].sum(axis=1))])
+        yield from self._responses(table, row, beside, [(name, given[:, k]) for name, k in names])
+
+    def _open(self, command: int) -> bool:
+        """Whether thrust per command is to be estimated: then any unit of the command will do."""
+        thrusters = self.vehicle.thrusters
+        return command < len(thrusters) and thrusters[command].thrust_per_command.estimate
+
+    def _responses(
+        self, table: ForceTable, row: int, beside: Array, commands: list[tuple[str, Array]]
+    ) -> Iterator[Response]:
+        force = table.force[:, row]
+        if not commands or not np.any(force):
+            return
+        own = without(beside, np.column_stack([force, *(data for _, data in commands)]))
+        gains, errors, shares = _fitted(own[:, 1:], own[:, 0])
+        dof = self.vehicle.degrees_of_freedom[row]
+        for (name, data), *found in zip(commands, gains, errors, shares, strict=True):
+            sizes = (float(np.sqrt(np.mean(a**2))) for a in (force, data))
+            yield Response(dof, name, *map(float, found), *sizes)
+
+
+def _fitted(columns: Array, force: Array) -> tuple[Array, Array, Array]:
+    """Gains of columns by least squares, their errors, and what share each explains that no other does."""
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    scaled = columns / size
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=FORCES.distinct, hermitian=True)
+    value = inverse @ (scaled.T @ force)
+    left = float(np.sum((force - scaled @ value) ** 2))
+    more = np.divide(value**2, np.diag(inverse), out=np.zeros_like(value), where=np.diag(inverse) > 0)
+    spread = max(np.sqrt(left / len(force)), 1e-9 * float(np.max(np.abs(force))))
+    value, error = clustered_least_squares(scaled / spread, force / spread, FORCES.cluster, FORCES.distinct)
+    return value / size, error / size, more / np.maximum(left + more, 1e-300)
+
+
+def suspicious(
+    vehicle: Vehicle, runs: Sequence[Run], mapping: LogMapping, kinematics: Kinematics
+) -> Explanation | None:
+    """A motion that needs a few times the force commanded, as it would in another unit; None where none does.
+
+    Parameters are those of `impossible`. Lags and dead times make a motion need less, never more.
+    """
+    milder = replace(PLAUSIBLE, strongest=PLAUSIBLE.doubtful, near=PLAUSIBLE.alike)
+    return _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, milder).by_force()
+
+
+def impossible(
+    vehicle: Vehicle,
+    runs: Sequence[Run],
+    mapping: LogMapping,
+    kinematics: Kinematics,
+) -> Explanation | None:
+    """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing."""
+    check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, PLAUSIBLE)
+    return check.by_force() or check.by_size() or check.by_angles() or check.by_limits()
+
+
+_Known = dict[tuple[str, str], Response]
+"""Responses by motion and command."""
+
+
+@dataclass(frozen=True)
+class _PlausibilityCheck:
+    vehicle: Vehicle
+    runs: list[Run]
+    mapping: LogMapping
+    kinematics: Kinematics
+    settings: PlausibilitySettings
+
+    # --- force -----------------------------------------------------------------------------------
+    def by_force(self) -> Explanation | None:
+        """The force that the motion needs, against what the commands give."""
+        try:
+            responses = Responses(self.vehicle)
+        except UndertowError:  # actuation that depends on the motion does not follow from the log alone
+            return None
+        before = self._sure(responses.of(self.runs))
+        far = {key: r for key, r in before.items() if not self._possible(r)}
+        if not far:
+            return None
+        worst = max(far.values(), key=lambda r: abs(np.log(abs(r.gain))))
+        found = self._explaining(responses, before, far)
+        if not found:
+            return None
+        text = f"{found[0].clause}: {_force_text(worst, self.settings)}"
+        return Explanation(found[0], text, _force_evidence(worst), found[1:])
+
+    def _sure(self, found: Sequence[Response]) -> _Known:
+        s = self.settings
+        return {(r.degree_of_freedom, r.command): r for r in found if r.sure(s.errors, s.share)}
+
+    def _explaining(
+        self,
+        responses: Responses,
+        before: _Known,
+        far: _Known,
+    ) -> list[Mistake]:
+        """Mistakes without which force and motion agree, the simplest first, then the best."""
+        found = []
+        for place, mistake in enumerate([*self._readings(), *self._commands(far)]):
+            all_after = responses.of(self.without(mistake))
+            after = self._sure(all_after)
+            # What could be seen before must still be: else a motion that is scaled away agrees with anything.
+            if all(key in after for key in before) and self._agree(far, after) and self._allowed(mistake):
+                score = float(np.mean([abs(np.log(abs(after[key].gain))) for key in before]))
+                seen = sum(r.sure(self.settings.errors / 2, 0.0) for r in all_after)
+                found.append(((mistake.count, -seen, round(score, 1), place), mistake))
+        return [mistake for _, mistake in sorted(found, key=lambda pair: pair[0])]
+
+    def _possible(self, r: Response) -> bool:
+        return self.settings.weakest < abs(r.gain) < self.settings.strongest
+
+    def _agree(self, far: _Known, after: _Known) -> bool:
+        near = all(_within(after[key].gain, self.settings.near) for key in far)
+        return near and all(map(self._possible, after.values()))
+
+    def without(self, mistake: Mistake) -> list[Run]:
+        return [rederived(run, mistake.undo) for run in self.runs]
+
+    def _allowed(self, mistake: Mistake) -> bool:
+        """Whether pose rates and velocities agree as well without a mistake as with it."""
+        if not self.kinematics:
+            return True
+        given = self.kinematics.mismatch(self.runs).total
+        return self.kinematics.mismatch(self.without(mistake)).total < 1.25 * given + 0.01
+
+    def _readings(self) -> Iterator[Mistake]:
+        """Units of what was measured."""
+        # Pose rates have been compared with velocities, and so has the clock.
+        yield from () if self.kinematics else (m for m, _ in likely_time_units(self.runs, self.mapping))
+        known = reading_mistakes(self.mapping, self.runs)
+        yield from (m for m in known if m.id in UNITS_OF_MOTION or "degrees" in m.id)
+
+    def _commands(self, far: _Known) -> Iterator[Mistake]:
+        """Units of commands: those that are known, one command, or all of them times a factor."""
+        yield from other_units(self.vehicle, self.runs)
+        by_name: dict[str, list[float]] = {}
+        for (_, name), r in far.items():
+            by_name.setdefault(name, []).append(r.gain)
+        factors = {name: float(np.median(np.abs(gains))) for name, gains in by_name.items()}
+        one = {(name,): factor for name, factor in factors.items() if name}
+        everything = {self.vehicle.command_names: float(np.median([*factors.values()]))}
+        for names, factor in (one | everything).items():
+            if _within(factor, self.settings.command):
+                yield times(names, factor)
+
+    # --- size ------------------------------------------------------------------------------------
+    def by_size(self) -> Explanation | None:
+        """Speeds that a vehicle of this size does not reach."""
+        known = self.vehicle.values.get("m")
+        if known is None or known.estimate or not known.value > 0:
+            return None
+        rho, g = (self.vehicle.environment[n] for n in ("rho", "g"))
+        size, s = float(np.cbrt(known.value / rho)), self.settings
+        speed = float(np.clip(s.froude * np.sqrt(g * size), s.slowest, s.fastest))
+        limits = {SPEEDS: speed, RATES: float(np.sqrt(s.turning * g / size))}
+        for names, limit in limits.items():
+            if (fastest := self._fastest(self.runs, names)) > limit:
+                return self._too_fast(names, fastest, limit, known.value)
+        return None
+
+    def _fastest(self, runs: Sequence[Run], names: tuple[str, ...]) -> float:
+        """Speed, or rate of turn, that a twentieth of the samples exceed."""
+        own = [n for n in names if n in self.vehicle.velocity_names]
+        if not own:
+            return 0.0
+        total = np.concatenate([np.sqrt(np.sum(run.matrix(own) ** 2, axis=1)) for run in runs])
+        present = total[np.isfinite(total)]
+        return float(np.quantile(present, 0.95)) if len(present) else 0.0
+
+    def _too_fast(
+        self, names: tuple[str, ...], value: float, limit: float, mass: float
+    ) -> Explanation | None:
+        units = (m for m in self._readings() if self._fastest(self.without(m), names) <= limit)
+        found = [m for m in units if self._allowed(m)]
+        if not found:
+            return None
+        unit = "m/s" if names == SPEEDS else "rad/s"
+        own = ", ".join(n for n in names if n in self.vehicle.velocity_names)
+        why = f"{own} reach {value:.3g} {unit}, but no vehicle of {mass:.4g} kg exceeds {limit:.3g} {unit}"
+        return Explanation(found[0], f"{found[0].clause}: {why}", {"value": value, "limit": limit}, found[1:])
+
+    # --- size of the commands --------------------------------------------------------------------
+    def by_angles(self) -> Explanation | None:
+        """Rudders and fins that turn farther than any does: in degrees."""
+        limit = self.settings.angle
+        sizes = {n: _rms(self.runs, n) for n in self.vehicle.angle_names}
+        far = {n: size for n, size in sizes.items() if size > limit}
+        if not far:
+            return None
+        mistake, worst = _in_degrees(tuple(far)), max(far, key=lambda n: far[n])
+        why = f"{worst} is {far[worst]:.4g} rad rms, but no rudder or fin turns by more than {limit:.4g} rad"
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": far[worst], "limit": limit}, [])
+
+    def by_limits(self) -> Explanation | None:
+        """Commands far beyond what the vehicle file has as the largest."""
+        limits = largest_commands(self.vehicle)
+        beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
+        far = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
+        if not far:
+            return None
+        worst = max(far, key=lambda n: far[n])
+        known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
+        mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
+        value, limit = far[worst] * limits[worst], limits[worst]
+        why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": value, "limit": limit}, known[1:])
+
+
+def _within(gain: float, factor: float) -> bool:
+    return 1.0 / factor < abs(gain) < factor
+
+
+def _rms(runs: Sequence[Run], name: str) -> float:
+    data = np.concatenate([run.channels[name] for run in runs])
+    present: Array = data[np.isfinite(data)]
+    return float(np.sqrt(np.mean(present**2))) if len(present) else 0.0
+
+
+def _brings_within(mistake: Mistake, runs: Sequence[Run], limits: dict[str, float]) -> bool:
+    undone = [mistake.undo(run) for run in runs]
+    return all(_rms(undone, n) <= 1.5 * limit for n, limit in limits.items())
+
+
+def _in_degrees(names: tuple[str, ...]) -> Mistake:
+    """Angles of rudders and fins in degrees."""
+    clause = f"{they_are(names)} in degrees, read as radians"
+    return rescaled("command_unit", clause, dict.fromkeys(names, float(np.radians(1.0))), len(names))
+
+
+def times(names: tuple[str, ...], found: float) -> Mistake:
+    """Commands that count a factor too much or too little; near a power of ten it is one."""
+    ten = 10.0 ** round(np.log10(found))
+    factor = ten if max(found / ten, ten / found) < 2.5 else float(f"{found:.2g}")
+
+    verb = "command {} is" if len(names) == 1 else "commands {} are"
+    size = f"{1 / factor:.4g} times too large" if factor < 1 else f"{factor:.4g} times too small"
+    clause = f"{verb.format(', '.join(names))} {size}"
+    # It explains whatever one of the known units would, which comes first.
+    return rescaled("command_unit", clause, dict.fromkeys(names, factor), 1 + len(names))
+
+
+def _force_text(r: Response, settings: PlausibilitySettings) -> str:
+    what = f"command {r.command} gives" if r.command else "the commands give"
+    unit = "N" if r.degree_of_freedom in ("surge", "sway", "heave") else "N m"
+    if abs(r.gain) > 1:
+        ratio, limit = f"{abs(r.gain):.3g} times what {what}", f"at most {settings.strongest:g}"
+    else:
+        ratio = f"{abs(r.gain):.3g} of what {what}"
+        limit = f"at least {settings.weakest:g}"
+    forces = f"{r.needed:.3g} {unit} against {r.given:.3g} {unit} rms"
+    return f"the {r.degree_of_freedom} of the log needs {ratio} ({forces}; {limit} can be)"
+
+
+def _force_evidence(r: Response) -> dict[str, float]:
+    return {"gain": r.gain, "error": r.error, "needed": r.needed, "given": r.given}

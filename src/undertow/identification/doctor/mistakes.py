@@ -182,12 +182,6 @@ class PlausibilitySettings:
     quick: float = 0.004
     slow: float = 5.0
     samples: int = 4000  # samples that are looked at, the most_active: more would only cost time
-    # Width of test functions, in the narrowest that the sampling allows: what is faster is noise.
-    width: float = 2.0
-    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
-    # Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
-    # follow from others.
-    distinct: float = 1e-4
 
 
 PLAUSIBLE = PlausibilitySettings()
@@ -295,8 +289,7 @@ def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str
 
     clause = " and ".join(dict.fromkeys(units.values()))
     was = " and ".join(dict.fromkeys(read_as.values()))
-    verb = "is" if len(names) == 1 else "are"
-    return Mistake(kind, f"{', '.join(names)} {verb} in {clause}, read as {was}", scaling(factors), edits)
+    return Mistake(kind, f"{they_are(names)} in {clause}, read as {was}", scaling(factors), edits)
 
 
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")

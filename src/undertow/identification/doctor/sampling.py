@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.identification.estimation.data import channel_noise, noise_by_order
-from undertow.identification.logs.guess import SETTINGS as GUESS
+from undertow.identification.logs.checks import MEASURABLE
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import FORCES, UNITS, Run
 from undertow.model.catalogue import catalogue, logged_quantities
@@ -147,8 +147,8 @@ def _are_whole(ratios: Array) -> bool:
 
 def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
     """A log that has far more rows than the motion of a vehicle needs."""
-    if usual * GUESS.fast < 1.0:
-        every = mapping.time.every * round(1.0 / (usual * GUESS.enough))
+    if usual * MEASURABLE.fast < 1.0:
+        every = mapping.time.every * round(1.0 / (usual * MEASURABLE.enough))
         yield Finding(
             id="dense",
             severity="note",

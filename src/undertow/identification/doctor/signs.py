@@ -25,7 +25,7 @@ from undertow.typing import Array, Flags
 
 from .dynamics import Dynamics, part_of, rederived
 from .findings import Finding
-from .forces import StatedForces, without
+from .forces import FORCES, StatedForces, without
 from .mistakes import Explanation, Mistake, Undo
 from .sensors import clustered_least_squares
 
@@ -35,9 +35,6 @@ class SignSettings:
     """From where on gains say that commands are wired, named or signed wrongly."""
 
     samples: int = 2000  # samples of a run that are looked at, the most active
-    width: float = 2.0  # of test functions, in the narrowest that the sampling allows
-    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
-    distinct: float = 1e-4  # share (squared) by which commands must differ to have gains of their own
     # Share of what nothing else explains that commands must explain for a motion to be evidence.
     share: float = 0.1
     # Share of it that positive gains must leave beyond free ones to count: thrusters that are weaker astern
@@ -93,14 +90,14 @@ class _Row:
     def fitted(self) -> _Fitted:
         size = np.linalg.norm(self.given, axis=0)
         columns, whole = self.given / size, float(self.force @ self.force)
-        free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(SETTINGS.distinct))
+        free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(FORCES.distinct))
         left = float(np.sum((self.force - columns @ free) ** 2))
         _, positive = nnls(np.hstack([columns, -columns[:, _wild(free / size)]]), self.force)
         scale = max(np.sqrt(left / len(self.force)), 1e-6 * np.sqrt(whole / len(self.force)))
         gain, error = clustered_least_squares(
-            columns / scale, self.force / scale, SETTINGS.cluster, SETTINGS.distinct
+            columns / scale, self.force / scale, FORCES.cluster, FORCES.distinct
         )
-        inverse = np.linalg.pinv(columns.T @ columns, rcond=SETTINGS.distinct, hermitian=True)
+        inverse = np.linalg.pinv(columns.T @ columns, rcond=FORCES.distinct, hermitian=True)
         plain = scale * np.sqrt(np.maximum(np.diag(inverse), 1e-300))
         more = max(0.0, positive**2 - left)
         errors = more / scale**2 / float(np.max(error / plain)) ** 2
@@ -154,7 +151,7 @@ class Signs:
         )
 
     def _rows(self, run: Run, only: Iterable[str] | None = None) -> dict[str, _Row]:
-        table = self._forces.table([run], SETTINGS)
+        table = self._forces.table([run], SETTINGS.samples)
         names, found = self.vehicle.command_names, dict[str, _Row]()
         if table is None:
             return found

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tri
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.series import noise_variance
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
@@ -43,10 +44,6 @@ class NoiseSettings:
     orders: tuple[int, ...] = (3, 4, 5, 6, 7, 8)
     samples_for_order: int = 4
     fewest: int = 10  # differences that a standard deviation is taken from
-    gaussian_mad: float = 1.4826  # standard deviation over median magnitude, of a Gaussian
-    # Standard deviations from which a difference is not noise, and the variance of a Gaussian cut off there.
-    outlying: float = 3.5
-    variance_within: float = 0.9939
     # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
     clearly: float = 4.0
     # No channel counts as better known than this share of its change in 1 s: quadrature over samples is not
@@ -239,10 +236,7 @@ def _by_difference(y: Array, even: Flags, order: int) -> float:
     kept = difference[usable & np.isfinite(difference)]
     if len(kept) < NOISE.fewest:
         return np.inf
-    rough = NOISE.gaussian_mad * float(np.median(np.abs(kept)))
-    # Of what is not a kink or a jump the mean square is known twice as well as the median.
-    within = kept[np.abs(kept) <= NOISE.outlying * rough]
-    return float(np.sqrt(np.mean(within**2) / NOISE.variance_within / comb(2 * order, order)))
+    return float(np.sqrt(noise_variance(kept) / comb(2 * order, order)))
 
 
 class Whitening:

@@ -16,6 +16,7 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.series import last_known
 from undertow.typing import Array, Index
 
 
@@ -42,9 +43,7 @@ def _at_work(t: Array, delay: float) -> Index:
 
 def without_gaps(u: Array) -> Array:
     """Commands with the last known value where one is missing; no equation is used inside such gaps."""
-    known = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
-    filled = np.take_along_axis(u, np.maximum.accumulate(known, axis=0), axis=0)
-    return np.nan_to_num(filled, nan=0.0)
+    return np.nan_to_num(last_known(u))
 
 
 def held_commands(runs: Sequence[Run], names: Sequence[str]) -> list[Array]:

@@ -11,12 +11,13 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
+from undertow.identification.logs.series import robust_scale
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
 from .adaptation import in_runs
 from .covariance import clustered, inverse_of, summed_scores
-from .data import NOISE, prepare
+from .data import prepare
 from .fitted import Fitted
 from .predictor import Predictor, predict_each
 from .residual import Linearised, WeakModel
@@ -307,12 +308,10 @@ def _damped(at: Reduced, damping: float) -> Linearised:
 
 def channel_weights(windows: Windows, *, derived: bool = False) -> Array:
     """One over the noise of each channel; zero for what is not measured, or, unless it counts, derived."""
-    with_data = np.isfinite(windows.measured)
-    count = with_data.sum(axis=(0, 1))
-    size = np.sqrt(np.nansum(windows.measured**2, axis=(0, 1)) / np.maximum(count, 1))
+    with_data = np.isfinite(windows.measured).any(axis=(0, 1))
     left_out = set() if derived else {name for run in windows.runs for name in run.derived}
-    used = (count > 0) & np.array([name not in left_out for name in windows.names])
-    noise = np.maximum(windows.sigma, SETTINGS.least_noise * size)
+    used = with_data & np.array([name not in left_out for name in windows.names])
+    noise = np.maximum(windows.sigma, SETTINGS.least_noise * windows.rms)
     return np.where(used & (noise > 0), 1.0 / np.where(noise > 0, noise, 1.0), 0.0)
 
 
@@ -348,31 +347,17 @@ class Loss:
         return mean * float(np.mean((weight * z) ** 2)) / slope**2, mean / slope
 
 
-def _huber_weight(z: Array) -> Array:
-    return np.asarray(SETTINGS.huber / np.maximum(np.abs(z), SETTINGS.huber))
-
-
-def _huber_slope(z: Array) -> Array:
-    return (np.abs(z) < SETTINGS.huber).astype(float)
-
-
-def _student_weight(z: Array) -> Array:
-    return np.asarray((SETTINGS.student + 1) / (SETTINGS.student + z**2))
-
-
-def _student_slope(z: Array) -> Array:
-    return np.asarray((SETTINGS.student + 1) * (SETTINGS.student - z**2) / (SETTINGS.student + z**2) ** 2)
-
-
+_BEND, _TAIL = SETTINGS.huber, SETTINGS.student
 LOSSES: dict[str, Loss] = {
-    "huber": Loss(_huber_weight, _huber_slope),
-    "student-t": Loss(_student_weight, _student_slope),
+    "huber": Loss(
+        weight=lambda z: _BEND / np.maximum(np.abs(z), _BEND),
+        slope=lambda z: (np.abs(z) < _BEND).astype(float),
+    ),
+    "student-t": Loss(
+        weight=lambda z: (_TAIL + 1) / (_TAIL + z**2),
+        slope=lambda z: (_TAIL + 1) * (_TAIL - z**2) / (_TAIL + z**2) ** 2,
+    ),
 }
-
-
-def robust_scale(errors: Array) -> float:
-    """Standard deviation of errors by their median magnitude: up to half of them may be anything."""
-    return NOISE.gaussian_mad * float(np.median(np.abs(errors))) if len(errors) else 1.0
 
 
 _PLAIN = Constraints()

@@ -136,9 +136,7 @@ class OwnStates:
     def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
         """Pose and velocity as reported in part of a run, each at the time that it was true."""
         log = windows.runs[run]
-        zero = np.zeros(len(log.t))
-        measured = np.column_stack([log.channels.get(n, zero)[piece] for n in windows.names])
-        return self._sensor_delay.at_its_time(log.t[piece], measured, p)
+        return self._sensor_delay.at_its_time(log.t[piece], log.known(windows.names)[piece], p)
 
     @cached_property
     def _propagated(self) -> PropagatedState:
@@ -180,12 +178,8 @@ def _stretches(windows: Windows) -> list[Index]:
 
 def _noise(windows: Windows) -> Array:
     """Noise of the channels, with a floor for logs that have none."""
-    there = np.isfinite(windows.measured)
-    size = np.sqrt(
-        np.sum(np.where(there, windows.measured, 0.0) ** 2, axis=(0, 1))
-        / np.maximum(there.sum(axis=(0, 1)), 1)
-    )
-    return np.maximum(np.maximum(windows.sigma, SETTINGS.least_noise * size), SETTINGS.least_noise)
+    least = SETTINGS.least_noise * windows.rms
+    return np.maximum(np.maximum(windows.sigma, least), SETTINGS.least_noise)
 
 
 # --- the state at the beginning, by how the log goes on -------------------------------------------

@@ -36,6 +36,7 @@ class ShootingSettings:
     wrong_start: float = 2.0
     # Share of the mean square of a window that a step has to gain for another to follow.
     worth_a_step: float = 0.01
+    block: float = 5.0  # s; parts of a window that are so long count as independent of each other
     batch: int = 5_000_000  # numbers in the sensitivities of one batch of windows: 40 MB
     # Steps of finite differences: relative to a parameter, and for dead times to a sampling interval.
     difference: float = 1e-3
@@ -162,10 +163,9 @@ class OneRun(NamedTuple):
 class Shooting:
     """Windows of logs simulated by one model, with derivatives in the parameters `free`.
 
-    `weight` (2n,) is one over the noise of each channel, zero for one that is not used. `block` is the length
-    in s of the parts of a window that count as independent of each other. `trust` (b, k, 2n) weighs each
-    sample in the sum of squares, beside its channel; None: all alike. `values` says where values by run stand
-    in p where these are not among the free parameters.
+    `weight` (2n,) is one over the noise of each channel, zero for one that is not used. `trust` (b, k, 2n)
+    weighs each sample in the sum of squares, beside its channel; None: all alike. `values` says where values
+    by run stand in p where these are not among the free parameters.
     """
 
     def __init__(
@@ -175,7 +175,6 @@ class Shooting:
         free: Sequence[str],
         weight: Array,
         *,
-        block: float = 5.0,
         compiled: bool | None = None,
         values: RunValues | None = None,
     ) -> None:
@@ -186,7 +185,7 @@ class Shooting:
         self.values = self._columns if values is None else values
         self.places = list(self._columns.local)
         self.predictor = Predictor(functions, compiled=compiled)
-        self._size, self._block = len(windows.names), block
+        self._size = len(windows.names)
         self.by_run = self._runs() if self.values.split else []
 
     def _runs(self) -> list[OneRun]:
@@ -441,8 +440,10 @@ class Shooting:
 
     def _groups(self, t: Array) -> Integers:
         """Part of its window that a sample belongs to, shape (b, k); parts count as independent."""
-        parts = np.floor((t - t[:, :1]) / self._block)
-        return np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / self._block - 0.5, 0)).astype(np.int64)
+        parts = np.floor((t - t[:, :1]) / SETTINGS.block)
+        return np.minimum(parts, np.maximum((t[:, -1:] - t[:, :1]) / SETTINGS.block - 0.5, 0)).astype(
+            np.int64
+        )
 
     def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
         """Report and slopes at the time that they come; what was before a window moves with nothing."""

@@ -81,6 +81,12 @@ class Windows:
         """Which samples are not padding, shape (b, k)."""
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
+    @property
+    def rms(self) -> Array:
+        """Root mean square of the reports of every channel, (2n,); zero for one without."""
+        count = np.isfinite(self.measured).sum(axis=(0, 1))
+        return np.sqrt(np.nansum(self.measured**2, axis=(0, 1)) / np.maximum(count, 1))
+
     @cached_property
     def held(self) -> list[Array]:
         """Commands in every run, as `held_commands` gives them."""
@@ -511,7 +517,11 @@ def prediction_error(prediction: Prediction) -> float:
 
     0.05 is five per cent; the noise of the sensors is in it. `Prediction.relative` holds the parts.
     """
-    parts = np.array(list(prediction.relative.values()))
+    return geometric_mean(np.array(list(prediction.relative.values())))
+
+
+def geometric_mean(parts: Array) -> float:
+    """Geometric mean of errors; NaN of none."""
     return float(np.exp(np.mean(np.log(np.maximum(parts, 1e-12))))) if len(parts) else float("nan")
 
 
@@ -628,15 +638,8 @@ def _dying(rates: Array) -> Array:
 def _mean_rates(function: ca.Function, vehicle: Vehicle, run: Run, p: Array) -> Array:
     """Mean of the derivatives of the accelerations in the velocities over a run, 1/s."""
     rows = np.unique(np.linspace(0, len(run.t) - 1, HORIZONS.samples).astype(np.intp))
-    columns = [
-        np.column_stack([_there(run, n)[rows] for n in names]) if names else np.zeros((len(rows), 0))
-        for names in (vehicle.pose_names, vehicle.velocity_names, vehicle.command_names)
-    ]
+    names = vehicle.pose_names, vehicle.velocity_names, vehicle.command_names
+    columns = [np.nan_to_num(run.known(kind)[rows]) for kind in names]
     (rates,) = mapped(function, columns, p, run.t[rows])
     good = np.isfinite(rates).all(axis=(1, 2))
     return np.asarray(rates[good].mean(axis=0)) if good.any() else np.zeros(rates.shape[1:])
-
-
-def _there(run: Run, name: str) -> Array:
-    """A channel with zero where it is missing."""
-    return np.nan_to_num(run.channels[name]) if run.has(name) else np.zeros(len(run.t))

@@ -30,6 +30,9 @@ class Measurable:
     samples: int = 300_000
     # Lines of a file per sample, at most: some are blank or comments. Only used to stop reading early.
     rows_per_sample: int = 2
+    # Samples a second beyond which a vehicle moves more slowly than it is logged, and as many as will do.
+    fast: float = 50.0
+    enough: float = 20.0
 
 
 MEASURABLE = Measurable()
@@ -72,8 +75,8 @@ def check_time(t: Array, column: str, where: str) -> None:
 
 def in_order(t: Array) -> NDArray[np.bool_]:
     """Tell which times are later than all before them; a missing one counts as in order."""
-    latest = np.fmax.accumulate(t)
-    return np.concatenate([[True], (t[1:] > latest[:-1]) | np.isnan(t[1:])]) if len(t) else t == t
+    latest = np.fmax.accumulate(np.concatenate([[-np.inf], t]))
+    return np.asarray((t > latest[:-1]) | np.isnan(t))
 
 
 def disorder(t: Array, later: NDArray[np.bool_]) -> list[str]:
@@ -228,7 +231,9 @@ def with_distinct_names(runs: list[Run]) -> list[Run]:
     ended = Counter((run.name, _ending(run)) for run in runs)
 
     def longer_name(run: Run) -> Run:
-        return _with_ending(run) if ended[run.name, _ending(run)] == 1 else _with_folder(run)
+        if ended[run.name, _ending(run)] == 1:
+            return replace(run, name=f"{run.name} ({_ending(run)})")
+        return replace(run, name=f"{Path(run.source).resolve().parent.name}/{run.name}")
 
     longer = [longer_name(run) if count[run.name] > 1 else run for run in runs]
     again = Counter(run.name for run in longer)
@@ -239,11 +244,3 @@ def with_distinct_names(runs: list[Run]) -> list[Run]:
 
 def _ending(run: Run) -> str:
     return "".join(Path(run.source).suffixes)
-
-
-def _with_ending(run: Run) -> Run:
-    return replace(run, name=f"{run.name} ({_ending(run)})")
-
-
-def _with_folder(run: Run) -> Run:
-    return replace(run, name=f"{Path(run.source).resolve().parent.name}/{run.name}")

@@ -17,7 +17,6 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.model.units import scale_offset
 
 from .checks import empty, in_order
 from .formats.fieldlog import Window
@@ -25,11 +24,13 @@ from .mapping import CommandPolicy, LogMapping
 from .opening import (
     FieldLogs,
     field_log,
+    is_dated,
     must_have,
     nothing_numbered,
     opened_field_log,
     opened_table,
     stretches_of,
+    times_of,
 )
 from .reading import run_of_table
 from .run import Run
@@ -37,18 +38,16 @@ from .table import (
     DAMAGED,
     WHOLE,
     Origin,
-    elapsed,
+    columns_of,
     file_hash,
     flat_table,
-    is_dates,
+    header_of,
     is_gzip,
-    is_header,
     is_parquet,
     parquet_size,
     read_rows,
     read_table,
     refuse_no_file,
-    seconds,
     size_of,
 )
 
@@ -114,7 +113,7 @@ class LongLog:
         for table in self._tables(rows, overlap):
             if origin is None:
                 origin = self._origin(table)
-            t, lost = self._times(table, origin), 0
+            t, lost = times_of(table, self.mapping, self._where, origin)[0], 0
             if not overlap:
                 later = self._later(t, latest)
                 table, t, lost = table.filter(later), t[later], int(np.sum(~later))
@@ -147,8 +146,7 @@ class LongLog:
         lines = text.split(b"\n")
         whole = size_of(self.path)
         length = np.mean([len(line) + 1 for line in lines[:-1]] or [max(whole, 1)])
-        header = next((line for line in lines if is_header(line, self._comment)), b"")
-        return int(whole / length), header.count(self.mapping.delimiter.encode()) + 1
+        return int(whole / length), columns_of(header_of(text, self.mapping), self.mapping)
 
     def stretches(self, column: str) -> list[pl.LazyFrame]:
         """The stretches of its file: of a Parquet file where they are in it, of a text their rows."""
@@ -204,15 +202,6 @@ class LongLog:
             )
         return np.ones(len(t), dtype=bool)
 
-    def _times(self, table: pl.DataFrame, origin: Origin) -> NDArray[np.float64]:
-        """Times of all rows of a table, s."""
-        spec = self.mapping.time
-        if self._dated(table):
-            return np.asarray(seconds(table, spec.column, self._where, origin)[0] + spec.offset)
-        scale, offset = scale_offset(spec.unit, "s", of=self._where)
-        since, _ = elapsed(table, self.mapping, scale, self._where, origin)
-        return np.asarray(scale * since + offset + spec.offset)
-
     def _run(self, table: pl.DataFrame, origin: Origin, before: dict[str, float]) -> Run:
         every = self.mapping.time.every
         mapping = self.mapping.model_copy(update={"time": self.mapping.time.model_copy(update={"every": 1})})
@@ -224,17 +213,10 @@ class LongLog:
         run = replace(run, mapping=self.mapping, reader_notes=self.reader_notes)
         return run.with_notes(f"one row in {every} used") if every > 1 else run
 
-    def _dated(self, table: pl.DataFrame) -> bool:
-        spec = self.mapping.time
-        return spec.unit == "iso" or is_dates(table, spec.column)
-
     def _origin(self, table: pl.DataFrame) -> Origin:
-        spec = self.mapping.time
-        must_have(spec.column, table.columns, self._where, "time column")
-        if self._dated(table):
-            return seconds(table, spec.column, self._where)[2]
-        scale, _ = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
-        return elapsed(table.head(1), self.mapping, scale, self._where)[1]
+        must_have(self.mapping.time.column, table.columns, self._where, "time column")
+        rows = table if is_dated(table, self.mapping) else table.head(1)
+        return times_of(rows, self.mapping, self._where)[1]
 
     def _refuse(self) -> None:
         if self.table is None:
@@ -273,10 +255,6 @@ class LongLog:
     def _flat(self) -> pl.LazyFrame:
         return flat_table(self.path, self._where) if self.table is None else self.table
 
-    @property
-    def _comment(self) -> bytes:
-        return (self.mapping.comment or "\0").encode()
-
     def _text_tables(self, rows: int, overlap: int, *, packed: bool) -> Iterator[pl.DataFrame]:
         with _opened(self.path, self._where, packed=packed) as file:
             stream = _lines(file, self._where)
@@ -288,9 +266,8 @@ class LongLog:
                 kept = lines[-overlap:] if overlap else []
 
     def _header(self, lines: Iterator[bytes]) -> bytes:
-        for line in lines:
-            if is_header(line, self._comment):
-                return line
+        if header := next((line for line in lines if header_of(line, self.mapping)), b""):
+            return header
         raise UndertowError(f"{self._where} is empty (no header): check that it is complete")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .checks import in_order
+from .checks import MEASURABLE, in_order
 from .conversions import angles
 from .guess_frames import (
     Axes,
@@ -39,6 +38,7 @@ from .guess_names import (
     known_unit,
     latitude_and_longitude,
     part_of_quaternion,
+    rows_by_number,
     with_axes,
 )
 from .guessed import Guess, GuessedMapping
@@ -71,8 +71,6 @@ class GuessSettings:
     late: float = (
         0.05  # share of rows that may be no later than one before, of a clock that rises all the same
     )
-    fast: float = 50.0  # rows a second, beyond which a vehicle moves more slowly than it is logged
-    enough: float = 20.0  # rows a second that will do then
 
 
 SETTINGS = GuessSettings()
@@ -273,8 +271,8 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
         else f"{step:.4g} from {one} to {one}: that is {rate:.3g} {one}s a second if it is in {unit}; is it?"
     )
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
-    if rate > SETTINGS.fast and np.all(sampled):
-        asked.append(f"{rate:.3g} rows a second: every = {round(rate / SETTINGS.enough)} would do at first")
+    if rate > MEASURABLE.fast and np.all(sampled):
+        asked.append(f"{rate:.3g} rows a second: every = {round(rate / MEASURABLE.enough)} would do at first")
     late = _late(times)
     if late:
         entry["disorder"] = "drop"
@@ -383,13 +381,9 @@ def _axes(vehicle: Vehicle) -> dict[str, str]:
 
 def _in_order(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]:
     """Columns that differ in a number alone, as many as there are commands, in the order of that number."""
-    rows: dict[str, list[tuple[int, Name]]] = {}
-    for name in names:
-        if name.is_command and (parts := re.fullmatch(r"(.*?)(\d+)(\D*)", name.column)):
-            rows.setdefault(f"{parts[1]}#{parts[3]}", []).append((int(parts[2]), name))
-    fitting = (row for row in rows.values() if len(row) == len(commands) > 1)
-    row = sorted(next(fitting, []), key=lambda pair: pair[0])
-    return {command: name for command, (_, name) in zip(commands, row, strict=False)}
+    known = {name.column: name for name in names if name.is_command}
+    fitting = (row for row in rows_by_number(known) if len(row) == len(commands) > 1)
+    return {command: known[name] for command, name in zip(commands, next(fitting, []), strict=False)}
 
 
 def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:

@@ -299,6 +299,15 @@ def with_axes(names: Sequence[Name]) -> list[Name]:
     return [axes.get(name, name) for name in names]
 
 
+def rows_by_number(names: Iterable[str]) -> list[list[str]]:
+    """Names that differ in their last number alone, in its order, row by row."""
+    rows: dict[str, list[tuple[int, str]]] = {}
+    for name in names:
+        if parts := re.fullmatch(r"(.*?)(\d+)(\D*)", name):
+            rows.setdefault(f"{parts[1]}#{parts[3]}", []).append((int(parts[2]), name))
+    return [[name for _, name in sorted(row, key=lambda pair: pair[0])] for row in rows.values()]
+
+
 def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
     """The first columns that are called latitude and longitude; () where one of them is missing."""
     known = [(column, {*Name.of(column).words}) for column in columns]

@@ -11,13 +11,22 @@ import threading
 from dataclasses import dataclass, field
 from typing import Any
 
+_LIMITED = """
+import sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, 2 * (int(sys.argv[1]),))
+except (ImportError, ValueError, OSError):
+    pass
+"""
+
 
 @dataclass
 class Helper:
     """A process that answers one question after the other; a new one where it has ended with a question.
 
-    `program` is Python that answers every line of JSON with a line of JSON; its argument is `memory`, the
-    bytes of address space that it may have.
+    `program` is Python that answers every line of JSON with a line of JSON; `memory` are the bytes of address
+    space that it may have.
     """
 
     program: str
@@ -51,7 +60,7 @@ class Helper:
         if self._process is None or self._process.poll() is not None or self._owner != os.getpid():
             self._owner = os.getpid()
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", self.program, str(self.memory)],
+                [sys.executable, "-P", "-c", f"{_LIMITED}{self.program}", str(self.memory)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

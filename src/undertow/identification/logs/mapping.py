@@ -128,14 +128,9 @@ class Water(_Strict):
     velocity: tuple[float, float, float]
 
 
-def _named(value: Any) -> Any:
-    """Let ``heading = "psi"`` stand for ``heading = { channel = "psi" }``."""
-    return {"channel": value} if isinstance(value, str) else value
-
-
-def _spelled(value: Any) -> Any:
-    """Let ``f1 = "(pwm - 1500)/400"`` stand for ``f1 = { expression = "(pwm - 1500)/400" }``."""
-    return {"expression": value} if isinstance(value, str) else value
+def _short_for(key: str) -> BeforeValidator:
+    """Let a text stand for a table of one key: ``heading = "psi"`` for ``heading = { channel = "psi" }``."""
+    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
 
 
 class LogMapping(_Strict):
@@ -144,9 +139,9 @@ class LogMapping(_Strict):
     schema_: Literal["undertow/mapping/1"] = Field(alias="schema", default="undertow/mapping/1")
     description: str = ""
     # Column name to `Column` (or just to the channel name).
-    columns: dict[str, Annotated[Column, BeforeValidator(_named)]] = {}
+    columns: dict[str, Annotated[Column, _short_for("channel")]] = {}
     # Channel name to `Channel` (or just to its expression): what is computed from columns.
-    channels: dict[str, Annotated[Channel, BeforeValidator(_spelled)]] = {}
+    channels: dict[str, Annotated[Channel, _short_for("expression")]] = {}
     # time, frames: time base and axes.
     time: Time = Time()
     frames: Frames = Frames()
@@ -169,6 +164,13 @@ class LogMapping(_Strict):
     held: Held = ()
     # Folder with definitions that are not in the log: ROS messages (.msg), glider sensors (.cac).
     messages: Path | None = None
+
+    def jumps(self, channel: str) -> bool:
+        """Whether an angle may jump by a turn: psi does unless that is denied."""
+        stated = {column.channel: column.wrapped for column in self.columns.values()}
+        stated |= {name: one.wrapped for name, one in self.channels.items()}
+        asked = stated.get(channel)
+        return asked or (channel == "psi" and asked is None)
 
 
 def read_mapping(path: str | Path) -> LogMapping:

@@ -21,7 +21,20 @@ from .formats.registry import open_field_log, readable
 from .mapping import Channel, Column, Held, LogMapping, mapping_text, turned_name
 from .run import UNITS, Run
 from .series import SETTINGS, held_together, shared_rows
-from .table import WHOLE, LogLimits, NotTextError, file_bytes, file_hash, numbers, read_table
+from .table import (
+    WHOLE,
+    LogLimits,
+    NotTextError,
+    Origin,
+    elapsed,
+    file_bytes,
+    file_hash,
+    is_dates,
+    lacking_zeros,
+    numbers,
+    read_table,
+    seconds,
+)
 
 FieldLogs = dict[Path, FieldLog]
 """Vehicles' own logs that were opened already, by path: opening one twice takes twice as long."""
@@ -91,6 +104,27 @@ def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[
             f"{', '.join(lacking)}: assign them in a mapping file (undertow import {log.path} --out "
             "NEW.parquet writes a first one)"
         )
+
+
+def is_dated(table: pl.DataFrame, mapping: LogMapping) -> bool:
+    """Whether times are dates, or durations of their own type."""
+    return mapping.time.unit == "iso" or is_dates(table, mapping.time.column)
+
+
+def times_of(
+    table: pl.DataFrame, mapping: LogMapping, where: str, origin: Origin | None = None
+) -> tuple[Array, Origin, list[str]]:
+    """Times of all rows, s, the time in the file that counts as zero, and notes on it."""
+    spec = mapping.time
+    if is_dated(table, mapping):
+        t, first, origin = seconds(table, spec.column, where, origin)
+        notes = [f"time starts at {first}"] if first else []
+        return t + spec.offset, origin, [*notes, *lacking_zeros(table, spec.column)]
+    scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
+    since, origin = elapsed(table, mapping, scale, where, origin)
+    start = f"{origin:.17g}" if isinstance(origin, float) else f"{origin:f}".rstrip("0").rstrip(".")
+    notes = [f"time starts at the first sample, {start} {spec.unit} in the file"] if origin else []
+    return scale * since + offset + spec.offset, origin, notes
 
 
 def stretches_of(table: pl.DataFrame, column: str | None, where: str) -> list[pl.DataFrame]:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.symbols import DOFS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .mapping import to_body
 from .run import UNITS, Run
+from .series import SETTINGS as SERIES
 from .series import with_reports
 
 ORDER = 3  # position, velocity, acceleration
@@ -184,8 +185,6 @@ def _profile(lanes: Lanes, decades: Array) -> tuple[Array, Array]:
     return number * np.log(variance) + spread, variance
 
 
-_NORMAL = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-
 Interval = tuple[int, int]
 
 
@@ -336,7 +335,7 @@ def _gross_outliers(t: Array, y: Array) -> Flags:
     close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t[index])
     odd = np.zeros(len(seen))
     odd[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
-    limit = max(5 * SETTINGS.limit * _NORMAL * float(np.median(odd[2:-2])), 2 * _usual_change(y))
+    limit = max(5 * SETTINGS.limit * SERIES.gaussian_mad * float(np.median(odd[2:-2])), 2 * _usual_change(y))
     beside = np.maximum(np.roll(odd, 1), np.roll(odd, -1))
     result[index[_peaks(odd, limit, SETTINGS.apart) & (odd > 1.25 * beside)]] = True
     return result
@@ -373,16 +372,13 @@ def _suspects(signal: _Signal, state: States, shock: Array, noise: float, apart:
     own = np.nan_to_num(1.0 - state.covariance[:, 0, 0], nan=1.0)
     alone = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
     shift = np.where(signal.jump, 0.0, np.abs(np.nan_to_num(shock)))
-    limit = SETTINGS.limit * max(noise, _NORMAL * float(np.median(alone[np.isfinite(signal.y)])))
+    limit = SETTINGS.limit * max(noise, SERIES.gaussian_mad * float(np.median(alone[np.isfinite(signal.y)])))
     peak = _peaks(np.maximum(alone, shift), limit, apart)
     return peak & (alone >= shift) & np.isfinite(signal.y), peak & (shift > alone)
 
 
 def _cut(intervals: list[Interval], length: int) -> list[Interval]:
     return [(at, min(at + length, stop)) for start, stop in intervals for at in range(start, stop, length)]
-
-
-_DOF = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
 
 def as_reported(vehicle: Vehicle, runs: Sequence[Run]) -> Vehicle:
@@ -403,7 +399,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     medians of their standard deviations in `sigma`; outliers in the pose become NaN.
     """
     asked = list(degrees_of_freedom)
-    lacking = [VELOCITY[_DOF.index(name)] for name in asked if not run.has(VELOCITY[_DOF.index(name)])]
+    lacking = [VELOCITY[DOFS.index(name)] for name in asked if not run.has(VELOCITY[DOFS.index(name)])]
     if not lacking:
         return run
     tracks = {name: _tracked(run, name) for name in _pose_needed(run, asked, lacking)}
@@ -424,7 +420,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
 
 def _pose_needed(run: Run, asked: list[str], lacking: list[str]) -> list[str]:
     """Pose that the velocities which a run lacks are taken from, and what else of the pose it has."""
-    of_asked = {POSE[_DOF.index(name)] for name in asked}
+    of_asked = {POSE[DOFS.index(name)] for name in asked}
     needed = {POSE[VELOCITY.index(name)] for name in lacking} | of_asked & set(POSE[3:])
     # A vehicle that only surges along x, say a towed hull, may do without a heading; with one, x and y are
     # turned by it.
@@ -437,7 +433,7 @@ def _pose_needed(run: Run, asked: list[str], lacking: list[str]) -> list[str]:
         blind = [n for n in lacking if POSE[VELOCITY.index(n)] in across.union(missing)] or lacking
         raise UndertowError(
             f"run {run.name!r} has neither {', '.join(blind)} nor the pose {', '.join(missing)} for "
-            f"{', '.join(_DOF[VELOCITY.index(n)] for n in blind)}: map these columns, leave "
+            f"{', '.join(DOFS[VELOCITY.index(n)] for n in blind)}: map these columns, leave "
             f"{'it' if len(blind) == 1 else 'them'} out of degrees_of_freedom in the vehicle file, or say "
             'which motions a rig holds (held = ["sway"] in a mapping file)'
         )

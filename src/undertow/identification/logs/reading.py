@@ -23,12 +23,8 @@ from undertow.identification.logs.table import (
     WHOLE,
     LogLimits,
     Origin,
-    elapsed,
     in_unit_of_cells,
-    is_dates,
-    lacking_zeros,
     numbers,
-    seconds,
     taken_as_missing,
 )
 from undertow.model.actuators import TURNS
@@ -50,6 +46,7 @@ from .opening import (
     opened_field_log,
     opened_table,
     stretches_of,
+    times_of,
 )
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
@@ -289,7 +286,7 @@ def run_of_table(
         dropped=rows - table.height,
     ).slice(*window)
     slow = {turned_name(c.channel, mapping.frames.position) for c in sources.values() if c.fresh is not None}
-    run = _unwrapped(run, _said_to_jump(sources, mapping))
+    run = _unwrapped(run, mapping)
     run = with_report_noise(run, slow, part=before is not None)
     run = replace(run, held=_held(run, mapping.held))
     if own.several or policy == "hold":
@@ -332,19 +329,8 @@ def _time(
     table: pl.DataFrame, mapping: LogMapping, where: str, origin: Origin | None
 ) -> tuple[pl.DataFrame, Array, list[str]]:
     """Return the rows that are used, their times and notes."""
-    spec, notes = mapping.time, []
-    if spec.unit == "iso" or is_dates(table, spec.column):
-        t, first, _ = seconds(table, spec.column, where, origin)
-        notes += [f"time starts at {first}"] if first else []
-        notes += lacking_zeros(table, spec.column)
-    else:
-        scale, offset = scale_offset(spec.unit, "s", of=f"time unit {spec.unit!r}")
-        since, start = elapsed(table, mapping, scale, where, origin)
-        t = scale * since + offset
-        notes += (
-            [f"time starts at the first sample, {_shown(start)} {spec.unit} in the file"] if start else []
-        )
-    t = t + spec.offset
+    spec = mapping.time
+    t, _, notes = times_of(table, mapping, where, origin)
     if spec.disorder == "drop":
         later = checks.in_order(t)
         notes += checks.disorder(t, later)
@@ -352,10 +338,6 @@ def _time(
     notes += [f"one row in {spec.every} used"] if spec.every > 1 else []
     checks.check_time(t, spec.column, where)
     return table, t, notes
-
-
-def _shown(number: Origin) -> str:
-    return f"{number:.17g}" if isinstance(number, float) else f"{number:f}".rstrip("0").rstrip(".")
 
 
 def _values(
@@ -391,8 +373,7 @@ def _on_rows(
     if unreadable or not (slow or any(late.values()) or are_several(t, read)):
         return OneClock(t, read, {}, several=False)
     noise = _stated_noise(sources, mapping, where)
-    asked = _said_to_jump(sources, mapping)
-    series, angles = {}, {n: unwrapped(column) for n, column in read.items() if _jumps(n, asked)}
+    series, angles = {}, {n: unwrapped(column) for n, column in read.items() if mapping.jumps(n)}
     for name, column in {**read, **angles}.items():
         stated = noise.get(turned_name(name, mapping.frames.position))
         series[name] = Series.of(t - late[name], column, stated)
@@ -482,22 +463,10 @@ def _attitude(mapping: LogMapping) -> str:
     return spec.attitude or spec.position
 
 
-def _said_to_jump(sources: Mapping[str, Column], mapping: LogMapping) -> dict[str, bool | None]:
-    """What a mapping file says of the jumps of channels, by their names in the log."""
-    of_columns = {column.channel: column.wrapped for column in sources.values()}
-    return of_columns | {name: channel.wrapped for name, channel in mapping.channels.items()}
-
-
-def _unwrapped(run: Run, asked: Mapping[str, bool | None]) -> Run:
-    angles = [name for name in run.channels if _jumps(name, asked)]
-    whole = {name: unwrapped(run.channels[name]) for name in angles}
+def _unwrapped(run: Run, mapping: LogMapping) -> Run:
+    whole = {name: unwrapped(data) for name, data in run.channels.items() if mapping.jumps(name)}
     jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
     return replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
-
-
-def _jumps(name: str, asked: Mapping[str, bool | None]) -> bool:
-    """Whether an angle may jump by a turn: psi does unless the mapping file denies it."""
-    return bool(asked.get(name) or (name == "psi" and asked.get(name) is not False))
 
 
 def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -167,11 +167,13 @@ class Run:
             if not self.has(name):
                 have = ", ".join(self.channels) or "no channel"
                 raise UndertowError(f"run {self.name!r} has no channel {name!r}: it has {have}")
-        return (
-            np.column_stack([self.channels[name] for name in wanted])
-            if wanted
-            else np.empty((len(self.t), 0))
-        )
+        return self.known(wanted)
+
+    def known(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return channels side by side, shape (n, k); zero for one that the run lacks."""
+        zero = np.zeros(len(self.t))
+        columns = [self.channels.get(name, zero) for name in names]
+        return np.column_stack(columns) if columns else np.empty((len(self.t), 0))
 
     def reports(self, name: str) -> NDArray[np.float64]:
         """Return a channel with NaN in the rows in which it was not measured, shape (n,)."""

@@ -205,10 +205,22 @@ def report_noise(t: Array, y: Array) -> float:
     apart = t[index][:, :, None] - t[index][:, None, :]
     weight = 1.0 / np.prod(apart + np.eye(count), axis=2)
     wild = np.sum(weight * y[index], axis=1) / np.linalg.norm(weight, axis=1)
-    rough = SETTINGS.gaussian_mad * float(np.median(np.abs(wild)))
-    # Of what is not a kink or a jump the mean square is known twice as well as the median.
+    return float(np.sqrt(noise_variance(wild)))
+
+
+def noise_variance(wild: Array) -> float:
+    """Variance of noise (k,) that may have a few kinks and jumps of a motion in it.
+
+    Of what is no kink or jump the mean square is known twice as well as the median.
+    """
+    rough = robust_scale(wild)
     within = wild[np.abs(wild) <= SETTINGS.outlying * rough]
-    return float(np.sqrt(np.mean(within**2) / SETTINGS.variance_within)) if len(within) else 0.0
+    return float(np.mean(within**2)) / SETTINGS.variance_within if len(within) else 0.0
+
+
+def robust_scale(errors: Array) -> float:
+    """Standard deviation by the median magnitude, of which up to half may be anything; 1 of none."""
+    return SETTINGS.gaussian_mad * float(np.median(np.abs(errors))) if len(errors) else 1.0
 
 
 def with_report_noise(run: Run, must: Collection[str] = (), *, part: bool = False) -> Run:
@@ -265,6 +277,8 @@ def held_together(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def last_known(column: Array) -> Array:
-    """A column whose reports are held until the next; NaN before the first."""
-    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), -1))
-    return np.where(last >= 0, column[last], np.nan)
+    """A column, or several side by side, whose reports are held until the next; NaN before the first."""
+    row = np.arange(len(column)).reshape(-1, *(1,) * (column.ndim - 1))
+    last = np.maximum.accumulate(np.where(np.isfinite(column), row, 0), axis=0)
+    held = np.take_along_axis(column, last, axis=0)
+    return np.where(np.isfinite(held), held, np.nan)

@@ -30,11 +30,6 @@ from .mapping import Column, LogMapping
 _DECODE = """
 import json, sys
 import polars as pl
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_AS, 2 * (int(sys.argv[1]),))
-except (ImportError, ValueError, OSError):
-    pass
 for line in sys.stdin:
     try:
         table = pl.scan_parquet(json.loads(line), glob=False, hive_partitioning=False)
@@ -305,15 +300,10 @@ def header_of(text: bytes, mapping: LogMapping) -> bytes:
     while place < len(text):
         end = text.find(b"\n", place) + 1 or len(text)
         line = text[place:end]
-        if is_header(line, comment):
+        if line.strip(b"\xef\xbb\xbf \r\n") and not line.startswith(comment):
             return line
         place = end
     return b""
-
-
-def is_header(line: bytes, comment: bytes) -> bool:
-    """Tell whether a line is neither blank nor a comment."""
-    return bool(line.strip(b"\xef\xbb\xbf \r\n")) and not line.startswith(comment)
 
 
 def columns_of(header: bytes, mapping: LogMapping) -> int:

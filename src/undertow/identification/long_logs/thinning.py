@@ -15,6 +15,7 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.estimation.windows import time_constants_by_run
 from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.identification.logs.series import with_reports
@@ -138,19 +139,9 @@ def _going_on(name: str, before: Array, run: Run) -> Array:
     """A channel of the next part; an angle that was unwrapped there is moved by whole turns to go on."""
     data = run.channels[name]
     last, first = (a[np.isfinite(a)] for a in (before, data))
-    if name not in _unwrapped(run) or not len(last) or not len(first):
+    if not (run.mapping or LogMapping()).jumps(name) or not len(last) or not len(first):
         return data
     return np.asarray(data + 2 * np.pi * np.round((last[-1] - first[0]) / (2 * np.pi)))
-
-
-def _unwrapped(run: Run) -> set[str]:
-    """Angles that reading a log frees of their jumps."""
-    asked = {} if run.mapping is None else {c.channel: c.wrapped for c in run.mapping.columns.values()}
-    return {
-        name
-        for name, wrapped in ({"psi": True} | asked).items()
-        if wrapped or (name == "psi" and wrapped is None)
-    }
 
 
 def _blocks(t: Array, by: int, step: float) -> Index:

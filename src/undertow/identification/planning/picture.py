@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain
 from undertow.typing import Array
 
-from .parameters import Planned
 from .result import Plan, PlannedParameter
-from .separation import SETTINGS
+from .search import SEPARATION, Planned
 
 # Lines that stand side by side, told apart by colour and by dashes.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", INK, FAINT)
@@ -140,12 +139,12 @@ def _draw_distances(axis: Any, plan: Plan) -> None:
                 va="center",
             )
     axis.axvline(
-        SETTINGS.separated, color=FLOOR, linestyle="--", label=f"told apart ({SETTINGS.separated:g})"
+        SEPARATION.separated, color=FLOOR, linestyle="--", label=f"told apart ({SEPARATION.separated:g})"
     )
     axis.set_yticks(rows, ["\n".join(map(plain, p.pair)) for p in plan.separations])
-    axis.set_xscale("symlog", linthresh=SETTINGS.separated, linscale=0.5)
+    axis.set_xscale("symlog", linthresh=SEPARATION.separated, linscale=0.5)
     axis.xaxis.set_major_formatter("{x:g}")
-    axis.set_xlim(0.0, 1.5 * max(SETTINGS.separated, *(p.deviations for p in plan.separations)))
+    axis.set_xlim(0.0, 1.5 * max(SEPARATION.separated, *(p.deviations for p in plan.separations)))
     axis.set_xlabel("expected distance of the models' predictions after refitting [standard deviations]")
     _finish(axis)
 

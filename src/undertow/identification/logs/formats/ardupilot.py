@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from undertow.model.actuators import bundled_curves
 from undertow.model.loading import resolve_vehicle
 from undertow.typing import Array
 
-from .fieldlog import OFF, FieldLog, switched_off
+from .fieldlog import OFF, FieldLog, Series, switched_off
 
 Parameters = Mapping[str, float | str]
 
@@ -63,6 +63,17 @@ def motors(parameters: Parameters) -> dict[int, int]:
         if output and isinstance(value, float) and value in _MOTORS:
             found[_MOTORS[int(value)]] = int(output[1])
     return dict(sorted(found.items()))
+
+
+def outputs(series: Mapping[str, Series], names: Iterable[str], pattern: str) -> dict[int, tuple[str, Array]]:
+    """Column and pulses of every output in some series, by the number that the pattern finds in its name."""
+    return {
+        int(match[1]): (f"{name}.{column}", series[name].columns[column])
+        for name in names
+        if name in series
+        for column in series[name].columns
+        if (match := re.fullmatch(pattern, column))
+    }
 
 
 def actuators(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import polars as pl
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.guess import SETTINGS, guess_table
+from undertow.identification.logs.guess_names import rows_by_number
 from undertow.identification.logs.guessed import Guess, GuessedMapping
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.identification.logs.run import UNITS
@@ -90,10 +89,5 @@ def _column(one: Series, guess: Guess) -> Column:
 
 def _numbered(names: Sequence[str], columns: Mapping[str, Column]) -> tuple[tuple[str, Column], ...]:
     """Of columns whose names differ in their last number the most numerous, in its order."""
-    groups: dict[str, list[tuple[int, str]]] = defaultdict(list)
-    for name in names:
-        number = re.search(r"(\d+)\D*$", name)
-        if number and name not in columns:
-            groups[f"{name[: number.start(1)]}#{name[number.end(1) :]}"].append((int(number[1]), name))
-    most = max(groups.values(), key=len, default=[])
-    return tuple((name, Column(channel=f"motor{k}")) for k, (_, name) in enumerate(sorted(most), 1))
+    most = max(rows_by_number(n for n in names if n not in columns), key=len, default=[])
+    return tuple((name, Column(channel=f"motor{k}")) for k, name in enumerate(most, 1))

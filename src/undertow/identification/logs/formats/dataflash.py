@@ -13,20 +13,20 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from undertow.identification.logs.conversions import ANGLES
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array, Flags
 
-from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
+from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorter_by_pymavlink
 from .dataflash_records import FMT, HEAD, Columns, Records, open_records
-from .fieldlog import FieldLog, Format, named, outputs_of
-from .stretches import armed_stretches, runs_of, used_stretches
+from .fieldlog import FieldLog, Format, Stretch, armed_stretches, named, outputs_of, runs_of, used_stretches
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -44,7 +44,7 @@ def _understood(path: Path, file: Records) -> FieldLog:
     known = _Navigation(file, parameters)
     columns = known.columns()
     columns |= _sensors(file, known)
-    driven, more = actuators(parameters, _outputs(file), firmware)
+    driven, more = actuators(parameters, outputs(file.series, _OUTPUTS, r"C(\d+)"), firmware)
     stretches, left_out = _stretches(file, known, outputs_of(file.series, driven))
     mapping = LogMapping(columns=columns, frames=Frames(velocity=known.velocity_axes))
     notes = (*([firmware] if firmware else []), *file.notes, *known.notes, *more, *left_out)
@@ -56,14 +56,7 @@ def _parameters(file: Records) -> Parameters:
     return {} if found is None else by_name(found.texts("Name"), found.numbers("Value"))
 
 
-def _outputs(file: Records) -> dict[int, tuple[str, Array]]:
-    """Column and pulses of every output, by its number."""
-    found = {}
-    for name in ("RCOU", "RCO2", "RCO3"):
-        for column in file.series[name].columns if name in file.series else ():
-            if re.fullmatch(r"C\d+", column):
-                found[int(column[1:])] = (f"{name}.{column}", file.series[name].columns[column])
-    return found
+_OUTPUTS = ("RCOU", "RCO2", "RCO3")
 
 
 class _Navigation:
@@ -138,9 +131,9 @@ class _Navigation:
         if rows is not None:
             # Firmware says seconds, units of some versions say microseconds.
             step = rows[1] * (1e-6 if np.median(rows[1]) > 100.0 else 1.0)
+            step = np.where(step > 0, step, np.nan)
             columns = self._file.series["VISO"].columns
-            for name, moved in zip("uvw", rows[2:], strict=True):
-                _computed(columns, name, partial(_over, moved, step))
+            _computed(columns, "uvw", lambda: [moved / step for moved in rows[2:]])
             found |= named("VISO", {"u": "u", "v": "v", "w": "w"})
         return found
 
@@ -164,7 +157,6 @@ class _Navigation:
     def _by_quaternion(self, name: str, rows: list[Array]) -> dict[str, Column]:
         from scipy.spatial.transform import Rotation
 
-        @_once
         def angles() -> Array:
             q = np.column_stack(rows[1:])
             sound = np.abs(np.linalg.norm(q, axis=1) - 1.0) < _ROUNDED
@@ -172,8 +164,7 @@ class _Navigation:
             euler = (turned * self._trim().inv()).as_euler("ZYX")[:, ::-1]
             return np.where(sound[:, None], euler, np.nan).T
 
-        for k, angle in enumerate(("phi", "theta", "psi")):
-            _computed(self._file.series[name].columns, angle, partial(_row, angles, k))
+        _computed(self._file.series[name].columns, ANGLES, angles)
         return named(name, {"phi": "phi", "theta": "theta", "psi": "psi"})
 
     def _rates(self) -> dict[str, Column]:
@@ -184,15 +175,13 @@ class _Navigation:
         if rows is None:
             return {}
 
-        @_once
         def rates() -> Array:
             gyros = np.column_stack(rows[1:])
             if self._file.series[name].units.get("GyrX") == "deg/s":
                 gyros = np.radians(gyros)
             return self._trim().apply(gyros - self._bias(rows[0])).T
 
-        for k, rate in enumerate("pqr"):
-            _computed(self._file.series[name].columns, rate, partial(_row, rates, k))
+        _computed(self._file.series[name].columns, "pqr", rates)
         return named(name, {"p": "p", "q": "q", "r": "r"})
 
     def _bias(self, t: Array) -> Array:
@@ -226,33 +215,14 @@ _RESET = re.compile(
 )
 
 
-def _row(make: Callable[[], Array], k: int) -> Array:
-    """One row of a table that is made when it is asked for."""
-    return np.asarray(make()[k])
-
-
-def _where(good: Flags, values: Array) -> Array:
-    return np.where(good, values, np.nan)
-
-
-def _over(moved: Array, step: Array) -> Array:
-    return moved / np.where(step > 0, step, np.nan)
-
-
-def _once(make: Callable[[], Array]) -> Callable[[], Array]:
-    kept: list[Array] = []
-
-    def made() -> Array:
-        if not kept:
-            kept.append(make())
-        return kept[0]
-
-    return made
-
-
-def _computed(columns: Mapping[str, Array], name: str, make: Callable[[], Array]) -> None:
+def _computed(
+    columns: Mapping[str, Array], names: Sequence[str], make: Callable[[], Sequence[Array] | Array]
+) -> None:
+    """Add columns that are made together, once one of them is asked for."""
     assert isinstance(columns, Columns)
-    columns.more[name] = make
+    made = cache(make)
+    for k, name in enumerate(names):
+        columns.makers[name] = partial(lambda k: made()[k], k)
 
 
 _DOWN, _GOOD = 25, 4  # orientation of a range finder, and its status
@@ -260,22 +230,28 @@ _DOWN, _GOOD = 25, 4  # orientation of a range finder, and its status
 
 def _sensors(file: Records, known: _Navigation) -> dict[str, Column]:
     """Voltage of the battery and height above ground."""
-    found: dict[str, Column] = {}
     battery = known.series("BAT", 0) or known.series("CURR", 0)
-    if battery and "Volt" in file.series[battery].columns:
-        found |= named(battery, {"Volt": "voltage"}, unit="V")
+    seen = bool(battery) and "Volt" in file.series[battery].columns
+    return (named(battery, {"Volt": "voltage"}, unit="V") if seen else {}) | _height(file)
+
+
+def _height(file: Records) -> dict[str, Column]:
+    """Height above ground, by the first range finder that looks down."""
     for name in file.series:
         rows = file.rows(name, "Dist") if re.match(r"RFND\b", name) else None
-        if rows is None or found.get("altitude"):
+        if rows is None:
             continue
-        columns = file.series[name].columns
-        looks = columns.get("Orient", np.full(len(rows[1]), _DOWN)) == _DOWN
+        columns, every = file.series[name].columns, np.ones(len(rows[1]))
+        looks = columns.get("Orient", _DOWN * every) == _DOWN
         if looks.any():
-            good = columns.get("Stat", columns.get("Status", np.full(len(rows[1]), _GOOD))) == _GOOD
-            _computed(columns, "altitude", partial(_where, looks & good, rows[1]))
-            found |= named(name, {"altitude": "altitude"})
-            break
-    return found
+            good = looks & (columns.get("Stat", columns.get("Status", _GOOD * every)) == _GOOD)
+            _computed(columns, ("altitude",), partial(_where, good, rows[1]))
+            return named(name, {"altitude": "altitude"})
+    return {}
+
+
+def _where(good: Flags, values: Array) -> list[Array]:
+    return [np.where(good, values, np.nan)]
 
 
 _ARMED_EVENT, _DISARMED_EVENT = 10, 11
@@ -283,7 +259,7 @@ _ARMED_EVENT, _DISARMED_EVENT = 10, 11
 
 def _stretches(
     file: Records, known: _Navigation, outputs: tuple[Array, Array] | None
-) -> tuple[tuple[tuple[float, float], ...], list[str]]:
+) -> tuple[tuple[Stretch, ...], list[str]]:
     end = max(float(series.t.max()) for series in file.series.values() if len(series.t))
     span = (0.0, end)
     events: list[tuple[float, bool]] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +84,12 @@ class _Messages:
         letter = self.kind.cells[self.kind.columns.index(column)]
         return values / _DIVISORS[letter] if letter in _DIVISORS else values
 
+    @property
+    def columns(self) -> Columns:
+        """Those that hold numbers."""
+        cells = zip(self.kind.columns, self.kind.cells, strict=True)
+        return Columns({n: partial(self.numbers, n) for n, cell in cells if cell not in _TEXTS})
+
     def texts(self, column: str) -> list[str]:
         """Cells of a column as texts, up to the first zero."""
         cells = self.cells(column).tolist()
@@ -95,33 +101,24 @@ class _Messages:
 
 
 class Columns(Mapping[str, Array]):
-    """Columns with numbers, decoded when they are asked for; `more` are computed from others."""
+    """Columns that are made when they are asked for, and kept; readers add what is computed from others."""
 
-    def __init__(self, messages: _Messages) -> None:
-        self._messages, self._known = messages, dict[str, Array]()
-        self.more: dict[str, Callable[[], Array]] = {}
+    def __init__(self, makers: Mapping[str, Callable[[], Array]]) -> None:
+        self.makers, self._made = dict(makers), dict[str, Array]()
 
     def __getitem__(self, name: str) -> Array:
-        if name not in self._known:
-            if name not in self._plain and name not in self.more:
-                raise KeyError(name)
-            make = self.more.get(name, lambda: self._messages.numbers(name))
-            self._known[name] = make()
-        return self._known[name]
+        if name not in self._made:
+            self._made[name] = self.makers[name]()
+        return self._made[name]
 
-    @cached_property
-    def _plain(self) -> list[str]:
-        kind = self._messages.kind
-        return [n for n, c in zip(kind.columns, kind.cells, strict=True) if c not in _TEXTS]
-
-    def __contains__(self, name: object) -> bool:  # that of a Mapping decodes the column
-        return name in self._plain or name in self.more
+    def __contains__(self, name: object) -> bool:  # that of a Mapping makes the column
+        return name in self.makers
 
     def __iter__(self) -> Iterator[str]:
-        return iter([*self._plain, *self.more])
+        return iter(self.makers)
 
     def __len__(self) -> int:
-        return len(self._plain) + len(self.more)
+        return len(self.makers)
 
 
 def _kinds(data: Bytes) -> dict[int, _Kind]:
@@ -260,7 +257,7 @@ def _series(messages: dict[str, _Messages], clocks: dict[str, Array]) -> dict[st
     start, series = min(float(t.min()) for t in clocks.values() if len(t)), {}
     for name, t in clocks.items():
         for called, rows in _by_instance(messages[name], instances.get(name)):
-            columns = Columns(messages[name].taken(rows))
+            columns = messages[name].taken(rows).columns
             stated = {n: u for n, u in units.get(name, {}).items() if n in columns}
             series[called] = Series(called, t[rows] - start, columns, stated)
     return series

@@ -85,12 +85,6 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
 
 def answer_whether_files_can_be_read() -> None:
     """Read one file after the other, as a process of its own that may break down or be ended."""
-    try:
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, 2 * (int(sys.argv[1]),))
-    except (ImportError, ValueError, OSError):
-        pass
     for line in sys.stdin:
         path, seconds = json.loads(line)
         if hasattr(signal, "setitimer"):  # it ends a process that hangs in a library, too

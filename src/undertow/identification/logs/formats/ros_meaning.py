@@ -10,7 +10,6 @@ what it tracked.
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -18,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undertow.identification.logs.conversions import ANGLES, angles, depth
+from undertow.identification.logs.guess_names import rows_by_number
 from undertow.identification.logs.mapping import FLIPPED_BODY, Column, Frames, LogMapping
 from undertow.typing import Array
 
@@ -43,7 +43,7 @@ _DVL = re.compile(r"/(dvl|dvldata)$", re.IGNORECASE)
 _QUATERNION = re.compile(r"(?:^|(.*)\.)orientation\.w$")
 _DRIVES = re.compile(r"thrust|motor|actuator|pwm|rc_?out|propeller|servo|(?:^|[/_])esc", re.IGNORECASE)
 _ASKED = re.compile(r"input|cmd|command|control|pwm|rpm|setpoint", re.IGNORECASE)
-_LIST = re.compile(r"(?:data|channels|outputs?|controls?|commands?|pwm|thrust|forces?)\[(\d+)\]")
+_LIST = re.compile(r"(?:data|channels|outputs?|controls?|commands?|pwm|thrust|forces?)\[\d+\]")
 _SINGLE = ("data", "value")
 
 
@@ -313,30 +313,24 @@ def _actuators(topics: Sequence[Topic], known: _Understood) -> tuple[tuple[str, 
     sets = [found for topic in driving if (found := _listed(topic))] + _numbered(driving)
     if not sets:
         return ()
-    best, *others = sorted(sets, key=lambda one: (not _ASKED.search(one[0][0]), -len(one)))
+    best, *others = sorted(sets, key=lambda one: (not _ASKED.search(one[0]), -len(one)))
     if others:
-        left = ", ".join(one[0][0] for one in others)
-        known.notes.append(f"commands are taken from {best[0][0]} and the topics after it, not from {left}")
-    return tuple((name, Column(channel=f"motor{k}")) for k, (name, _) in enumerate(best, 1))
+        left = ", ".join(one[0] for one in others)
+        known.notes.append(f"commands are taken from {best[0]} and the topics after it, not from {left}")
+    return tuple((name, Column(channel=f"motor{k}")) for k, name in enumerate(best, 1))
 
 
-def _listed(topic: Topic) -> list[tuple[str, int]]:
-    found = [(name, int(m[1])) for name in topic.series.columns if (m := _LIST.fullmatch(name))]
-    return [(f"{topic.series.name}.{name}", k) for name, k in found if _some(topic, name)]
+def _listed(topic: Topic) -> list[str]:
+    found = [name for name in topic.series.columns if _LIST.fullmatch(name) and _some(topic, name)]
+    return [f"{topic.series.name}.{name}" for name in found]
 
 
 def _some(topic: Topic, name: str) -> bool:
     return bool(np.any(np.isfinite(topic.series.columns[name])))
 
 
-def _numbered(topics: Sequence[Topic]) -> list[list[tuple[str, int]]]:
-    """Topics whose names differ in a number, in its order."""
-    groups: dict[str, list[tuple[str, int]]] = defaultdict(list)
-    for topic in topics:
-        name, single = topic.series.name, next((s for s in _SINGLE if s in topic.series.columns), None)
-        numbers = list(re.finditer(r"\d+", name))
-        if single and numbers:
-            last = numbers[-1]
-            like = f"{name[: last.start()]}#{name[last.end() :]}"
-            groups[like].append((f"{name}.{single}", int(last[0])))
-    return [sorted(group, key=lambda one: one[1]) for group in groups.values()]
+def _numbered(topics: Sequence[Topic]) -> list[list[str]]:
+    """Topics with one number each whose names differ in a number, in its order."""
+    cells = ((t.series.name, next((s for s in _SINGLE if s in t.series.columns), "")) for t in topics)
+    single = {name: f"{name}.{cell}" for name, cell in cells if cell}
+    return [[single[name] for name in row] for row in rows_by_number(single)]

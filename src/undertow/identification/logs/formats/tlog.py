@@ -28,9 +28,21 @@ from undertow.identification.logs.conversions import north_east
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .ardupilot import SETTINGS, Parameters, actuators, by_name, shorter_by_pymavlink
-from .fieldlog import FieldLog, Format, Series, library, named, outputs_of, rising, steady
-from .stretches import armed_stretches, runs_of, used_stretches
+from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorter_by_pymavlink
+from .fieldlog import (
+    FieldLog,
+    Format,
+    Series,
+    Stretch,
+    armed_stretches,
+    library,
+    named,
+    outputs_of,
+    rising,
+    runs_of,
+    steady,
+    used_stretches,
+)
 
 # --- frames ---------------------------------------------------------------------------------------
 _STAMP = 8  # bytes of the time before every message, microseconds since 1970
@@ -268,7 +280,7 @@ def _understood(path: Path, own: dict[str, _Messages], notes: list[str]) -> Fiel
     firmware = next((text for text in texts if re.match(r"Ardu\w+ V", text)), "")
     parameters = _parameters(own)
     columns, velocity, remarks = _columns(series)
-    driven, more = actuators(parameters, _outputs(series), firmware)
+    driven, more = actuators(parameters, outputs(series, _servos(series), r"servo(\d+)_raw"), firmware)
     resets = [float(t - start) for t in clock.since[1:]]
     stretches, left = _stretches(own, times, start, series, outputs_of(series, driven), resets)
     more += _pace(series, bool(driven))
@@ -300,20 +312,17 @@ def _parameters(own: dict[str, _Messages]) -> Parameters:
     return {} if found is None else by_name(found.texts("param_id"), found.numbers("param_value"))
 
 
-def _outputs(series: Mapping[str, Series]) -> dict[int, tuple[str, Array]]:
-    """Column and pulses of every output, by its number."""
-    name = next((n for n in ("SERVO_OUTPUT_RAW[0]", "SERVO_OUTPUT_RAW") if n in series), "")
-    columns = series[name].columns if name else {}
-    numbered = {c: re.fullmatch(r"servo(\d+)_raw", c) for c in columns}
-    return {int(match[1]): (f"{name}.{c}", columns[c]) for c, match in numbered.items() if match}
+def _servos(series: Mapping[str, Series]) -> list[str]:
+    """Name of the series with the pulses of outputs 1 to 16, if there is one."""
+    return [n for n in ("SERVO_OUTPUT_RAW[0]", "SERVO_OUTPUT_RAW") if n in series][:1]
 
 
 _SLOW = 5.0  # messages a second below which commands between them are worth a word
 
 
 def _pace(series: Mapping[str, Series], driven: bool) -> list[str]:
-    name = next((n for n in ("SERVO_OUTPUT_RAW[0]", "SERVO_OUTPUT_RAW") if n in series), "")
-    t = series[name].t[rising(series[name].t)] if driven and name else np.zeros(0)
+    t = next((series[name].t for name in _servos(series) if driven), np.zeros(0))
+    t = t[rising(t)]
     if len(t) < 2 or (pace := 1.0 / float(np.median(np.diff(t)))) >= _SLOW:
         return []
     return [
@@ -388,7 +397,7 @@ def _stretches(
     series: Mapping[str, Series],
     outputs: tuple[Array, Array] | None,
     resets: list[float],
-) -> tuple[tuple[tuple[float, float], ...], list[str]]:
+) -> tuple[tuple[Stretch, ...], list[str]]:
     span = (0.0, max(float(t.max()) for t in times.values()) - start)
     events: list[tuple[float, bool]] = []
     if "HEARTBEAT" in own:

@@ -21,8 +21,18 @@ from undertow.identification.logs.conversions import ANGLES, angles
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
 from undertow.typing import Array
 
-from .fieldlog import OFF, FieldLog, Format, Series, library, outputs_of, switched_off
-from .stretches import armed_stretches, used_stretches
+from .fieldlog import (
+    OFF,
+    FieldLog,
+    Format,
+    Series,
+    Stretch,
+    armed_stretches,
+    library,
+    outputs_of,
+    switched_off,
+    used_stretches,
+)
 
 _SIGNATURE = b"ULog\x01\x12\x35"
 _ARMED = 2  # vehicle_status.arming_state
@@ -154,7 +164,7 @@ def _about_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Colu
 
 def _stretches(
     series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]
-) -> tuple[tuple[tuple[float, float], ...], list[str]]:
+) -> tuple[tuple[Stretch, ...], list[str]]:
     """Where the vehicle was armed and moved, cut where the estimator was reset, and what is said about it."""
     clocks = [series[name].t for name in _SAMPLED if name in series] or [s.t for s in series.values()]
     span = min(float(t[0]) for t in clocks), max(float(t[-1]) for t in clocks)
