@@ -18,7 +18,7 @@ from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import ANGLES, FUNCTIONS, Interval
+from .attitude import ANGLES, FUNCTIONS, enclose, within
 from .problem import Problem, SignSet, Uncertainty, sign_sets
 from .result import FAILS, HOLDS, SETTINGS, Channel, LeftAlone, Row
 
@@ -262,6 +262,6 @@ def _largest(expression: sm.Expr, problem: Problem) -> float:
     if expression.free_symbols - set(angles):
         return np.inf
     tilt = problem.attitudes.tilt
-    ranges = [Interval(-tilt, tilt), Interval(-tilt, tilt), Interval(-np.pi, np.pi)]
+    ranges = map(within, (tilt, tilt, np.pi))
     found = function_of(angles, expression, FUNCTIONS)(*ranges)
-    return float(np.max(np.abs([found.lo, found.hi]))) if isinstance(found, Interval) else abs(float(found))
+    return float(enclose(found).size)

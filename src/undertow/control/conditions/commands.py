@@ -16,7 +16,7 @@ from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import ANGLES, Interval, enclose, enclosing
+from .attitude import ANGLES, Interval, enclose, enclosing, within
 from .problem import Problem, SignSet
 from .result import Command
 
@@ -52,14 +52,11 @@ class Commands:
 
     def holding_slopes(self, boxes: dict[str, Interval]) -> Interval:
         """How what compensates weight and buoyancy changes with roll and pitch, shape (boxes, m, 2)."""
-        found = [f(*self.problem.attitudes.every_angle(boxes)) for f in self._holding_slopes]
-        return Interval(
-            *(np.concatenate([getattr(f, side) for f in found], axis=-1) for side in ("lo", "hi"))
-        )
+        return self._holding_slopes(*self.problem.attitudes.every_angle(boxes))
 
     @cached_property
-    def _holding_slopes(self) -> list[Callable[..., Interval]]:
-        return [enclosing(_ANGLES, self._held.diff(a)) for a in _ANGLES[:2]]
+    def _holding_slopes(self) -> Callable[..., Interval]:
+        return enclosing(_ANGLES, sm.Matrix.hstack(*(self._held.diff(a) for a in _ANGLES[:2])))
 
     @cached_property
     def _holding(self) -> Callable[..., Interval]:
@@ -152,7 +149,7 @@ class SlidingCommands:
     def _rates(self, errors: Array) -> Interval:
         """What q_dot can be in the box, shape (n, 1)."""
         fastest = 2 * (self._problem.values["Lambda"] * errors)[:, None]
-        return Interval(-fastest, fastest)
+        return within(fastest)
 
     def _boxes(self, errors: Array) -> dict[str, Interval]:
         reach = dict(zip(self._problem.coordinates, map(float, errors), strict=True))
@@ -164,10 +161,10 @@ class SlidingCommands:
         angles = problem.attitudes.every_angle(boxes)
         inverse, rate = self._backward(*angles), self._rates(errors)
         nu = inverse @ rate
-        speeds = [Interval(nu.lo[..., i, 0], nu.hi[..., i, 0]) for i in range(problem.size)]
+        speeds = [nu[..., i, 0] for i in range(problem.size)]
         jump = self._reach(errors)[:, None]
         braked = problem.values["Lambda"][:, None] * rate
-        wanted = Interval(-jump, jump) - self._turning(*angles, *speeds) - braked
+        wanted = within(jump) - self._turning(*angles, *speeds) - braked
         rest = self._commands.at_rest(boxes)
         found = []
         for one, moving in zip(problem.sets, self._moving, strict=True):

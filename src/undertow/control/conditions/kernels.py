@@ -105,8 +105,7 @@ class Responses:
         second = np.where(pair, first + 1, first)
 
         def product(i: Array, j: Array) -> Interval:
-            of = Interval(left.lo.T[i][:, :, None], left.hi.T[i][:, :, None])
-            return of * Interval(right.lo[j][:, None], right.hi[j][:, None])
+            return left.T[i][:, :, None] * right[j][:, None]
 
         cosine = product(first, first) + product(second, second) * pair[:, None, None].astype(float)
         sine = (product(first, second) - product(second, first)) * pair[:, None, None].astype(float)

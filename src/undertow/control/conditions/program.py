@@ -13,11 +13,11 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
-from .attitude import Interval
+from .attitude import Interval, enclose
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
 from .definite import along, doubled, touched
-from .embedding import Boxes, Corners, Embedding, point
+from .embedding import Boxes, Corners, Embedding
 from .identities import identities
 from .problem import Problem
 from .semidefinite import Form, solved
@@ -155,7 +155,7 @@ class Program:
         count = SETTINGS.attitudes[len(self.loop.angles)]
         ends = [np.linspace(*self.ranges[a], count) for a in self.loop.angles]
         rows = np.array(list(product(*ends)))
-        return {a: point(rows[:, i]) for i, a in enumerate(self.loop.angles)}
+        return {a: enclose(rows[:, i]) for i, a in enumerate(self.loop.angles)}
 
     def _scaling(self) -> Array:
         """Sizes of the states: errors of the start, speeds of the box, integrals by what they hold."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from undertow.typing import Array, Flags
 
-from .attitude import Interval, enclose
+from .attitude import Interval, count_of, enclose, within
 from .definite import SETTINGS as PROOFS
-from .definite import Work, bounded, flat, rows_of, sums_positive
-from .embedding import Boxes, certainly_positive, corners_of, count_of, halved
+from .definite import Work, bounded, sums_positive
+from .embedding import Boxes, certainly_positive, corners_of, halved
 from .program import SETTINGS, Program, Proposal
 from .result import Quadratic
 
@@ -92,7 +92,7 @@ class Proof:
                 return True
             if not boxes or self._work.left < 0:
                 return False
-            boxes = halved({a: Interval(v.lo[open_], v.hi[open_]) for a, v in boxes.items()})
+            boxes = halved({a: v[open_] for a, v in boxes.items()})
             if open_.all():
                 boxes = halved(boxes)
         return False
@@ -120,7 +120,7 @@ class Proof:
         """
         batches = -(-count_of(boxes) * self.corners.cases // SETTINGS.batch)
         parts = np.array_split(np.arange(count_of(boxes)), min(count_of(boxes), batches))
-        some = [{a: Interval(v.lo[p], v.hi[p]) for a, v in boxes.items()} for p in parts]
+        some = [{a: v[p] for a, v in boxes.items()} for p in parts]
         return np.concatenate(
             [self._falls_in(each) if self._work.left >= 0 else _none(each) for each in some]
         )
@@ -128,12 +128,14 @@ class Proof:
     def _falls_in(self, boxes: Boxes) -> Flags:
         at, place = corners_of(boxes)
         falls = -_doubled(self.P @ self.program.scaled(self.loop.rest(self.corners, at)))
-        rows = rows_of(falls, place) + self._missed(boxes)
-        ends = [flat(e) for e in self._ends(at)]
+        size = self.loop.size
+        rows = (falls[place] + self._missed(boxes)).reshape(-1, size, size)
+        # Attitudes and cases in one row.
+        ends = [e.reshape(-1, *e.lo.shape[2:]) for e in self._ends(at)]
         own = place[..., None] * self.corners.cases + np.arange(self.corners.cases)
         box = np.broadcast_to(np.arange(count_of(boxes))[:, None], own.shape).ravel()
         # Ends are the same at all attitudes, or not.
-        return sums_positive(flat(flat(rows)), own.ravel() % len(ends[0].lo), ends, box, self._work)
+        return sums_positive(rows, own.ravel() % len(ends[0]), ends, box, self._work)
 
     def _missed(self, boxes: Boxes) -> Interval:
         """What interpolating between the corners of boxes misses, shape (boxes, 1, size, size)."""
@@ -145,8 +147,7 @@ class Proof:
             turn = self.loop.body_jet(boxes, angle) * self._turn_ratio
             for N, value in zip(self._free_of, self.program.values, strict=True):
                 free += share * np.abs(value).max() * (turn @ N @ turn.T).bend.size[:, 0]
-        around = _doubled(self.P @ Interval(-own, own)) + Interval(-free, free)
-        return Interval(around.lo[:, None], around.hi[:, None])
+        return (_doubled(self.P @ within(own)) + within(free))[:, None]
 
     def _ends(self, at: Boxes) -> Iterator[Interval]:
         """What the ends of each velocity add to the fall of V, (attitudes, cases, ends, size, size)."""
@@ -154,13 +155,13 @@ class Proof:
         added = self.loop.added(self.corners, at)
         for end, N, value in zip(added, self._free_of, self.program.values, strict=True):
             turned = turn @ N @ turn.T
-            every = Interval(turned.lo[:, :, None], turned.hi[:, :, None]) * value[..., None, None]
+            every = turned[:, :, None] * value[..., None, None]
             yield -(_doubled(self.P @ self.program.scaled(end)) + every)
 
     @property
     def _free_of(self) -> list[Interval]:
         """The forms that vanish, by velocity."""
-        return [Interval(low, high) for low, high in zip(self.free.lo, self.free.hi, strict=True)]
+        return [self.free[i] for i in range(len(self.free))]
 
     @property
     def _turn_ratio(self) -> Array:

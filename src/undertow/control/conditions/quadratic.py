@@ -11,9 +11,10 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
+from .attitude import enclose
 from .commands import Commands
 from .definite import Work
-from .embedding import Embedding, point
+from .embedding import Embedding
 from .problem import Problem
 from .program import SETTINGS, Bounds, Key, Program, Proposal, thrust_left
 from .proof import proved
@@ -192,7 +193,7 @@ class Search:
         if not len(self.commands.limits):
             return
         thrust_left(self.problem, self.commands, self._start_tilts)  # refuses where nothing is
-        level = {a: point(np.zeros(1)) for a in self.loop.angles}
+        level = {a: enclose(np.zeros(1)) for a in self.loop.angles}
         springs = np.abs(self.commands.share) @ (self.problem.values["K_P"] * self.start)
         rows = self.loop.commands_of(self.commands, level).middle[0]
         own = rows[:, self.loop.size - 2 * self.loop.n : self.loop.size - self.loop.n]

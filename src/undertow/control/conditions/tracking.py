@@ -181,9 +181,8 @@ def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
     sets = [problem.with_damping(d) for d in _lowest(matrices)]
 
     def margins(inverse: Any) -> Array:
-        count = len(inverse) if isinstance(inverse, np.ndarray) else len(inverse.lo)
         found = [DERIVED_PD_DAMPER.margin(problem.quantities(one, inverse, None)) for one in sets]
-        return np.broadcast_to(np.min(found, axis=0), count)
+        return np.broadcast_to(np.min(found, axis=0), len(inverse))
 
     certificate = least(margins, problem.attitudes, problem.turned)
     where = f"{_covered(problem, most)}; {certificate.proof}"

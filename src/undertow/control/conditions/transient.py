@@ -20,7 +20,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
-from .attitude import Interval, enclose
+from .attitude import enclose, within
 from .definite import SETTINGS as PROOFS
 from .kernels import SETTINGS as KERNELS
 from .kernels import Kernels, Modes, Responses, grid, modes
@@ -234,7 +234,7 @@ class Bounds:
         shape = (*B.shape[:-1], len(motion.commands.limits))
         if not own or not len(motion.commands.limits):
             return np.zeros(shape)
-        slopes = motion.commands.holding_slopes({a: Interval(-e, e) for a, e in own.items()})
+        slopes = motion.commands.holding_slopes({a: within(e) for a, e in own.items()})
         off = (slopes - motion.commands.holding_slopes({}).middle).size
         angles = np.stack([own.get(a, np.zeros(len(errors))) for a in ("phi", "theta")], axis=-1)
         return (np.einsum("kma,ka->km", off, angles) * (1 + SETTINGS.room)).reshape(shape)
