@@ -17,7 +17,7 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, block, enclose, enclosing, within
-from .commands import Commands
+from .commands import Commands, Term, plain, sizes_and_signs, terms_of
 from .problem import Problem
 
 _EPS = float(np.finfo(float).eps)
@@ -119,20 +119,6 @@ def rotation_of(plant: Plant) -> sm.Matrix:
             "its translations do not turn as a rotation: no quadratic V nor bounds in time are searched for"
         )
     return rotation
-
-
-def sizes_and_signs(plant: Plant) -> tuple[list[sm.Symbol], list[sm.Symbol]]:
-    """Symbols for the magnitudes and the signs of the velocities."""
-    sizes, signs = ([sm.Symbol(f"{kind}_{v}") for v in plant.nu] for kind in ("size", "sign"))
-    return sizes, signs
-
-
-def plain(plant: Plant, matrix: sm.Matrix) -> sm.Matrix:
-    """Numbers for parameters, symbols for magnitudes and signs of velocities."""
-    found: dict[sm.Expr, sm.Symbol] = {}
-    for v, size, sign in zip(plant.nu, *sizes_and_signs(plant), strict=True):
-        found |= {sm.Abs(v): size, sm.sign(v): sign}
-    return matrix.xreplace(found).xreplace(plant.numbers)
 
 
 def sign_cases(switching: Sequence[int], n: int) -> Array:
@@ -485,16 +471,7 @@ def _columns(rows: Array | Interval) -> list[Interval]:
     return [own[..., i] for i in range(own.lo.shape[-1])]
 
 
-class Term(NamedTuple):
-    """One product in an entry of C + D."""
-
-    row: int
-    column: int
-    powers: tuple[int, ...]  # of the velocities, their magnitudes and their signs
-    value: float
-
-
-def terms_of(plant: Plant) -> list[Term]:
+def motion_terms(plant: Plant) -> list[Term]:
     """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most.
 
     Raises
@@ -502,14 +479,8 @@ def terms_of(plant: Plant) -> list[Term]:
     UndertowError
         If it is none.
     """
-    n, symbols = len(plant.nu), [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind)]
-    moving, found = plain(plant, plant.C + plant.D).applyfunc(sm.expand), []
-    for i, j in product(range(n), repeat=2):
-        if not moving[i, j].is_polynomial(*symbols):
-            raise UndertowError("damping is no polynomial in velocities and their magnitudes")
-        terms = sm.Poly(moving[i, j], *symbols).terms()
-        found += [Term(i, j, powers, float(value)) for powers, value in terms if value]
-    if any(sum(term.powers[: 2 * n]) > 1 for term in found):
+    found = terms_of(plant, plant.C + plant.D)
+    if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):
         raise UndertowError(
             "damping grows faster than in proportion to a velocity: no certificate is searched for"
         )
@@ -520,7 +491,7 @@ def _switching(plant: Plant, inertia: sm.Matrix) -> list[int]:
     """Velocities whose sign has to be known: those in the mass matrix, and in products with another one's."""
     n, signs = len(plant.nu), sizes_and_signs(plant)[1]
     found = {i for i in range(n) if signs[i] in inertia.free_symbols}
-    for term in terms_of(plant):
+    for term in motion_terms(plant):
         own = {k for k in range(n) if term.powers[2 * n + k]}
         moved = {k for k in range(n) if term.powers[k] + term.powers[n + k]}
         if len(own | moved) > 1 or any(term.powers[2 * n + k] > 1 for k in own):

@@ -16,9 +16,9 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, enclose, enclosing
-from .commands import Commands
+from .commands import Commands, plain, sizes_and_signs
 from .definite import SETTINGS as PROOFS
-from .embedding import inverse_of_inertia, plain, rotation_of, sign_cases, sizes_and_signs, terms_of
+from .embedding import inverse_of_inertia, motion_terms, rotation_of, sign_cases
 from .problem import Problem
 
 
@@ -97,7 +97,7 @@ class Motion:
     def _forces(self) -> Forces:
         n, found = self.n, Forces(*(np.zeros((self.n,) * k) for k in (2, 2, 3, 3)))
         products: dict[tuple[int, ...], float] = {}
-        for i, j, powers, value in terms_of(self.plant):
+        for i, j, powers, value in motion_terms(self.plant):
             key = (i, *(p + (k == j) for k, p in enumerate(powers)))
             products[key] = products.get(key, 0.0) + value
         for (i, *own_powers), value in products.items():
