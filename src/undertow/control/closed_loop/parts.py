@@ -156,12 +156,6 @@ class Parts:
         moving = np.zeros(len(pose)) if velocity is None else velocity
         return np.concatenate([pose, moving, memory, actuators])
 
-    @cached_property
-    def late(self) -> tuple[float, np.ndarray]:
-        """Dead time of the commands and of each report, s."""
-        commands, reports = self.delays(self.parameters[None])
-        return float(commands[0]), reports[0]
-
     def delays(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Dead time of commands, shape (b,), and of each report, (b, ny), for parameters (b, np)."""
         f, b = self.functions, len(p)
@@ -316,7 +310,7 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
 
 def check_steps(loop: SampledLoop, parts: Parts, dt: float, samples: int) -> None:
     """Refuse a loop that cannot be integrated without sampling."""
-    if any(parts.late[1]) or parts.late[0]:
+    if any(parts.functions.late()):
         raise UndertowError("dead times need a sampled law: leave out --continuous")
     steps = float(samples) * loop.substeps(dt, continuous=True)
     if steps > MOST_SAMPLES:

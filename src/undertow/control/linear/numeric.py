@@ -13,7 +13,7 @@ import numpy as np
 
 from undertow.codegen import Compiled, Functions
 from undertow.codegen.compiler import Evaluator
-from undertow.codegen.manifest import dead_time, describe, output_delay
+from undertow.codegen.manifest import describe
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
 from undertow.model.effects.ocean_current import OceanCurrent, check_current
@@ -41,14 +41,6 @@ class Numeric:
         manifest = describe(self.functions)
         units = {e.name: e.unit for e in (*manifest.states, *manifest.inputs)}
         return units | {t.name: t.unit for t in self.vehicle.thrusters}
-
-    def dead_time(self, p: Array | None = None) -> float:
-        """Delay between command and thrust, s."""
-        return dead_time(self.functions, self._or_stated(p))
-
-    def report_delays(self, p: Array | None = None) -> dict[str, float]:
-        """Age of the reports that come late, s, by name."""
-        return output_delay(self.functions, self._or_stated(p))
 
     @cached_property
     def varies(self) -> bool:

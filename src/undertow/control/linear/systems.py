@@ -95,8 +95,8 @@ def linear_with_delays(
     _check_sampling(dt, pade)
     system = linear_at(numeric, trim, p)
     system = _held(system, dt) if dt else system
-    dead = numeric.dead_time(p)
-    late = {n: s for n, s in numeric.report_delays(p).items() if n in system.output_labels}
+    dead, late = numeric.functions.late(p)
+    late = {n: s for n, s in late.items() if n in system.output_labels}
     if not dead and not late:
         return system
     if not (pade or dt):
@@ -211,7 +211,7 @@ def as_nlsys(
         Whether labels are "u [m/s]" instead of "u", which `as_controller` connects by.
     """
     numeric = Numeric(in_direction(vehicle, direction or {}))
-    if late := numeric.dead_time():
+    if late := numeric.functions.late()[0]:
         _log.warning("commands of '%s' act %g s late; as_nlsys is without it", vehicle.name, late)
 
     def rate(t: float, x: Array, u: Array, params: Mapping[str, Array]) -> Array:
