@@ -22,14 +22,13 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks.attacks import Attack, Target, target_of
-from undertow.control.allocation import allocation_of
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
 from undertow.control.conditions.channels import coupled, linear_channels
 from undertow.control.conditions.problem import Problem, Uncertainty
 from undertow.control.conditions.result import Report
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import GainSet, load_gains
+from undertow.control.gains import GainSet, allocation_of, load_gains
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 

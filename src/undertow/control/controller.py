@@ -21,8 +21,7 @@ from undertow.errors import UndertowError
 from undertow.model.symbols import FORCE, FORCE_UNITS, POSE
 from undertow.model.units import si_of
 
-from .allocation import Allocation, allocation_of
-from .gains import GainSet
+from .gains import Allocation, GainSet, allocation_of
 from .guidance.reference import Course, Kinematics, Reference
 from .laws import LawSignals
 

@@ -11,8 +11,7 @@ import numpy as np
 import sympy as sm
 from scipy.special import ndtri
 
-from undertow.control.allocation import allocation_of
-from undertow.control.gains import GainSet
+from undertow.control.gains import GainSet, allocation_of
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
 from undertow.model.symbols import symbol

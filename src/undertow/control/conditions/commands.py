@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sm
 
-from undertow.control.allocation import allocation_of
+from undertow.control.gains import allocation_of
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.symbols import symbol

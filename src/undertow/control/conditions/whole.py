@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undertow.control.allocation import allocation_of
-from undertow.control.gains import GainSet
+from undertow.control.gains import GainSet, allocation_of
 from undertow.control.laws import JUMPING, LAMBDA, LAWS
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
