@@ -535,11 +535,11 @@ def judge(case: Case, folder: Path, count: int, rng: np.random.Generator) -> str
 def _why(report: Report) -> str:
     if not report.conditions_hold:
         return "conditions"
-    if report.alone and not report.alone.stable:
+    if report.zero_dynamics and not report.zero_dynamics.stable:
         return "left alone"
-    if report.region.kind == "none" and not report.alone:
+    if report.region.kind == "none" and not report.zero_dynamics:
         return "region"
-    return f"whole loop {report.whole.verdict if report.whole else ''}"
+    return f"whole loop {report.full_loop.verdict if report.full_loop else ''}"
 
 
 if __name__ == "__main__":

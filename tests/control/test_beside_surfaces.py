@@ -206,5 +206,5 @@ def test_a_rudder_holds_no_heading_at_rest(tmp_path: Path) -> None:
     report = certify(gains_from_table(GainTable.model_validate(table), load_vehicle(path)), forms=["derived"])
     assert report.conditions_hold
     assert not report.ok
-    assert report.whole is not None
-    assert not report.whole.stable
+    assert report.full_loop is not None
+    assert not report.full_loop.stable

@@ -261,7 +261,7 @@ def test_a_loop_with_bounds_in_time_is_certified_and_false_bounds_are_broken() -
     region = report.region
     assert report.ok
     assert region.kind == "box"
-    assert region.start_held
+    assert region.contains_start
     assert region.starts == START
     found = region.transient
     assert found is not None

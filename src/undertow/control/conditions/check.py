@@ -13,7 +13,7 @@ from undertow.typing import Array, Flags
 
 from .attitude import Certificate
 from .by_law import Condition
-from .channels import coupled, left_alone, linear_channels, reaching
+from .channels import coupled, linear_channels, reaching, zero_dynamics
 from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import (
     ALL,
@@ -102,8 +102,8 @@ def check(
         coupled=coupled(problem),
         lyapunov=lyapunov(gains.plant, gains.law, equilibria),
         region=_region(everything.of_forms([_DERIVED]), start, rows, agreements),
-        alone=left_alone(gains),
-        left_out=dict(gains.plant.left_out),
+        zero_dynamics=zero_dynamics(gains),
+        not_covered=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
     )
 
@@ -149,8 +149,8 @@ def _region(
     """
     if problem.gains.unactuated:
         names = ", ".join(problem.gains.unactuated)
-        text = f"none is certified: {names} is left alone, so that V may rise"
-        return Region("none", text, start=dict(start or {}), start_held=False if start else None)
+        text = f"none is certified: {names} is unactuated, so V may rise"
+        return Region("none", text, start=dict(start or {}), contains_start=False if start else None)
     own = [a for a in agreements if a.form == _DERIVED]
     derived = [r for r in rows if r.form == _DERIVED]
     if not derived:

@@ -260,7 +260,7 @@ class Problem:
 
     @property
     def driven(self) -> list[int]:
-        """Coordinates that the law drives: axes left alone have gains only if the file states them."""
+        """Coordinates that the law drives: unactuated axes have gains only if the file states them."""
         return [i for i in range(self.size) if all(v[i] for v in self.values.values())]
 
     @cached_property

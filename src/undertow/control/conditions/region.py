@@ -61,7 +61,7 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
         found = _none("V is not positive at every attitude with digits to spare")
     if start is None:
         return found
-    return replace(found, start=dict(start), start_held=_holds(problem, found, start))
+    return replace(found, start=dict(start), contains_start=_holds(problem, found, start))
 
 
 def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None) -> Region:

@@ -73,7 +73,7 @@ class MissionReport:
     mission: str
     kind: str
     rows: tuple[MissionRow, ...]
-    left_out: Mapping[str, str]  # effects that no condition knows; on legs all are in the loop
+    not_covered: Mapping[str, str]  # effects that no condition knows; on legs all are in the loop
 
     @property
     def ok(self) -> bool:

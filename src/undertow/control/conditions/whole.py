@@ -41,10 +41,10 @@ def certify(
     report = check(gains, uncertainty, progress=progress, **options)
     progress(0.9, "the whole loop")
     if observer is not None:
-        report = replace(report, observed=observed_loop(gains, observer))
-    if not (report.alone or report.left_out):
+        report = replace(report, loop_with_observer=observed_loop(gains, observer))
+    if not (report.zero_dynamics or report.not_covered):
         return report
-    return replace(report, whole=whole_loop(gains, report.region))
+    return replace(report, full_loop=whole_loop(gains, report.region))
 
 
 def verdicts(gains: GainSet) -> dict[str, tuple[str, float | None]]:
@@ -58,8 +58,8 @@ def verdicts(gains: GainSet) -> dict[str, tuple[str, float | None]]:
     for a in report.agreements:
         found[f"{a.form} conditions with one iota"] = (a.verdict, None)
     found["certified region"] = (report.region.kind, report.region.level)
-    if report.whole is not None:
-        found["whole loop"] = (report.whole.verdict, None)
+    if report.full_loop is not None:
+        found["whole loop"] = (report.full_loop.verdict, None)
     return found
 
 
