@@ -9,7 +9,7 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
-from undertow.typing import Array, Flags
+from undertow.typing import Array, Flags, Progress
 
 from .attitude import Certificate
 from .by_law import Condition
@@ -33,13 +33,7 @@ from .problem import (
 from .region import region
 from .result import FAILS, HOLDS, NO_IOTA, UNPROVED, Agreement, Region, Report, Row
 
-Progress = Callable[[float, str], None]
-"""Is called with the share that is done (0 to 1) and with what is next."""
 _DERIVED = "derived"
-
-
-def no_progress(done: float, words: str) -> None:
-    """Report to nobody."""
 
 
 def check(
@@ -50,7 +44,7 @@ def check(
     iota: float | None = None,
     tilt: float = np.pi / 3,
     start: Mapping[str, float] | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = lambda done, words: None,
 ) -> Report:
     """Check the gains of a law against every condition, without effects that no condition knows.
 
@@ -155,7 +149,7 @@ def _region(
     derived = [r for r in rows if r.form == _DERIVED]
     if not derived:
         own = _agreements(problem, None)
-        derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, own, no_progress)
+        derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, own)
     verdicts = [r.verdict for r in derived] + [a.verdict for a in own]
     return region(problem, all(v == HOLDS for v in verdicts), start)
 
@@ -187,7 +181,7 @@ def _rows(
     uncertainty: Uncertainty,
     iota: float | None,
     agreements: list[Agreement],
-    progress: Progress,
+    progress: Progress = lambda done, words: None,
 ) -> list[Row]:
     spans = {a.form: a.iota for a in agreements}
     rows: list[Row] = []

@@ -15,10 +15,10 @@ from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design
-from undertow.typing import Array
+from undertow.typing import Array, Progress
 
 from .attitude import ANGLES
-from .check import Progress, check, no_progress
+from .check import check
 from .problem import Problem, Uncertainty
 from .result import SETTINGS, Region, Report, WholeLoop
 
@@ -31,7 +31,7 @@ def certify(
     uncertainty: Uncertainty | None = None,
     *,
     observer: Design | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = lambda done, words: None,
     **options: Any,
 ) -> Report:
     """As `check`, which has the options, with the whole loop where effects or axes are outside conditions.
