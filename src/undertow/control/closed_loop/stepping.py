@@ -128,22 +128,12 @@ def problem_of(
         p,
         np.tile(np.asarray(desired, dtype=float), (runs, 1)),
         k,
-        _at_rest(parts, start, p),
+        parts.at_rest(start, p),
         np.array([parts.first_states(one) for one in start]),
         np.zeros((runs, parts.functions.u.numel())),
         np.zeros((runs, delay + 1, parts.functions.u.numel())),
         np.zeros((runs, int(delays.max(initial=0)) + 1, len(delays))),
     )
-
-
-def _at_rest(parts: Parts, start: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """First states: commands of zero have been held for long."""
-    runs, f = len(start), parts.functions
-    owned = np.zeros((runs, f.x.numel() - start.shape[1]))
-    if f.actuator_states.numel():
-        at_zero = (np.zeros(f.u.numel()), p.T, 0.0)
-        owned[:, f.memory.numel() :] = np.asarray(f.rest.map(runs)(*_columns(at_zero, runs))).T
-    return np.hstack([start, owned])
 
 
 def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
@@ -159,12 +149,6 @@ def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
             "equal dead times together"
         )
     return int(samples[0, 0]), np.ascontiguousarray(samples[0, 1:])
-
-
-def _columns(values: tuple[np.ndarray | float, ...], runs: int) -> list[np.ndarray]:
-    """Each value as a matrix with a column for every run."""
-    found = [np.atleast_1d(np.asarray(v, dtype=float)) for v in values]
-    return [v if v.ndim == 2 else np.tile(v[:, None], (1, runs)) for v in found]
 
 
 _POINTER = ctypes.c_void_p

@@ -432,8 +432,9 @@ def _steady(parts: Parts, mission: Mission, reference: LineOfSight, step: ca.Fun
     count = int(min(TRACKING.lasts * slow, TRACKING.longest) / TRACKING.dt)
     names = parts.vehicle.pose_names
     known = dict(zip(reference.names, reference.start, strict=True))
-    x = parts.at_rest(np.array([known.get(n, 0.0) for n in names]))
-    x[len(names) + names.index("x")] = speed
+    start = np.array([known.get(n, 0.0) for n in names] + [0.0] * len(names))
+    start[len(names) + names.index("x")] = speed
+    x = parts.at_rest(start[None], parts.parameters[None])[0]
     z = np.concatenate([x, parts.controller.initial_states()])
     second = round(1 / TRACKING.dt)
     far = step.mapaccum("far", max(count - second, 1))
