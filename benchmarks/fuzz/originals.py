@@ -172,7 +172,7 @@ def _snapshot() -> bytes:
     """What `undertow update` remembers."""
     of = {
         "parameters": {"m": "7.5 kg", "X_u": "-0.142 kg/s"},
-        "eigenvalues": {"vehicle, hovering: u": "-0.1", "vehicle, hovering: v, r": "-0.2 ± 0.5i"},
+        "eigenvalues": {"vehicle, hovering": {"u": "-0.1", "v, r": "-0.2 ± 0.5i"}},
         "margins": {"paper-pd, x: gain": "2", "paper-pd, x: phase": "any"},
         "verdicts": {"paper-pd, condition 1": "holds"},
     }

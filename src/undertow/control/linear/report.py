@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import zip_longest
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -326,7 +327,6 @@ def analyse(
 
 SCHEMA = "undertow/update/2"
 STABLE, UNSTABLE, NOT_LINEAR = "stable", "unstable", "no linear form"
-KINDS = ("parameters", "eigenvalues", "margins", "verdicts")
 _MARGIN_UNITS = {"gain": "", "phase": " deg", "delay": " s", "distance": ""}
 
 Verdicts = Callable[[GainSet], Mapping[str, tuple[str, float | None]]]
@@ -340,7 +340,8 @@ class Snapshot:
     gains: list[str] = field(default_factory=list)  # gain files that were asked for
     at: list[str] = field(default_factory=list)  # motion that was asked for
     parameters: dict[str, str] = field(default_factory=dict)  # in the signs of the file
-    eigenvalues: dict[str, str] = field(default_factory=dict)  # by loop and states, 1/s and rad/s
+    # by loop and the states that take part, numbered where several have the same; 1/s and rad/s
+    eigenvalues: dict[str, dict[str, str]] = field(default_factory=dict)
     margins: dict[str, str] = field(default_factory=dict)  # by loop and kind
     verdicts: dict[str, str] = field(default_factory=dict)  # by condition or loop
 
@@ -360,14 +361,14 @@ class Snapshot:
             raise UndertowError(f"it cannot be read ({error})") from error
 
     def add_modes(self, name: str, all_modes: Sequence[Mode]) -> None:
-        """Poles by the states that take part, numbered where several have the same."""
-        seen: Counter[str] = Counter()
+        """Poles of a loop, and whether they decay."""
+        seen, texts = Counter[str](), self.eigenvalues.setdefault(name, {})
         for mode in all_modes:
             states = ", ".join(mode.states)
             seen[states] += 1
             again = f" ({seen[states]})" if seen[states] > 1 else ""
             turning = f" ± {abs(mode.pole.imag):.6g}i" if mode.pole.imag else ""
-            self.eigenvalues[f"{name}: {states}{again}"] = f"{mode.pole.real:.6g}{turning}"
+            texts[f"{states}{again}"] = f"{mode.pole.real:.6g}{turning}"
         self.verdicts[name] = STABLE if all(m.stable for m in all_modes) else UNSTABLE
 
     def add_loop(self, name: str, vehicle: Vehicle, gains: GainSet, trim: Trim) -> None:
@@ -443,8 +444,28 @@ class Change:
 
 def changes(old: Snapshot, new: Snapshot) -> dict[str, list[Change]]:
     """What has changed, by kind."""
-    pairs = {kind: (getattr(old, kind), getattr(new, kind)) for kind in KINDS}
+    loops = {**old.eigenvalues, **new.eigenvalues}
+    moved = [
+        Change(f"{loop}: {change.what}", change.old, change.new)
+        for loop in loops
+        for change in _moved(old.eigenvalues.get(loop, {}), new.eigenvalues.get(loop, {}))
+    ]
     return {
-        kind: [Change(n, a.get(n, ""), b.get(n, "")) for n in {**a, **b} if a.get(n) != b.get(n)]
-        for kind, (a, b) in pairs.items()
+        "parameters": _changed(old.parameters, new.parameters),
+        "eigenvalues": moved,
+        "margins": _changed(old.margins, new.margins),
+        "verdicts": _changed(old.verdicts, new.verdicts),
     }
+
+
+def _changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
+    return [Change(n, old.get(n, ""), new.get(n, "")) for n in {**old, **new} if old.get(n) != new.get(n)]
+
+
+def _moved(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
+    """Poles that are elsewhere; of those in which other states take part, each is put beside the next."""
+    gone, come = ([n for n in a if n not in b] for a, b in ((old, new), (new, old)))
+    pairs = [*((n, n) for n in old if n in new), *zip_longest(gone, come, fillvalue="")]
+    return [
+        Change(b or a, old.get(a, ""), new.get(b, "")) for a, b in pairs if old.get(a, "") != new.get(b, "")
+    ]
