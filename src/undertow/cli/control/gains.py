@@ -229,8 +229,9 @@ def _headline(report: Report) -> str:
         one = len(report.not_covered) == 1
         but.append(f"{', '.join(report.not_covered)} {'is' if one else 'are'} not in them")
     if report.zero_dynamics:
-        fate = "comes to rest" if report.zero_dynamics.stable else "does not come to rest"
-        but.append(f"{', '.join(report.zero_dynamics.axes)} is unactuated and {fate}")
+        axes, stable = report.zero_dynamics.axes, report.zero_dynamics.stable
+        verbs = ("is", "comes", "does not come") if len(axes) == 1 else ("are", "come", "do not come")
+        but.append(f"{', '.join(axes)} {verbs[0]} unactuated and {verbs[1 if stable else 2]} to rest")
     elif report.region.kind == "none":
         but.append("no region is certified")
     if report.region.contains_start is False:

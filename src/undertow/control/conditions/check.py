@@ -143,7 +143,8 @@ def _region(
     """
     if problem.gains.unactuated:
         names = ", ".join(problem.gains.unactuated)
-        text = f"none is certified: {names} is unactuated, so V may rise"
+        are = "is" if len(problem.gains.unactuated) == 1 else "are"
+        text = f"none is certified: {names} {are} unactuated, so V may rise"
         return Region("none", text, start=dict(start or {}), contains_start=False if start else None)
     own = [a for a in agreements if a.form == _DERIVED]
     derived = [r for r in rows if r.form == _DERIVED]

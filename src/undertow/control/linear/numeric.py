@@ -11,7 +11,7 @@ import casadi as ca
 import control as ct
 import numpy as np
 
-from undertow.codegen import Compiled, Functions
+from undertow.codegen import Functions
 from undertow.codegen.compiler import Evaluator
 from undertow.codegen.manifest import describe
 from undertow.errors import UndertowError
@@ -25,7 +25,7 @@ _WAYS = {1: "forward", -1: "backward"}
 
 
 class Numeric:
-    """The functions of a vehicle and their slopes at a point, from compiled code."""
+    """The functions of a vehicle and their slopes at a point."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle, self.functions = vehicle, Functions(vehicle)
@@ -33,7 +33,6 @@ class Numeric:
         self.commands = vehicle.command_names
         self.outputs = (*vehicle.pose_names, *vehicle.velocity_names)
         self.p = np.array(self.functions.values())  # parameters, SI and SNAME signs
-        self._compiled = Compiled(self.functions)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -51,15 +50,15 @@ class Numeric:
     # --- values and slopes --------------------------------------------------------------------
     @cached_property
     def _rate(self) -> Evaluator:
-        return self._compiled.evaluator("dynamics")
+        return Evaluator(self.functions.dynamics)
 
     @cached_property
     def _slopes(self) -> Evaluator:
-        return self._compiled.evaluator("jacobians")
+        return Evaluator(self.functions.jacobians)
 
     @cached_property
     def _report(self) -> Evaluator:
-        return self._compiled.evaluator("outputs")
+        return Evaluator(self.functions.outputs)
 
     @cached_property
     def _report_slopes(self) -> Evaluator:
@@ -69,11 +68,11 @@ class Numeric:
 
     def rate(self, t: float, x: Array, u: Array, p: Array | None = None) -> Array:
         """Time derivative of the state, shape (nx,)."""
-        return self._rate(x, u, self._or_stated(p), np.array([t]))[0][0, :, 0]
+        return self._rate(x, u, self._or_stated(p), t)[0][:, 0]
 
     def report(self, t: float, x: Array, u: Array, p: Array | None = None) -> Array:
         """Reported pose and velocity, shape (2n,)."""
-        return self._report(x, u, self._or_stated(p), np.array([t]))[0][0, :, 0]
+        return self._report(x, u, self._or_stated(p), t)[0][:, 0]
 
     def reports(self, x: Array, u: Array, p: Array | None = None) -> dict[str, float]:
         """Reported pose and velocity by name."""
@@ -81,13 +80,13 @@ class Numeric:
 
     def slopes(self, x: Array, u: Array, p: Array | None = None) -> tuple[Array, Array, Array, Array]:
         """Time derivative of the state, and its slopes A, B, P in state, command and parameters."""
-        rate, a, b, by_p = self._slopes(x, u, self._or_stated(p), np.zeros(1))
-        return rate[0, :, 0], a[0], b[0], by_p[0]
+        rate, a, b, by_p = self._slopes(x, u, self._or_stated(p), 0.0)
+        return rate[:, 0], a, b, by_p
 
     def report_slopes(self, x: Array, u: Array, p: Array | None = None) -> tuple[Array, Array]:
         """Slopes C, D of the reported pose and velocity in state and command."""
-        c, d = self._report_slopes(x, u, self._or_stated(p), np.zeros(1))
-        return c[0], d[0]
+        c, d = self._report_slopes(x, u, self._or_stated(p), 0.0)
+        return c, d
 
     def _or_stated(self, p: Array | None) -> Array:
         return self.p if p is None else p
