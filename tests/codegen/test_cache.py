@@ -539,46 +539,6 @@ def test_a_broken_compiler_is_reported_and_replaced(
     assert not list(cache_folder().iterdir())
 
 
-# --- notes --------------------------------------------------------------------------------------
-
-
-def test_a_note_is_found_again(own_cache: Path) -> None:
-    asked: list[int] = []
-
-    def answer() -> str:
-        asked.append(1)
-        return "yes\n"
-
-    assert [cache.remembered("is it?", answer) for _ in range(3)] == ["yes\n"] * 3
-    assert len(asked) == 1
-    assert cache.remembered("is it not?", lambda: "no") == "no"
-
-
-@pytest.mark.parametrize("spoiled", ["", "yes", "0" * 64 + "\nyes", "\xff"])
-def test_a_spoiled_note_is_not_believed(spoiled: str, own_cache: Path) -> None:
-    cache.remembered("is it?", lambda: "yes")
-    (note,) = own_cache.glob("*.note")
-    note.write_text(spoiled, encoding="latin-1")
-    assert cache.remembered("is it?", lambda: "after all") == "after all"
-    assert cache.remembered("is it?", lambda: "no") == "after all"
-
-
-def test_without_room_there_is_an_answer_all_the_same(
-    own_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> None:
-        raise UndertowError("no space left")
-
-    monkeypatch.setattr(cache, "write_whole", full)
-    assert [cache.remembered("is it?", lambda: "yes") for _ in range(2)] == ["yes", "yes"]
-    assert not list(own_cache.glob("*.note"))
-
-
-def test_an_empty_answer_is_not_kept(own_cache: Path) -> None:
-    assert cache.remembered("is it?", lambda: "") == ""
-    assert cache.remembered("is it?", lambda: "yes") == "yes"
-
-
 # --- the processor ------------------------------------------------------------------------------
 
 
@@ -594,16 +554,3 @@ def test_a_library_for_this_processor_has_a_key_of_its_own(
     assert len({c.identity for c in (c_compiler, here, there)}) == 3
     assert "-march=native" in here.identity
     assert "-march=native" not in c_compiler.identity
-
-
-def test_what_the_compiler_says_of_the_processor_is_asked_once(
-    c_compiler: Compiler, own_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compiler._processor.cache_clear()
-    first = compiler._processor(c_compiler.command)
-    if not first:
-        pytest.skip("this compiler does not tell what the processor can do")
-    compiler._processor.cache_clear()
-    monkeypatch.setattr(compiler, "_run", lambda *_: pytest.fail("asked again"))
-    assert compiler._processor(c_compiler.command) == first
-    compiler._processor.cache_clear()

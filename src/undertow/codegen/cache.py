@@ -13,14 +13,13 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Protocol
 
 from undertow.errors import UndertowError
-from undertow.files import write_whole
 
 from .source import LIBRARY_SUFFIX, digest
 
@@ -30,7 +29,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _LOG = logging.getLogger("undertow")
-_OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+")
+_OURS = re.compile(r"[0-9a-f]{24}(\.json|-[0-9a-f]{16}\.\w+)|build-\w+")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
 # Seconds after which a folder of a build, which may last ten minutes, counts as left where nothing is locked.
@@ -158,29 +157,6 @@ def _remove_left(place: Path) -> None:
 
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-# --- notes --------------------------------------------------------------------------------------
-
-
-def remembered(question: str, find_out: Callable[[], str]) -> str:
-    """The answer to a question that always has the same one, found out once and kept beside the libraries.
-
-    `question` states all that the answer depends on. An empty answer is not kept.
-    """
-    note = cache_folder() / f"{digest(question)[:24]}.note"
-    try:
-        whole, _, answer = note.read_text(encoding="utf-8").partition("\n")
-        if whole == digest(question + answer):
-            os.utime(note)
-            return answer
-    except (OSError, ValueError):
-        pass
-    answer = find_out()
-    if answer:
-        with suppress(OSError, UndertowError):
-            write_whole(note, f"{digest(question + answer)}\n{answer}")
-    return answer
 
 
 # --- the folder ---------------------------------------------------------------------------------

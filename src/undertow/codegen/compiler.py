@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
-import platform
 import shlex
 import shutil
 import subprocess
@@ -21,7 +20,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 
-from .cache import library_for, remembered
+from .cache import library_for
 from .source import c_source, digest, engine_file, with_unique_symbols
 
 T = TypeVar("T")
@@ -132,17 +131,11 @@ def _version(command: tuple[str, ...], path: str) -> str:
 @cache
 def _processor(command: tuple[str, ...]) -> str:
     """What the compiler defines for this processor, a macro on each line; empty where it cannot tell."""
-
-    def ask() -> str:
-        try:
-            answer = _run([*command, *_LOCAL_FLAGS, "-dM", "-E", "-x", "c", os.devnull], Path.cwd())
-        except UndertowError:
-            return ""
-        return "" if answer.returncode else "\n".join(sorted(answer.stdout.splitlines()))
-
-    return remembered(
-        "\n".join(["processor", *_LOCAL_FLAGS, *command, _program(command), _this_processor()]), ask
-    )
+    try:
+        answer = _run([*command, *_LOCAL_FLAGS, "-dM", "-E", "-x", "c", os.devnull], Path.cwd())
+    except UndertowError:
+        return ""
+    return "" if answer.returncode else "\n".join(sorted(answer.stdout.splitlines()))
 
 
 def _macros(known: str) -> dict[str, str]:
@@ -164,26 +157,6 @@ def _at_most_256_bits(macros: dict[str, str]) -> tuple[str, ...]:
     # Clang, which says that it is GCC 4, copies no wider than it computes; so did GCC before these options.
     copies = ("-mmove-max=256", "-mstore-max=256") if int(macros.get("__GNUC__", 0)) >= 12 else ()
     return ("-mprefer-vector-width=256", *copies)
-
-
-def _program(command: tuple[str, ...]) -> str:
-    """What tells one installation of a program from another, without asking it."""
-    found = Path(shutil.which(command[0]) or command[0]).resolve()
-    try:
-        known = found.stat()
-    except OSError:
-        return str(found)
-    return f"{found} {known.st_size} {known.st_mtime_ns}"
-
-
-def _this_processor() -> str:
-    """Model and flags of the processor, as the system tells them."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
-    except OSError:
-        return " ".join(platform.uname())
-    wanted = ("vendor_id", "cpu family", "model", "stepping", "flags", "CPU", "Features")
-    return "\n".join(line for line in lines if line.startswith(wanted))
 
 
 def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
