@@ -16,9 +16,8 @@ from undertow.codegen.compiler import Evaluator
 from undertow.codegen.manifest import describe
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
-from undertow.model.effects.ocean_current import OceanCurrent, check_current
 from undertow.model.symbols import VELOCITY
-from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 _WAYS = {1: "forward", -1: "backward"}
@@ -138,18 +137,6 @@ def motion_of(vehicle: Vehicle, name: str) -> str | None:
 def with_ideal_thrust(vehicle: Vehicle) -> Vehicle:
     """The vehicle whose thrusters give at once, and in proportion, what is commanded."""
     return replace(vehicle, effects=tuple(e for e in vehicle.effects if not isinstance(e, Actuation)))
-
-
-def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
-    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced.
-
-    Raises
-    ------
-    UndertowError
-        If no water flows that fast.
-    """
-    check_current(north, east)
-    return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
 
 
 _LOOK = "look for a value in the vehicle, the gains or the options that is wrong by powers of ten"
