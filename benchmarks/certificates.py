@@ -22,14 +22,13 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks.attacks import Attack, Target, target_of
-from undertow.control.allocation import allocation_of
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
 from undertow.control.conditions.channels import coupled, linear_channels
 from undertow.control.conditions.problem import Problem, Uncertainty
 from undertow.control.conditions.result import Report
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import GainSet, load_gains
+from undertow.control.gains import GainSet, allocation_of, load_gains
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 
@@ -537,11 +536,11 @@ def judge(case: Case, folder: Path, count: int, rng: np.random.Generator) -> str
 def _why(report: Report) -> str:
     if not report.conditions_hold:
         return "conditions"
-    if report.alone and not report.alone.stable:
+    if report.zero_dynamics and not report.zero_dynamics.stable:
         return "left alone"
-    if report.region.kind == "none" and not report.alone:
+    if report.region.kind == "none" and not report.zero_dynamics:
         return "region"
-    return f"whole loop {report.whole.verdict if report.whole else ''}"
+    return f"whole loop {report.full_loop.verdict if report.full_loop else ''}"
 
 
 if __name__ == "__main__":

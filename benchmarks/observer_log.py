@@ -45,7 +45,7 @@ def motion(vehicle: Vehicle, seconds: float, seed: int, drive: Mapping[str, floa
     now, dynamics = x[0], Evaluator(f.dynamics)
     for k in range(len(t) - 1):
         for _ in range(PER_ROW):
-            rates = lambda z, reach, u=u[k]: [dynamics(z[0], u, p, 0.0)[0][0, :, 0]]  # noqa: E731
+            rates = lambda z, reach, u=u[k]: [dynamics(z[0], u, p, 0.0)[0][:, 0]]  # noqa: E731
             now = runge_kutta(rates, [now], [STEP])[0]
             now = now + size * np.sqrt(STEP) * rng.standard_normal(len(names))
         x[k + 1] = now

@@ -94,9 +94,9 @@ def test_any_damage_is_read_or_refused_in_one_line(
 HUGE = b"9" * 400
 # What was once taken, or ended in a traceback: the word that is replaced, and what stands there instead.
 ODD = [
-    ("snapshot", b"-0.1", HUGE),
-    ("snapshot", b"7.5", b"1e400"),
-    ("snapshot", b'"gain": 2.0', b'"gain": "much"'),
+    ("snapshot", b'"7.5 kg"', b"7.5"),
+    ("snapshot", b'"-0.1"', b"null"),
+    ("snapshot", b'"any"', b'{"phase": "any"}'),
     ("snapshot", b'"holds"', b"[]"),
     ("diagnosis", b'"error_before": 9.0', b'"error_before": 1e400'),
     ("diagnosis", b'"prior": null', b'"prior": ' + HUGE),
@@ -310,13 +310,11 @@ def test_a_diagnosis_comes_back(seed: int, tmp_path: Path) -> None:
 
 @settings(max_examples=30)
 @given(
-    poles=st.dictionaries(
-        NAMES, st.lists(st.tuples(NUMBERS, NUMBERS, st.lists(NAMES, max_size=2)), max_size=2)
-    ),
-    parameters=st.dictionaries(NAMES, st.tuples(NUMBERS, NAMES)),
-    margins=st.dictionaries(NAMES, st.dictionaries(NAMES, st.none() | NUMBERS, max_size=2), max_size=2),
+    parameters=st.dictionaries(NAMES, NAMES, max_size=3),
+    poles=st.dictionaries(NAMES, st.dictionaries(NAMES, NAMES, max_size=2), max_size=2),
+    margins=st.dictionaries(NAMES, NAMES, max_size=3),
 )
-def test_what_an_update_remembers_comes_back(poles, parameters, margins) -> None:
+def test_what_an_update_remembers_comes_back(parameters, poles, margins) -> None:
     known = Snapshot("rov", ["pd"], ["u=0.5"], parameters, poles, margins, {"pd": "holds"})
     assert Snapshot.from_json(known.to_json()) == known
 

@@ -170,11 +170,13 @@ def _diagnosis() -> bytes:
 
 def _snapshot() -> bytes:
     """What `undertow update` remembers."""
-    poles = {"vehicle, hovering": [(-0.1, 0.0, ["u"]), (-0.2, 0.5, ["v", "r"])]}
-    parameters = {"m": (7.5, "kg"), "X_u": (-0.142, "kg/s")}
-    verdicts = {"paper-pd, condition 1": "holds"}
-    margins = {"paper-pd, x": {"gain": 2.0, "phase": None}}
-    text = Snapshot("mini-auv", ["paper-pd"], ["u=0.5"], parameters, poles, margins, verdicts).to_json()
+    of = {
+        "parameters": {"m": "7.5 kg", "X_u": "-0.142 kg/s"},
+        "eigenvalues": {"vehicle, hovering": {"u": "-0.1", "v, r": "-0.2 ± 0.5i"}},
+        "margins": {"paper-pd, x: gain": "2", "paper-pd, x: phase": "any"},
+        "verdicts": {"paper-pd, condition 1": "holds"},
+    }
+    text = Snapshot("mini-auv", ["paper-pd"], ["u=0.5"], **of).to_json()
     return text.encode()
 
 

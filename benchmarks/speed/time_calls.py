@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from undertow.codegen import Compiled
+from undertow.codegen.compiler import Evaluator
 
 from . import vehicle
 from .conftest import Speed
@@ -24,20 +24,20 @@ def _apart(found: np.ndarray) -> float:
 
 
 def time_evaluator_call(speed: Speed) -> None:
-    evaluator = Compiled(vehicle.functions(), compiled=True).evaluator("dynamics")
+    evaluator = Evaluator(vehicle.functions().dynamics)
     x, u, p = _point()
     found = evaluator(x, u, p, 0.0)[0].ravel()
     speed(CALL, OURS, lambda: evaluator(x, u, p, 0.0), apart=_apart(found), limit=EXACT)
 
 
 def time_function_call(speed: Speed) -> None:
-    compiled = Compiled(vehicle.functions(), compiled=True)
+    dynamics = vehicle.functions().dynamics
     x, u, p = _point()
-    found = np.array(compiled.function("dynamics")(x, u, p, 0.0)).ravel()
+    found = np.array(dynamics(x, u, p, 0.0)).ravel()
     speed(
         CALL,
         "CasADi Function.__call__",
-        lambda: compiled.function("dynamics")(x, u, p, 0.0),
+        lambda: dynamics(x, u, p, 0.0),
         apart=_apart(found),
         limit=EXACT,
     )

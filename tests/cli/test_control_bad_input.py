@@ -118,9 +118,9 @@ def test_an_axis_left_alone_is_told_by_design_as_by_gains(
     assert main(["design", vehicle, *weights, "--out", "new.toml"]) == 0
     out = capsys.readouterr().out
     assert "conditions derived from the model: all hold" in out
-    assert ("sway: left alone, its speed dies out" in out) == alone
+    assert ("sway: unactuated, its speed decays" in out) == alone
     assert main(["gains", vehicle, "new.toml"]) == 0
-    reported = "all conditions hold, but sway is left alone and comes to rest"
+    reported = "all conditions hold, but sway is unactuated and comes to rest"
     assert (reported in capsys.readouterr().out) == alone
 
 

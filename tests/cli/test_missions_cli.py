@@ -72,7 +72,7 @@ def test_the_conditions_on_a_mission_hold_and_are_reported_in_json(here: Path, c
     words = ["gains", "bluerov2", "bluerov2-gains.toml", "--path", "bluerov2-spline.toml", "--json"]
     assert main(words) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["schema"] == "undertow/mission-report/1"
+    assert found["schema"] == "undertow/mission-report/2"
     assert [r["verdict"] for r in found["rows"]] == ["holds"] * 3
 
 

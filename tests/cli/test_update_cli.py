@@ -118,7 +118,7 @@ def test_nothing_is_written_over_something_else(
 def test_a_spoilt_state_file_counts_as_none(folder: Path, capsys: Capture) -> None:
     assert main(["update", "auv.toml"]) == 0
     Path("build/mini-auv/update.json").write_text(
-        '{"schema": "undertow/update/1", "vehicle": 3, "poles": []}'
+        '{"schema": "undertow/update/2", "vehicle": 3, "margins": []}'
     )
     assert main(["update", "auv.toml"]) == 0
     captured = capsys.readouterr()

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undertow.control.allocation import allocation_of
 from undertow.control.closed_loop import Choices, ClosedLoop, Scenario
 from undertow.control.conditions.tracking import check_mission
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
+from undertow.control.gains import GainSet, GainTable, allocation_of, gains_from_table, load_gains
 from undertow.control.guidance.mission import MissionTable, mission_from_table
 from undertow.control.linear.family import family
 from undertow.control.linear.systems import close_loop, forces_of
@@ -207,5 +206,5 @@ def test_a_rudder_holds_no_heading_at_rest(tmp_path: Path) -> None:
     report = certify(gains_from_table(GainTable.model_validate(table), load_vehicle(path)), forms=["derived"])
     assert report.conditions_hold
     assert not report.ok
-    assert report.whole is not None
-    assert not report.whole.stable
+    assert report.full_loop is not None
+    assert not report.full_loop.stable

@@ -1,4 +1,4 @@
-"""`gains` says yes only of loops that hold: limits, sensors, speeds, attitudes, axes left alone."""
+"""`gains` says yes only of loops that hold: limits, sensors, speeds, attitudes, unactuated axes."""
 
 from __future__ import annotations
 
@@ -156,8 +156,8 @@ def _springs(gains: GainSet) -> np.ndarray:
 def test_a_loop_that_cannot_be_judged_is_not_certified(effect: str, values: dict[str, float]) -> None:
     report = judged(law(with_effect(sinker(), effect, **values)))
     assert report.conditions_hold
-    assert report.whole is not None
-    assert report.whole.verdict == "not judged"
+    assert report.full_loop is not None
+    assert report.full_loop.verdict == "not judged"
     assert not report.ok
 
 
@@ -166,8 +166,8 @@ def test_the_law_is_given_what_the_compass_reports(bias: float, ok: bool) -> Non
     """A heading reported b off turns the forces of x and y by b: unstable beyond a quarter turn."""
     gains = law(with_effect(sinker(), "attitude_bias", b_psi=bias))
     report = judged(gains)
-    assert report.whole is not None
-    assert (report.ok, report.whole.stable) == (ok, ok)
+    assert report.full_loop is not None
+    assert (report.ok, report.full_loop.stable) == (ok, ok)
     end = ClosedLoop(gains).run(Scenario((1, 1, 0, 0), 300.0, 0.01)).result
     away = max(abs(c.final_error) for c in end.coordinates if c.name in "xy")
     assert (away < 1.0) == ok
@@ -198,17 +198,17 @@ def test_late_reports_are_in_the_whole_loop(late: float, ok: bool) -> None:
         vehicle, "pd", gains={"K_P": GAINS["pd"]["K_P"], "K_V": {"x": 30, "y": 30, "z": 30, "psi": 2}}
     )
     report = judged(gains)
-    assert report.whole is not None
-    assert report.whole.stable == report.ok == ok
+    assert report.full_loop is not None
+    assert report.full_loop.stable == report.ok == ok
 
 
 @pytest.mark.slow
 def test_a_dead_band_at_rest_is_no_stable_loop() -> None:
     """Within the dead band nothing closes the loop of surge: a pole at zero is not a stable one."""
     report = judged(law(with_effect(sinker(), "thruster_deadband", deadband_width=0.5)))
-    assert report.whole is not None
-    assert report.whole.verdict == "not judged"
-    assert "neither decays nor grows" in report.whole.text
+    assert report.full_loop is not None
+    assert report.full_loop.verdict == "not judged"
+    assert "neither decays nor grows" in report.full_loop.text
     assert not report.ok
 
 
@@ -217,10 +217,10 @@ def test_a_law_without_integral_that_rests_far_from_its_set_point_is_reported() 
     """A quarter of the thrust is missing: K_P = 2 N/m leaves metres, which the integral of PID takes away."""
     weak = with_effect(sinker(), "thruster_gain", gain_error_f1=-0.25)
     report = judged(law(weak, "pd"))
-    assert report.whole is not None
-    assert report.whole.verdict == "off the set-point"
+    assert report.full_loop is not None
+    assert report.full_loop.verdict == "off the set-point"
     # The law asks for 14.3 N + K_P e, of which three quarters come.
-    assert abs(report.whole.offset["z"]) == pytest.approx((14.3 / 0.75 - 14.3) / 2, rel=1e-6)
+    assert abs(report.full_loop.offset["z"]) == pytest.approx((14.3 / 0.75 - 14.3) / 2, rel=1e-6)
     assert not report.ok
     assert judged(law(weak, "pid")).ok
 
@@ -246,9 +246,9 @@ def test_a_start_that_does_not_come_back_refutes_what_is_stable_at_rest() -> Non
     """The region holds the stated start, as conditions know of no saturation; the loop does not come back."""
     start = {"x": 0.1, "y": 0.1, "z": 0.5, "psi": 0.1}
     report = certify(saturated(), forms=["derived"], start=start)
-    assert report.region.start_held
-    assert report.whole is not None
-    assert report.whole.verdict == "unstable"
+    assert report.region.contains_start
+    assert report.full_loop is not None
+    assert report.full_loop.verdict == "unstable"
     assert not report.ok
 
 
@@ -310,11 +310,13 @@ def test_yaw_and_surge_without_sway_are_refused_in_a_line(name: str) -> None:
 def test_sway_left_alone_comes_to_rest(name: str) -> None:
     vehicle = load_vehicle("mini-auv")
     report = judged(load_gains(name, vehicle))
-    assert report.alone is not None
-    assert report.alone.axes == ("sway",)
+    assert report.zero_dynamics is not None
+    assert report.zero_dynamics.axes == ("sway",)
     inertia = 7.5 - vehicle.value_of("Y_vdot").value
-    assert min(p.real for p in report.alone.poles) == pytest.approx(vehicle.value_of("Y_v").value / inertia)
-    assert "an error along sway is never corrected" in report.alone.text
+    assert min(p.real for p in report.zero_dynamics.poles) == pytest.approx(
+        vehicle.value_of("Y_v").value / inertia
+    )
+    assert "an error along sway is never corrected" in report.zero_dynamics.text
     assert report.ok
 
 
@@ -322,17 +324,17 @@ def test_an_integral_along_an_axis_that_nothing_pushes_runs_away() -> None:
     gains = {**GAINS["pid"], "K_I": {"x": 0.02, "y": 0.02, "z": 0.05, "psi": 0.005}}
     vehicle = replace(sinker(), thrusters=sinker().thrusters[:3])
     report = judged(law(vehicle, "pid", gains=gains, unactuated=["sway"]))
-    assert report.whole is not None
-    assert "an integral of its error" in report.whole.text
+    assert report.full_loop is not None
+    assert "an integral of its error" in report.full_loop.text
     assert not report.ok
 
 
 def test_a_weight_on_an_axis_that_nothing_pushes_is_refused() -> None:
     vehicle = replace(sinker(), thrusters=sinker().thrusters[1:])
     report = judged(law(vehicle, "pd", unactuated=["heave"]))
-    assert report.alone is not None
-    assert not report.alone.stable
-    assert "a force of 14.3" in report.alone.text
+    assert report.zero_dynamics is not None
+    assert not report.zero_dynamics.stable
+    assert "a force of 14.3" in report.zero_dynamics.text
     assert not report.ok
 
 
@@ -349,8 +351,8 @@ def test_roll_and_pitch_left_alone_need_a_righting_moment(z_b: float, ok: bool) 
     keys = ("x", "y", "z", "psi")
     table = {"K_P": dict.fromkeys(keys, 5.0), "K_V": dict.fromkeys(keys, 10.0)}
     report = judged(law(vehicle, "pd", gains=table, unactuated=["roll", "pitch"]))
-    assert report.alone is not None
-    assert report.alone.stable == report.ok == ok
+    assert report.zero_dynamics is not None
+    assert report.zero_dynamics.stable == report.ok == ok
 
 
 def test_a_current_carries_off_what_nothing_pushes() -> None:

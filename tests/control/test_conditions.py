@@ -126,8 +126,8 @@ def test_pd_holds_and_sway_is_left_alone() -> None:
     found = report("paper-pd")
     assert {r.verdict for r in found.rows} == {"holds"}
     assert all(c.stable for c in found.channels)
-    assert found.alone is not None
-    assert found.alone.axes == ("sway",)
+    assert found.zero_dynamics is not None
+    assert found.zero_dynamics.axes == ("sway",)
     assert "x: -sin(psi), y: cos(psi)" in found.lyapunov.invariant
     assert found.region.kind == "none"
 

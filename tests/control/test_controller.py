@@ -11,9 +11,15 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from undertow.control.allocation import Allocation, allocation_of
 from undertow.control.controller import Controller, Sharing, thruster_commands
-from undertow.control.gains import AllocationTable, GainSet, ScheduleTable, load_gains
+from undertow.control.gains import (
+    Allocation,
+    AllocationTable,
+    GainSet,
+    ScheduleTable,
+    allocation_of,
+    load_gains,
+)
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 

@@ -81,8 +81,9 @@ def test_late_commands_and_reports(lanes: int) -> None:
             cls, {n: Value(v) for n, v in zip(names, values.values(), strict=False)}
         )
     late = ClosedLoop(load_gains("paper-pd", AUV), vehicle, compiled=True)
-    assert late.parts.late[0] == 0.05
-    assert late.parts.late[1].max() == 0.02
+    dead, reports = late.parts.functions.late()
+    assert dead == 0.05
+    assert max(reports.values()) == 0.02
     scenario = Scenario(GOAL, 1.0, log_interval=0.1)
     found = late.run_many(scenario, starts=STARTS)
     virtual = ClosedLoop(load_gains("paper-pd", AUV), vehicle, compiled=False).run_many(

@@ -474,7 +474,7 @@ def test_legs_in_a_current_are_followed_by_estimates_that_are_near_the_truth() -
 def test_gains_judge_the_loop_behind_an_observer() -> None:
     gains = ship("pd")
     vehicle = gains.plant.vehicle
-    found = certify(gains, observer=design(_observer(0.02), vehicle), forms=["derived"]).observed
+    found = certify(gains, observer=design(_observer(0.02), vehicle), forms=["derived"]).loop_with_observer
     loop = close_loop(vehicle, gains)
     filter = SettledObserver(design(_observer(0.02), vehicle), loop.trim)
     # The separation principle: poles of the law and of the filter.
@@ -487,9 +487,9 @@ def test_gains_judge_the_loop_behind_an_observer() -> None:
     assert found.pole.real == pytest.approx(slowest, rel=1e-4)
     # Kinematics do not know of the commands: a filter that is slow beside the law makes the loop grow.
     slow = certify(gains, observer=design(_observer(5.0, "kinematics", 1e-4), vehicle), forms=["derived"])
-    assert slow.observed is not None
-    assert slow.observed.verdict == "unstable"
-    assert (slow.ok, replace(slow, observed=None).ok) == (False, True)
+    assert slow.loop_with_observer is not None
+    assert slow.loop_with_observer.verdict == "unstable"
+    assert (slow.ok, replace(slow, loop_with_observer=None).ok) == (False, True)
 
 
 # --- C ----------------------------------------------------------------------------------------------

@@ -77,7 +77,7 @@ def test_v_falls_along_the_model_from_every_state_below_its_level(
     start = {c: e if frame == "body" else 0.3 * e for c, e in START.items()}
     found = region(problem, False, start)
     assert found.quadratic is not None
-    assert (found.quadratic.frame, found.start_held) == (frame, True)
+    assert (found.quadratic.frame, found.contains_start) == (frame, True)
     _assert_falls(problem, found.quadratic)
 
 
@@ -116,7 +116,7 @@ def test_the_published_surge_loop_gets_no_v() -> None:
     """Routh refuses it: so does the search, whatever the start."""
     problem = Problem(load_gains("paper-pid", load_vehicle("mini-auv")))
     found = region(problem, False, dict.fromkeys(START, 0.02))
-    assert (found.kind, found.start_held) == ("none", False)
+    assert (found.kind, found.contains_start) == ("none", False)
     assert "not stable" in found.text
 
 
@@ -142,15 +142,15 @@ def test_a_start_that_asks_for_more_than_a_thruster_has_is_refused() -> None:
     """14.3 N of weight and K_P z = 2 N/m times 2 m: 18.3 N of 16.2 N."""
     report = certify(law(sinker(16.2), "pid"), forms=["derived"], start={"z": 2.0})
     assert not report.ok
-    assert report.region.start_held is False
+    assert report.region.contains_start is False
     assert "the start asks 18.3 of f1, whose limit is 16.2" in report.region.text
 
 
 def test_pd_says_whether_its_own_level_holds_the_start() -> None:
     """V = K_P e^2/2 against the level; everywhere holds every start."""
-    assert certify(law(sinker(), "pd"), forms=["derived"], start={"x": 50.0}).region.start_held
+    assert certify(law(sinker(), "pd"), forms=["derived"], start={"x": 50.0}).region.contains_start
     report = certify(law(sinker(40.0), "sliding-mode"), forms=["derived"], start={"z": 1e3})
-    assert report.region.start_held is False
+    assert report.region.contains_start is False
     assert not report.ok
 
 
@@ -212,7 +212,7 @@ def test_a_start_of_a_coordinate_that_the_vehicle_has_not_is_reported() -> None:
 def test_a_region_that_was_not_searched_for_has_no_verdict_on_starts() -> None:
     found = certify(law(sinker(), "pid"), forms=["derived"]).region
     assert found.quadratic is not None
-    assert found.start_held is None
+    assert found.contains_start is None
 
 
 @pytest.mark.slow

@@ -16,11 +16,10 @@ from benchmarks.attacks import Attack, BoxTarget
 from tests.control.test_certificates import loaded
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import enclose
-from undertow.control.conditions.kernels import Responses, grid, modes
 from undertow.control.conditions.motion import Motion
 from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.responses import Driven, Responses, Starts, grid, modes
 from undertow.control.conditions.result import Transient
-from undertow.control.conditions.second import Driven, Starts
 from undertow.control.conditions.transient import Bounds, Known, Sector, _caps, bounds_in_time
 from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table
@@ -262,7 +261,7 @@ def test_a_loop_with_bounds_in_time_is_certified_and_false_bounds_are_broken() -
     region = report.region
     assert report.ok
     assert region.kind == "box"
-    assert region.start_held
+    assert region.contains_start
     assert region.starts == START
     found = region.transient
     assert found is not None

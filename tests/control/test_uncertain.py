@@ -11,7 +11,7 @@ import pytest
 import sympy as sm
 
 from tests.quick import first_quick
-from undertow.control.conditions.channels import coupled, coupled_roots, left_alone
+from undertow.control.conditions.channels import coupled, coupled_roots, zero_dynamics
 from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, along_the_loop, in_numbers
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
 from undertow.control.conditions.region import region
@@ -167,7 +167,7 @@ def test_roots_of_coupled_axes_contain_what_weight_and_thrust_do_to_an_axis_left
 
 def test_zero_dynamics_are_what_ever_larger_gains_lead_to() -> None:
     gains = pitch_left_alone(1e7)
-    alone = left_alone(gains)
+    alone = zero_dynamics(gains)
     assert alone is not None
     poles = np.linalg.eigvals(close_loop(gains.plant.vehicle, gains).closed.A)
     near = [poles[np.argmin(np.abs(poles - p))] for p in alone.poles]

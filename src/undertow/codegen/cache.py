@@ -11,29 +11,22 @@ import re
 import shutil
 import stat
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Protocol
 
 from undertow.errors import UndertowError
-from undertow.files import write_whole
 
 from .source import LIBRARY_SUFFIX, digest
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
 _LOG = logging.getLogger("undertow")
-_OURS = re.compile(r"[0-9a-f]{24}(\.json|\.note|-[0-9a-f]{16}\.\w+)|build-\w+")
+_OURS = re.compile(r"[0-9a-f]{24}(\.json|-[0-9a-f]{16}\.\w+)|build-\w+")
 # Seconds that an unused library is kept.
 _KEPT_FOR = 90 * 86400.0
-# Seconds after which a folder of a build, which may last ten minutes, counts as left where nothing is locked.
+# Seconds after which the folder of a build, which may last ten minutes, counts as left.
 _LEFT_FOR = 3600.0
 
 
@@ -82,7 +75,8 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
 
 def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict[str, str]) -> Path:
     try:
-        with _build_folder(manifest.parent) as place:
+        with TemporaryDirectory(prefix="build-", dir=manifest.parent, ignore_cleanup_errors=True) as name:
+            place = Path(name)
             (place / "model.c").write_text(source, encoding="utf-8")
             built = place / f"model{LIBRARY_SUFFIX}"
             compiler.build(place / "model.c", built)
@@ -99,88 +93,20 @@ def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict
     return library
 
 
-@contextmanager
-def _build_folder(folder: Path) -> Iterator[Path]:
-    """A folder for one build, locked while its process lives, however that ends."""
-    while True:
-        with tempfile.TemporaryDirectory(prefix="build-", dir=folder, ignore_cleanup_errors=True) as name:
-            try:
-                lock = _lock(Path(name))
-            except (BlockingIOError, FileNotFoundError):
-                continue  # a process that starts at this moment has taken it for one that was left
-            try:
-                yield Path(name)
-                return
-            finally:
-                if lock is not None:
-                    os.close(lock)
-
-
-def _lock(folder: Path) -> int | None:
-    """Descriptor that holds the lock on a folder; None where there are no locks."""
-    if fcntl is None:
-        return None
-    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        folder.stat()
-    except (BlockingIOError, FileNotFoundError):
-        os.close(number)
-        raise
-    except OSError:  # a file system without locks
-        os.close(number)
-        return None
-    return number
-
-
 @cache
 def _forget_old(folder: Path) -> None:
     """Remove what has not been used for months, and what killed builds have left; once in a process."""
-    limit = time.time() - _KEPT_FOR
+    now = time.time()
     with suppress(OSError):
         for path in [p for p in folder.iterdir() if _OURS.fullmatch(p.name)]:
             with suppress(OSError):
-                if path.name.startswith("build-"):
-                    _remove_left(path)
-                elif path.lstat().st_mtime < limit:
+                kept_for = _LEFT_FOR if path.name.startswith("build-") else _KEPT_FOR
+                if path.lstat().st_mtime < now - kept_for:
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-
-def _remove_left(place: Path) -> None:
-    """Remove the folder of a build whose process is gone; without locks, one older than any build lasts."""
-    old = place.lstat().st_mtime < time.time() - _LEFT_FOR
-    lock = _lock(place)
-    if lock is not None or old:
-        shutil.rmtree(place, ignore_errors=True)
-    if lock is not None:
-        os.close(lock)
 
 
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-# --- notes --------------------------------------------------------------------------------------
-
-
-def remembered(question: str, find_out: Callable[[], str]) -> str:
-    """The answer to a question that always has the same one, found out once and kept beside the libraries.
-
-    `question` states all that the answer depends on. An empty answer is not kept.
-    """
-    note = cache_folder() / f"{digest(question)[:24]}.note"
-    try:
-        whole, _, answer = note.read_text(encoding="utf-8").partition("\n")
-        if whole == digest(question + answer):
-            os.utime(note)
-            return answer
-    except (OSError, ValueError):
-        pass
-    answer = find_out()
-    if answer:
-        with suppress(OSError, UndertowError):
-            write_whole(note, f"{digest(question + answer)}\n{answer}")
-    return answer
 
 
 # --- the folder ---------------------------------------------------------------------------------
@@ -239,7 +165,7 @@ def _replaceable(parent: Path) -> str | None:
 @cache
 def _private_folder(reason: str) -> Path:
     try:
-        folder = Path(tempfile.mkdtemp(prefix="undertow-"))
+        folder = Path(mkdtemp(prefix="undertow-"))
     except OSError as error:
         raise UndertowError(
             f"{reason}, and no temporary folder can be made ({error.strerror}): set XDG_CACHE_HOME or TMPDIR "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
-import platform
 import shlex
 import shutil
 import subprocess
@@ -21,8 +20,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 
-from .cache import library_for, remembered
-from .functions import Functions
+from .cache import library_for
 from .source import c_source, digest, engine_file, with_unique_symbols
 
 T = TypeVar("T")
@@ -133,17 +131,11 @@ def _version(command: tuple[str, ...], path: str) -> str:
 @cache
 def _processor(command: tuple[str, ...]) -> str:
     """What the compiler defines for this processor, a macro on each line; empty where it cannot tell."""
-
-    def ask() -> str:
-        try:
-            answer = _run([*command, *_LOCAL_FLAGS, "-dM", "-E", "-x", "c", os.devnull], Path.cwd())
-        except UndertowError:
-            return ""
-        return "" if answer.returncode else "\n".join(sorted(answer.stdout.splitlines()))
-
-    return remembered(
-        "\n".join(["processor", *_LOCAL_FLAGS, *command, _program(command), _this_processor()]), ask
-    )
+    try:
+        answer = _run([*command, *_LOCAL_FLAGS, "-dM", "-E", "-x", "c", os.devnull], Path.cwd())
+    except UndertowError:
+        return ""
+    return "" if answer.returncode else "\n".join(sorted(answer.stdout.splitlines()))
 
 
 def _macros(known: str) -> dict[str, str]:
@@ -165,26 +157,6 @@ def _at_most_256_bits(macros: dict[str, str]) -> tuple[str, ...]:
     # Clang, which says that it is GCC 4, copies no wider than it computes; so did GCC before these options.
     copies = ("-mmove-max=256", "-mstore-max=256") if int(macros.get("__GNUC__", 0)) >= 12 else ()
     return ("-mprefer-vector-width=256", *copies)
-
-
-def _program(command: tuple[str, ...]) -> str:
-    """What tells one installation of a program from another, without asking it."""
-    found = Path(shutil.which(command[0]) or command[0]).resolve()
-    try:
-        known = found.stat()
-    except OSError:
-        return str(found)
-    return f"{found} {known.st_size} {known.st_mtime_ns}"
-
-
-def _this_processor() -> str:
-    """Model and flags of the processor, as the system tells them."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
-    except OSError:
-        return " ".join(platform.uname())
-    wanted = ("vendor_id", "cpu family", "model", "stepping", "flags", "CPU", "Features")
-    return "\n".join(line for line in lines if line.startswith(wanted))
 
 
 def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -265,58 +237,22 @@ def _map_over(function: ca.Function, count: int) -> ca.Function:
 
 
 class Evaluator:
-    """A CasADi function evaluated through its buffer for `batch` runs at once."""
+    """A CasADi function with dense outputs for NumPy arrays, through its buffer."""
 
-    def __init__(self, function: ca.Function, batch: int = 1) -> None:
-        self._bound = Bound(function, batch)
-        self._places = [_Places(function.sparsity_out(i)) for i in range(function.n_out())]
+    def __init__(self, function: ca.Function) -> None:
+        self._bound = Bound(function)
+        self._shapes = [function.size_out(i) for i in range(function.n_out())]
 
     def __call__(self, *inputs: np.ndarray | float) -> list[np.ndarray]:
-        """Outputs of shape (batch, rows, columns) for inputs of shape (batch or 1, size)."""
+        """Outputs of shape (rows, columns) for inputs of shape (size,)."""
         for array, given in zip(self._bound.inputs, inputs, strict=True):
             array[:] = given
         self._bound.run()
-        return [place.dense(values) for place, values in zip(self._places, self._bound.outputs, strict=True)]
-
-
-class _Places:
-    """Where the nonzeros of an output belong."""
-
-    def __init__(self, sparsity: ca.Sparsity) -> None:
-        self._shape = sparsity.shape
-        self._full = sparsity.is_dense()
-        self._rows, self._columns = sparsity.get_triplet()
-
-    def dense(self, nonzeros: np.ndarray) -> np.ndarray:
-        rows, columns = self._shape
-        if self._full:
-            return nonzeros.reshape(len(nonzeros), columns, rows).transpose(0, 2, 1).copy()
-        result = np.zeros((len(nonzeros), rows, columns))
-        result[:, self._rows, self._columns] = nonzeros
-        return result
-
-
-class Compiled:
-    """The functions of a vehicle, each compiled when it is first asked for.
-
-    With `compiled` they have to be, without they run in CasADi's virtual machine; by default they are
-    compiled where there is a compiler, and one logged line says so where there is none.
-    """
-
-    def __init__(self, functions: Functions, *, compiled: bool | None = None) -> None:
-        self._functions, self._wish = functions, compiled
-        self._ready: dict[str, ca.Function] = {}
-
-    def function(self, name: str) -> ca.Function:
-        """One of the functions by its name, such as `dynamics`."""
-        if name not in self._ready:
-            own = getattr(self._functions, name)
-            self._ready[name] = compiled_or_virtual(self._wish, lambda c: load(own, c), lambda: own)
-        return self._ready[name]
-
-    def evaluator(self, name: str, batch: int = 1) -> Evaluator:
-        """One of the functions for NumPy arrays, `batch` evaluations in a call, through its buffer."""
-        return Evaluator(self.function(name), batch)
+        # CasADi is column-major.
+        return [
+            a.reshape(shape[::-1]).T.copy()
+            for a, shape in zip(self._bound.outputs, self._shapes, strict=True)
+        ]
 
 
 def load(function: ca.Function, compiler: Compiler) -> ca.Function:

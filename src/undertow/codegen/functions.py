@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from undertow.model.composition import stated
 from undertow.model.effect import Flow, Wrench
 from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
+from undertow.typing import Array
 
 from .convert import Converter
 from .rewriting import Collector, Inertia, find_inertia, is_galilean, kirchhoff
@@ -300,6 +301,16 @@ class Functions:
     def dead_time(self) -> ca.Function:
         """`s = dead_time(p)`: delay between command and thrust, s."""
         return ca.Function("dead_time", [self.p], [self.convert(self.vehicle.composition.dead_time)])
+
+    def late(self, values: Sequence[float] | Array | None = None) -> tuple[float, dict[str, float]]:
+        """Dead time of the inputs, and of the outputs that come late by name, s.
+
+        For values of the parameters, the vehicle's unless given.
+        """
+        p = self.values() if values is None else values
+        ages = ca.Function("report_age", [self.p], [ca.densify(self.report_age)])(p).full().ravel().tolist()
+        names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
+        return float(self.dead_time(p)), {n: s for n, s in zip(names, ages, strict=True) if s}
 
     @cached_property
     def residual_function(self) -> ca.Function:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import chain
 from math import isclose
@@ -15,9 +15,8 @@ from pydantic import TypeAdapter
 
 from undertow.errors import UndertowError
 from undertow.files import json_ready
-from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.symbols import FORCE, FORCE_UNITS, MOTION_UNITS
 from undertow.model.tables import Printable
-from undertow.typing import Array
 from undertow.version import __version__
 
 from .functions import Functions
@@ -26,14 +25,9 @@ from .source import digest
 _log = logging.getLogger(__name__)
 SCHEMA = "undertow/codegen/2"
 _POINTS = 5
-_UNITS = {
-    **dict.fromkeys(POSE[:3], "m"),
-    **dict.fromkeys(POSE[3:], "rad"),
-    **dict(zip(VELOCITY, VELOCITY_UNITS, strict=True)),
-    **{f"tau_{f}": unit for f, unit in zip(FORCE, FORCE_UNITS, strict=True)},
-    "rho": "kg/m^3",
-    "g": "m/s^2",
-}
+UNITS = MOTION_UNITS | {f"tau_{f}": unit for f, unit in zip(FORCE, FORCE_UNITS, strict=True)}
+"""Of pose, velocity and forces by name."""
+_UNITS = UNITS | {"rho": "kg/m^3", "g": "m/s^2"}
 
 
 @dataclass(frozen=True)
@@ -89,7 +83,7 @@ class Manifest:
 
 def describe(functions: Functions) -> Manifest:
     """The manifest of a model."""
-    vehicle = functions.vehicle
+    vehicle, (input_delay, output_delay) = functions.vehicle, functions.late()
     return Manifest(
         vehicle=vehicle.name,
         effects=tuple(e.id for e in vehicle.effects),
@@ -99,23 +93,10 @@ def describe(functions: Functions) -> Manifest:
             Entry(n, _parameter_unit(functions, n), v)
             for n, v in zip(functions.parameter_names, functions.values(), strict=True)
         ),
-        input_delay=dead_time(functions),
-        output_delay=output_delay(functions),
+        input_delay=input_delay,
+        output_delay=output_delay,
         rows=_rows(functions),
     )
-
-
-def dead_time(functions: Functions, values: Sequence[float] | Array | None = None) -> float:
-    """Dead time of the inputs for values of the parameters, the vehicle's unless given, s."""
-    return float(functions.dead_time(functions.values() if values is None else values))
-
-
-def output_delay(functions: Functions, values: Sequence[float] | Array | None = None) -> dict[str, float]:
-    """Dead time of the outputs that come late, likewise, s, by name."""
-    evaluate = ca.Function("report_age", [functions.p], [ca.densify(functions.report_age)])
-    seconds = evaluate(functions.values() if values is None else values).full().ravel().tolist()
-    names = (*functions.vehicle.pose_names, *functions.vehicle.velocity_names)
-    return {n: s for n, s in zip(names, seconds, strict=True) if s}
 
 
 def whole_samples(seconds: float, dt: float) -> int:

@@ -7,16 +7,17 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
-from undertow.typing import Array, Flags, Integers
+from undertow.typing import Array, Integers
 
-from .compiler import Compiler, Evaluator, compiled_or_virtual
-from .engine import engine, mapped
+from .compiler import Compiler, compiled_or_virtual
+from .engine import carried, engine, mapped
 from .functions import Functions
 from .trajectories import (
     CompiledRollout,
@@ -72,7 +73,7 @@ class Simulator:
             model = self._with_slopes if wrt else self._uncompiled(sensitivities=False)
             if model is not None:
                 return model.tangents(wrt)
-            return VirtualStepper(self._functions, sensitivities=bool(wrt))
+            return VirtualStepper(self._functions, wrt)
 
         if wrt not in self._steppers:
             self._steppers[wrt] = compiled_or_virtual(self._wish, compiled, otherwise)
@@ -317,58 +318,50 @@ def runge_kutta(
 
 
 class VirtualStepper:
-    """Steps in NumPy; CasADi's virtual machine evaluates all runs of a batch at once."""
+    """Runge-Kutta steps of one run after the other, by CasADi's virtual machine."""
 
-    def __init__(self, functions: Functions, *, sensitivities: bool) -> None:
-        self._function = functions.tangents("x", "p") if sensitivities else functions.dynamics
-        self._rows = functions.acceleration_rows
-        self._evaluators: dict[int, Evaluator] = {}
+    def __init__(self, functions: Functions, wrt: Sequence[int]) -> None:
+        self._step = _virtual_step(functions, wrt)
 
     def advance(self, problem: Problem, first: int, last: int) -> None:
-        with np.errstate(all="ignore"):
-            for i in range(first, last):
-                self._interval(problem, i)
-
-    def _interval(self, problem: Problem, i: int) -> None:
-        """From sample i to i + 1; runs with fewer steps than others wait, runs that diverged are NaN."""
-        interval, count = problem.t[:, i + 1] - problem.t[:, i], problem.steps[:, i]
-        x, s = problem.x[:, i].copy(), problem.s[:, i].copy()
-        h = interval / count
-        for k in range(count.max()):
-            running = (k < count) & np.isfinite(x).all(axis=1)
-            new = self._step(problem, i, problem.t[:, i] + k * h, h, x, s)
-            x, s = (_where(running, a, b) for a, b in zip(new, (x, s), strict=True))
-        finite = np.asarray(np.isfinite(x).all(axis=1))
-        for target, last in ((problem.x, x), (problem.s, s)):
-            target[:, i + 1] = _where(finite, last, np.full_like(last, np.nan))
-
-    def _step(self, problem: Problem, i: int, t: Array, h: Array, x: Array, s: Array) -> list[Array]:
-        def rates(z: Sequence[Array], reach: float) -> list[Array]:
-            now = (t + reach * h)[:, None]
-            f, *slopes = self._evaluate(z[0], problem.u[:, i], problem.p, now)
-            return [f[:, :, 0], self._tangent_rate(slopes, z[1], problem.wrt)]
-
-        return runge_kutta(rates, [x, s], [h[:, None], h[:, None, None]])
-
-    def _evaluate(self, x: Array, *others: Array) -> list[Array]:
-        if len(x) not in self._evaluators:
-            self._evaluators[len(x)] = Evaluator(self._function, len(x))
-        return self._evaluators[len(x)](x, *others)
-
-    def _tangent_rate(self, slopes: list[Array], z: Array, wrt: Integers) -> Array:
-        if not slopes:
-            return np.zeros_like(z)
-        inverse, r_x, r_p = slopes
-        rate = r_x @ z
-        known = wrt >= 0
-        rate[:, :, known] += r_p[:, :, wrt[known]]
-        rate[:, self._rows] = inverse @ rate[:, self._rows]
-        return rate
+        """Fill in the samples after `first` up to `last`; from where a run diverges they are NaN."""
+        runs, own = len(problem.x), slice(first, last)
+        shared = (problem.t[:, first : last + 1], problem.steps[:, own], problem.u[:, own], problem.p)
+        every = (np.broadcast_to(a, (runs, *a.shape[1:])) for a in shared)
+        for x, s, t, count, u, p in zip(problem.x, problem.s, *every, strict=True):
+            ends = np.cumsum(count)
+            h = np.repeat(np.diff(t) / count, count)
+            at = np.repeat(t[:-1], count) + h * (np.arange(len(h)) - np.repeat(ends - count, count))
+            start = np.concatenate([x[first], s[first].ravel(order="F")])[None]
+            given = [np.repeat(u, count, axis=0)[:, None], p[None, None], at[:, None, None], h[:, None, None]]
+            found = carried(self._step, start, given, len(h))[ends, 0]
+            found[np.logical_or.accumulate(~np.isfinite(found[:, : len(x[0])]).all(axis=1))] = np.nan
+            x[first + 1 : last + 1] = found[:, : len(x[0])]
+            s[first + 1 : last + 1] = found[:, len(x[0]) :].reshape(len(ends), *s.shape[:0:-1]).swapaxes(1, 2)
 
 
-def _where(runs: Flags, then: Array, otherwise: Array) -> Array:
-    """`then` for the selected runs, `otherwise` for the others."""
-    return np.where(runs.reshape(-1, *[1] * (then.ndim - 1)), then, otherwise)
+def _virtual_step(functions: Functions, wrt: Sequence[int]) -> ca.Function:
+    """`z = step(z, u, p, t, h)`: the state and, column by column, its derivatives."""
+    f, size, rows = functions, functions.x.numel(), functions.acceleration_rows
+    chosen = ca.DM(f.p.numel(), len(wrt))
+    for column, place in enumerate(wrt):
+        if place >= 0:
+            chosen[place, column] = 1
+    z, t, h = ca.MX.sym("z", size * (1 + len(wrt))), ca.MX.sym("t"), ca.MX.sym("h")
+    u, p = ca.MX.sym("u", f.u.numel()), ca.MX.sym("p", f.p.numel())
+    model = f.tangents("x", "p") if wrt else f.dynamics
+
+    def rates(parts: Sequence[ca.MX], reach: float) -> list[ca.MX]:
+        if not wrt:
+            return [model(*parts, u, p, t + reach * h)]
+        x_dot, inverse, by_x, by_p = model(parts[0], u, p, t + reach * h)
+        slope = by_x @ parts[1] + by_p @ chosen
+        solved = inverse @ slope[rows, :]
+        return [x_dot, ca.vertcat(slope[: rows.start, :], solved, slope[rows.stop :, :])]
+
+    parts = [z[:size], *([ca.reshape(z[size:], size, len(wrt))] if wrt else [])]
+    after = runge_kutta(rates, parts, [h] * len(parts))
+    return ca.Function("step", [z, u, p, t, h], [ca.vertcat(*map(ca.vec, after))])
 
 
 # --- what `import undertow` gives ------------------------------------------------------------------

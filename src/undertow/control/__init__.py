@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from .linear.design import lqg as lqg
     from .linear.design import lqr as lqr
     from .linear.family import family as family
-    from .linear.numeric import in_current as in_current
     from .linear.numeric import in_direction as in_direction
     from .linear.systems import as_controller as as_controller
     from .linear.systems import as_nlsys as as_nlsys
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from .linear.systems import linearize as linearize
     from .linear.trim import Trim as Trim
     from .linear.trim import find_trim as find_trim
+    from .plant import in_current as in_current
 
 _HOME_OF = {
     "Trim": "linear.trim",
@@ -28,7 +28,7 @@ _HOME_OF = {
     "close_loop": "linear.systems",
     "family": "linear.family",
     "find_trim": "linear.trim",
-    "in_current": "linear.numeric",
+    "in_current": "plant",
     "in_direction": "linear.numeric",
     "linearize": "linear.systems",
     "lqg": "linear.design",

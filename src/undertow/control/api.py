@@ -193,9 +193,9 @@ def update(
         library = library_of(vehicle, list(sets.values()))
         assert library.texts  # what cannot be stated in C is refused before anything is written
         progress(0.3, "eigenvalues, margins and conditions")
-        new, loops = snapshot(vehicle, sets, at, at_words, verdicts)
+        new = snapshot(vehicle, sets, at, at_words, verdicts)
         progress(0.6, "pictures")
-        drawn = _pictures(vehicle, sets, at, loops)
+        drawn = _pictures(vehicle, sets, at, new)
         with together():
             written = library.write(out)
             paths = save_pictures(drawn, written.folder / _PICTURES)
@@ -233,7 +233,7 @@ def _pictures(
     vehicle: Vehicle,
     gains: Mapping[str, GainSet],
     at: Mapping[str, float] | None,
-    loops: Mapping[str, object],
+    new: Snapshot,
 ) -> dict[str, Figure]:
     """Pictures by file name, of what has a linear form."""
     from .linear.pictures import picture
@@ -245,7 +245,7 @@ def _pictures(
     drawn = {f"{_OWN}-{kind}": picture(kind, own, own.main_channels) for kind in kinds}
     hover = find_trim(vehicle)
     for name, one in gains.items():
-        if any(loop.startswith(f"{name}, ") for loop in loops):
+        if any(of.startswith(f"{name}, ") for of in new.eigenvalues):
             closed = Analysis(vehicle, hover, one)
             for kind in ("poles", "bode", "step"):
                 drawn[f"{Path(name).stem}-{kind}"] = picture(kind, closed, closed.main_channels)

@@ -15,14 +15,13 @@ import sympy as sm
 
 from undertow.codegen.convert import Converter
 from undertow.codegen.functions import solve_symmetric, wrapped
-from undertow.codegen.manifest import Entry
+from undertow.codegen.manifest import UNITS, Entry
 from undertow.codegen.spelling import Dialect, Part, Struct, comment, filled, identifier, slug
 from undertow.errors import UndertowError
-from undertow.model.symbols import FORCE, FORCE_UNITS, POSE, VELOCITY, VELOCITY_UNITS
+from undertow.model.symbols import FORCE, FORCE_UNITS, POSE
 from undertow.model.units import si_of
 
-from .allocation import Allocation, allocation_of
-from .gains import GainSet
+from .gains import Allocation, GainSet, allocation_of
 from .guidance.reference import Course, Kinematics, Reference
 from .laws import LawSignals
 
@@ -392,8 +391,6 @@ def _only(force: ca.SX, rows: tuple[int, ...]) -> ca.SX:
 
 
 # --- as a module of a C library ------------------------------------------------------------------------
-_NAMES = (*POSE, *VELOCITY, *(f"tau_{f}" for f in FORCE))
-_UNITS = dict(zip(_NAMES, (*("m",) * 3, *("rad",) * 3, *VELOCITY_UNITS, *FORCE_UNITS), strict=True))
 # Sample of the example, s.
 _SAMPLE = 0.02
 _HEADING = "@REAL@ @LOWER@_heading(@REAL@ x_0, @REAL@ y_0, @REAL@ x_d, @REAL@ y_d)"
@@ -441,13 +438,13 @@ class _ControllerC:
     def _notes(self) -> dict[str, list[Entry]]:
         pose, velocity = self._vehicle.pose_names, self._vehicle.velocity_names
         commands = self._controller.command_names
-        wanted = {} if "r" in self._structs else {"r, desired pose": [Entry(n, _UNITS[n]) for n in pose]}
+        wanted = {} if "r" in self._structs else {"r, desired pose": [Entry(n, UNITS[n]) for n in pose]}
         return {
-            "y, what the sensors report": [Entry(n, _UNITS[n]) for n in (*pose, *velocity)],
+            "y, what the sensors report": [Entry(n, UNITS[n]) for n in (*pose, *velocity)],
             **wanted,
             "s, states of the controller": [Entry(n, "") for n in self._controller.state_names],
             "u, commands, to be held until the next step": [
-                Entry(n, _UNITS.get(n, "command")) for n in commands
+                Entry(n, UNITS.get(n, "command")) for n in commands
             ],
             "tau, force that the law asks for, body frame; at its limits u gives less": [
                 Entry(f"tau_{FORCE[i]}", FORCE_UNITS[i]) for i in self._vehicle.dof_indices

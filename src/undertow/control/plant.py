@@ -11,6 +11,7 @@ import sympy as sm
 
 from undertow.model.effect import Wrench, kinds_of
 from undertow.model.effects.control_surfaces import ControlSurfaces
+from undertow.model.effects.ocean_current import OceanCurrent, check_current
 from undertow.model.kinematics import body_rates, rotation
 from undertow.model.symbols import POSE, column, symbol
 from undertow.model.vehicle import Value, Vehicle
@@ -222,6 +223,18 @@ class Plant:
         if pushed.free_symbols & {*self.nu, *self.eta, *self.inputs}:
             return WITH_MOTION
         return ""
+
+
+def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
+    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced.
+
+    Raises
+    ------
+    UndertowError
+        If no water flows that fast.
+    """
+    check_current(north, east)
+    return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
 
 
 @lru_cache(maxsize=32)

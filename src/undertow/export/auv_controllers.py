@@ -9,8 +9,7 @@ import numpy as np
 
 from undertow.model.vehicle import Vehicle
 
-from .body import Body, attributes, steiner
-from .drag import fit, on_the_diagonal
+from .body import Body, attributes, fit, on_the_diagonal, steiner
 
 # What its parser takes for gravity, m/s^2: the weight is the mass times it.
 _GRAVITY = 9.81

@@ -16,8 +16,7 @@ from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .body import FLIP, Body, angles_of, leaves, numbers
-from .drag import Drag, fit
+from .body import FLIP, Body, Drag, angles_of, fit, leaves, numbers
 
 _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
 _SYSTEMS = {"physics": "Physics", "user-commands": "UserCommands", "scene-broadcaster": "SceneBroadcaster"}

@@ -14,8 +14,7 @@ from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .body import Body, angles_of, numbers
-from .drag import fit, on_the_diagonal
+from .body import Body, angles_of, fit, numbers, on_the_diagonal
 
 _GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
 _HULL = "hull"  # link, material and look

@@ -88,8 +88,8 @@ def _on_conditions(done: Design) -> Iterator[str]:
 
     report = check(done.gains)
     yield f"conditions derived from the model: {_VERDICTS[bool(done.certified)]}"
-    if report.alone:
-        yield f"left alone: {report.alone.text}"
+    if report.zero_dynamics:
+        yield f"unactuated axes: {report.zero_dynamics.text}"
     if done.certified and not report.conditions_hold:
         yield "not all conditions in their printed form hold: undertow gains shows which"
 

@@ -169,15 +169,15 @@ def show_mission(report: MissionReport) -> None:
     for number, row in enumerate(report.rows, 1):
         say(f"  {number}: {row.where}")
         say(f"     {row.about}", "dim")
-    for name, why in report.left_out.items():
+    for name, why in report.not_covered.items():
         say(f"  {name} is not in them: {why}")
 
 
-MISSION_SCHEMA = "undertow/mission-report/1"
+MISSION_SCHEMA = "undertow/mission-report/2"
 """Of what --json prints with --path; docs/missions.md documents it."""
 
 
-SCHEMA = "undertow/gain-report/1"
+SCHEMA = "undertow/gain-report/2"
 """Of what --json prints; docs/gains.md documents it."""
 _GREEN, _RED = "green", "red"
 
@@ -225,17 +225,21 @@ def _headline(report: Report) -> str:
         refuted = any(r.verdict in ("fails", "no iota") for r in report.rows) or not unproved
         return "some conditions fail" if refuted else "some conditions are not proved"
     but = []
-    if report.left_out:
-        one = len(report.left_out) == 1
-        but.append(f"{', '.join(report.left_out)} {'is' if one else 'are'} not in them")
-    if report.alone:
-        fate = "comes to rest" if report.alone.stable else "does not come to rest"
-        but.append(f"{', '.join(report.alone.axes)} is left alone and {fate}")
+    if report.not_covered:
+        one = len(report.not_covered) == 1
+        but.append(f"{', '.join(report.not_covered)} {'is' if one else 'are'} not in them")
+    if report.zero_dynamics:
+        axes, stable = report.zero_dynamics.axes, report.zero_dynamics.stable
+        verbs = ("is", "comes", "does not come") if len(axes) == 1 else ("are", "come", "do not come")
+        but.append(f"{', '.join(axes)} {verbs[0]} unactuated and {verbs[1 if stable else 2]} to rest")
     elif report.region.kind == "none":
         but.append("no region is certified")
-    if report.region.start_held is False:
+    if report.region.contains_start is False:
         but.append("the start box is not contained")
-    for words, loop in (("the whole loop", report.whole), ("the loop with the observer", report.observed)):
+    for words, loop in (
+        ("the whole loop", report.full_loop),
+        ("the loop with the observer", report.loop_with_observer),
+    ):
         if loop is not None and not loop.stable:
             but.append(f"{words} is {loop.verdict}")
     return "all conditions hold" + (f", but {', and '.join(but)}" if but else "")
@@ -372,14 +376,14 @@ def _show_lyapunov(report: Report) -> None:
 def _show_region(report: Report) -> None:
     found = report.region
     section("Certified region")
-    say(f"  {found.text}", _RED if found.kind == "none" and not report.alone else "")
-    if found.start_held is not None:
+    say(f"  {found.text}", _RED if found.kind == "none" and not report.zero_dynamics else "")
+    if found.contains_start is not None:
         word = (
             "contained: every motion that begins in it at rest comes to rest"
-            if found.start_held
+            if found.contains_start
             else "NOT held"
         )
-        say(f"  start box {_with_units(found.start)}: {word}", "" if found.start_held else _RED)
+        say(f"  start box {_with_units(found.start)}: {word}", "" if found.contains_start else _RED)
     if found.quadratic is not None:
         say(f"  V is at most {found.quadratic.start:.3g} on the start box; the level is 1")
     if found.errors:
@@ -391,9 +395,9 @@ def _show_region(report: Report) -> None:
         say(f"  {c.name}: {c.steady:.4g} at the set-point, at most {c.largest:.4g} of {c.limit:.4g} in it")
     if found.commands:
         say("  within it no command reaches its limit, so anti-windup never acts", "dim")
-    if report.left_out and found.kind != "none":
+    if report.not_covered and found.kind != "none":
         say(
-            f"  this is the loop without {', '.join(report.left_out)}; the loop with it is judged below",
+            f"  this is the loop without {', '.join(report.not_covered)}; the loop with it is judged below",
             "dim",
         )
 
@@ -483,22 +487,22 @@ def _wanted(single: SingleRepair) -> str:
 
 
 def _show_rest(report: Report) -> None:
-    if report.alone:
+    if report.zero_dynamics:
         section("Axes that no thruster pushes")
-        say(f"  {report.alone.text}", "" if report.alone.stable else _RED)
-        say(f"  poles of their own motion: {_roots(report.alone.poles)} 1/s")
-    if report.left_out:
+        say(f"  {report.zero_dynamics.text}", "" if report.zero_dynamics.stable else _RED)
+        say(f"  poles of their own motion: {_roots(report.zero_dynamics.poles)} 1/s")
+    if report.not_covered:
         section("Not in the conditions")
-        console().print(table(("", ""), report.left_out.items()))
-    if report.whole is not None:
-        style = "" if report.whole.stable else _RED
-        say(f"  full loop linearised at rest: {_whole(report.whole)}", style)
-        if report.whole.simulated:
-            say(f"  full loop simulated: {report.whole.simulated}", style)
-    if report.observed is not None:
+        console().print(table(("", ""), report.not_covered.items()))
+    if report.full_loop is not None:
+        style = "" if report.full_loop.stable else _RED
+        say(f"  full loop linearised at rest: {_whole(report.full_loop)}", style)
+        if report.full_loop.simulated:
+            say(f"  full loop simulated: {report.full_loop.simulated}", style)
+    if report.loop_with_observer is not None:
         section("With the observer")
-        style = "" if report.observed.stable else _RED
-        say(f"  loop with the observer, linearised at rest: {_whole(report.observed)}", style)
+        style = "" if report.loop_with_observer.stable else _RED
+        say(f"  loop with the observer, linearised at rest: {_whole(report.loop_with_observer)}", style)
         say("  conditions and certified region are for true states, not for estimates", "dim")
 
 

@@ -157,7 +157,7 @@ def _period(text: str | None) -> float:
 
 def _in_current(vehicle: str, current: str | None, effects: Sequence[Path]) -> Vehicle:
     """The vehicle, in the current that is asked for."""
-    from undertow.control.linear.numeric import in_current
+    from undertow.control.plant import in_current
     from undertow.model.loading import load_vehicle
 
     model = load_vehicle(vehicle, effect_files=effects)

@@ -108,11 +108,8 @@ class ScheduleOptions:
     def choices(self) -> Choices:
         """The same for a closed loop; a gate without a unit is in rad."""
         from undertow.control.closed_loop import Choices
-        from undertow.model.effects.ocean_current import check_current
 
         water = None if self.current is None else current_of(self.current)
-        if water is not None:
-            check_current(*water)
         gate = None if self.gate is None else f"{in_si('--gate', self.gate, 'rad')!r} rad"
         return Choices(self.order, self.heading, self.integrators, gate, self.sway, water)
 

@@ -146,21 +146,17 @@ class Parts:
         """Values of k."""
         return np.array(self.controller.gain_values())
 
-    def at_rest(
-        self, pose: np.ndarray, commands: np.ndarray | None = None, velocity: np.ndarray | None = None
-    ) -> np.ndarray:
-        """The state of a vehicle whose commands have been held for long; none and no velocity by default."""
-        u = np.zeros(self.functions.u.numel()) if commands is None else commands
-        actuators = np.asarray(self.functions.rest(u, self.parameters, 0.0)).ravel()
-        memory = np.zeros(self.functions.memory.numel())
-        moving = np.zeros(len(pose)) if velocity is None else velocity
-        return np.concatenate([pose, moving, memory, actuators])
+    def at_rest(self, start: np.ndarray, p: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
+        """States of vehicles whose commands have been held for long; none by default, (b, nx).
 
-    @cached_property
-    def late(self) -> tuple[float, np.ndarray]:
-        """Dead time of the commands and of each report, s."""
-        commands, reports = self.delays(self.parameters[None])
-        return float(commands[0]), reports[0]
+        `start` has pose and velocity, shape (b, 2n), `p` the parameters, (b, np).
+        """
+        f, runs = self.functions, len(start)
+        owned = np.zeros((runs, f.x.numel() - start.shape[1]))
+        if f.actuator_states.numel():
+            held = np.zeros(f.u.numel()) if u is None else u
+            owned[:, f.memory.numel() :] = np.asarray(f.rest.map(runs)(held, p.T, 0.0)).T
+        return np.hstack([start, owned])
 
     def delays(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Dead time of commands, shape (b,), and of each report, (b, ny), for parameters (b, np)."""
@@ -213,7 +209,8 @@ class SampledLoop:
         # The law at rest: beside it, the slope of a root would be that of nowhere else.
         y = np.concatenate([pose, np.zeros(len(pose))])
         u = np.asarray(parts.law(y, self._desired, states, parts.gains)[0]).ravel()
-        x = parts.at_rest(pose, u, np.full(len(pose), side * _CREEP))
+        moving = np.concatenate([pose, np.full(len(pose), side * _CREEP)])
+        x = parts.at_rest(moving[None], parts.parameters[None], u)[0]
         a, b = _jacobians(parts.dynamics, ("x", "u"), "x_dot", (x, u, parts.parameters, 0.0))
         (c,) = _jacobians(parts.outputs, ("x",), "y", (x, u, parts.parameters, 0.0))
         point = (y, self._desired, states, parts.gains)
@@ -316,7 +313,7 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
 
 def check_steps(loop: SampledLoop, parts: Parts, dt: float, samples: int) -> None:
     """Refuse a loop that cannot be integrated without sampling."""
-    if any(parts.late[1]) or parts.late[0]:
+    if any(parts.functions.late()):
         raise UndertowError("dead times need a sampled law: leave out --continuous")
     steps = float(samples) * loop.substeps(dt, continuous=True)
     if steps > MOST_SAMPLES:

@@ -15,9 +15,9 @@ from undertow.codegen.trajectories import in_threads, shares
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet, GainTable, load_gains
 from undertow.control.guidance.mission import Mission
+from undertow.control.plant import in_current
 from undertow.errors import UndertowError, nearest
-from undertow.model.catalogue import catalogue
-from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design, load_observer
 from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
@@ -444,10 +444,7 @@ class Choices:
 
     def in_current(self, vehicle: Vehicle) -> Vehicle:
         """The vehicle in the current if there is to be one."""
-        if self.current is None:
-            return vehicle
-        values = dict(zip(("V_N", "V_E"), map(Value, self.current), strict=True))
-        return vehicle.with_effect(catalogue()["ocean_current"], values)
+        return vehicle if self.current is None else in_current(vehicle, *self.current)
 
 
 def without(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.compiler import Compiler, Evaluator, pointer
+from undertow.codegen.compiler import Compiler, pointer
 from undertow.codegen.manifest import whole_samples
 from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.simulate import runge_kutta
@@ -128,22 +128,12 @@ def problem_of(
         p,
         np.tile(np.asarray(desired, dtype=float), (runs, 1)),
         k,
-        _at_rest(parts, start, p),
+        parts.at_rest(start, p),
         np.array([parts.first_states(one) for one in start]),
         np.zeros((runs, parts.functions.u.numel())),
         np.zeros((runs, delay + 1, parts.functions.u.numel())),
         np.zeros((runs, int(delays.max(initial=0)) + 1, len(delays))),
     )
-
-
-def _at_rest(parts: Parts, start: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """First states: commands of zero have been held for long."""
-    runs, f = len(start), parts.functions
-    owned = np.zeros((runs, f.x.numel() - start.shape[1]))
-    if f.actuator_states.numel():
-        at_zero = (np.zeros(f.u.numel()), p.T, 0.0)
-        owned[:, f.memory.numel() :] = np.asarray(f.rest.map(runs)(*_columns(at_zero, runs))).T
-    return np.hstack([start, owned])
 
 
 def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
@@ -159,12 +149,6 @@ def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
             "equal dead times together"
         )
     return int(samples[0, 0]), np.ascontiguousarray(samples[0, 1:])
-
-
-def _columns(values: tuple[np.ndarray | float, ...], runs: int) -> list[np.ndarray]:
-    """Each value as a matrix with a column for every run."""
-    found = [np.atleast_1d(np.asarray(v, dtype=float)) for v in values]
-    return [v if v.ndim == 2 else np.tile(v[:, None], (1, runs)) for v in found]
 
 
 _POINTER = ctypes.c_void_p
@@ -251,99 +235,92 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
 
 
 class VirtualLoop:
-    """The steps of loop.c in NumPy; CasADi evaluates a function for all runs at once."""
+    """The samples of loop.c as one CasADi function, which its virtual machine runs."""
 
     lanes, parallel = 1, False
 
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
-        self._functions = {
-            "outputs": parts.outputs,
-            "control": parts.control,
-            "held": _held_step(parts),
-            "joint": _joint_step(parts),
-        }
-        self._evaluators: dict[tuple[str, int], Evaluator] = {}
+        self._made: dict[tuple[float | int, ...], ca.Function] = {}
 
     def run(self, problem: LoopProblem, block: Block) -> Rows:
-        rows, row = block.rows(self._parts, problem.runs), 0
-        with np.errstate(all="ignore"):
-            for i in range(block.samples):
-                values = self._sample(problem, block, i)
-                if block.first + i in block.recorded:
-                    for name in block.wanted:
-                        getattr(rows, name)[:, row] = values[name]
-                    row += 1
+        """Commands and reports of the past stand in `problem` from the last sample backwards."""
+        rows, begin = block.rows(self._parts, problem.runs), block.first * problem.dt
+        places = np.array(block.recorded) - block.first
+        for i in range(problem.runs):
+            states = [getattr(problem, name)[i].T for name in _CHANGED]
+            if block.first == 0:  # before the first sample, sensors report what is true at it
+                states[-1][:] = np.asarray(self._parts.outputs(states[0], states[2], problem.p[i], begin))
+            noise = 0.0 if block.noise is None else block.noise[i].T
+            extra = 0.0 if block.extra is None else block.extra.T
+            t = begin + problem.dt * np.arange(block.samples)
+            given = (noise, extra, t[None], problem.p[i], problem.r[i], problem.k[i])
+            found = [np.asarray(v) for v in self._samples(problem, block.samples)(*states, *given)]
+            x, s, u, _, _, y, tau = found
+            x = np.hstack([states[0][:, None], x[:, :-1]])
+            for name, value in zip(ALL, (x, y, u, s, tau), strict=True):
+                if name in block.wanted:
+                    getattr(rows, name)[i] = value.T[places]
+            for state, value in zip(states, found, strict=False):
+                state[:] = value[:, -1] if state.ndim == 1 else value[:, -state.shape[1] :]
         return rows
 
-    def _evaluate(self, name: str, *inputs: np.ndarray | float) -> list[np.ndarray]:
-        """Outputs of shape (b, n) for inputs of shape (b, n)."""
-        runs = len(inputs[0]) if isinstance(inputs[0], np.ndarray) else 1
-        key = name, runs
-        if key not in self._evaluators:
-            self._evaluators[key] = Evaluator(self._functions[name], runs)
-        return [column[:, :, 0] for column in self._evaluators[key](*inputs)]
-
-    def _sample(self, problem: LoopProblem, block: Block, i: int) -> dict[str, np.ndarray]:
-        sample, ring = block.first + i, problem.input_delay + 1
-        t, x = sample * problem.dt, problem.x.copy()
-        reported = self._reported(problem, sample, t)
-        if block.noise is not None:
-            reported = reported + block.noise[:, i]
-        hold = 0.0 if problem.continuous else problem.dt
-        u, s, tau = self._evaluate("control", reported, problem.r, problem.s, problem.k, hold)
-        problem.s[:] = s
-        problem.command[:] = problem.commands[:, sample % ring] = u
-        sent = problem.commands[:, (sample + 1) % ring] if sample >= problem.input_delay else np.zeros_like(u)
-        extra = np.zeros(u.shape[1]) if block.extra is None else block.extra[i]
-        self._advance(problem, sent + extra, extra, t)
-        return {"x": x, "y": reported, "u": u, "s": s, "tau": tau}
-
-    def _reported(self, problem: LoopProblem, sample: int, t: float) -> np.ndarray:
-        (y,) = self._evaluate("outputs", problem.x, problem.command, problem.p, t)
-        size = problem.reports.shape[1]
-        problem.reports[:, sample % size] = y
-        since = np.maximum(sample - problem.output_delay, 0)
-        return problem.reports[:, since % size, np.arange(len(since))]
-
-    def _advance(self, problem: LoopProblem, u: np.ndarray, extra: np.ndarray, t: float) -> None:
-        h = problem.dt / problem.substeps
-        for k in range(problem.substeps):
-            at = t + k * h
-            if problem.continuous:
-                others = (problem.r, problem.k, extra, problem.p, at, h)
-                x, problem.s[:] = self._evaluate("joint", problem.x, problem.s, *others)
-            else:
-                (x,) = self._evaluate("held", problem.x, u, problem.p, at, h)
-            problem.x[:] = x
+    def _samples(self, problem: LoopProblem, count: int) -> ca.Function:
+        """Some samples one after the other."""
+        late = problem.input_delay, *problem.output_delay.tolist()
+        key = (problem.dt, problem.substeps, problem.continuous, *late, count)
+        if key not in self._made:
+            one = sample_of(self._parts, problem.dt, problem.substeps, problem.continuous, late)
+            carried = list(range(len(_CHANGED)))
+            self._made[key] = one.mapaccum("samples", count, carried, carried)
+        return self._made[key]
 
 
-def _held_step(parts: Parts) -> ca.Function:
-    """`x_next = step(x, u, p, t, h)` with the commands held."""
-    f = parts.functions
-    sizes = {"x": f.x.numel(), "u": f.u.numel(), "p": f.p.numel(), "t": 1, "h": 1}
-    x, u, p, t, h = (ca.SX.sym(name, size) for name, size in sizes.items())
-    (following,) = runge_kutta(lambda z, reach: [parts.dynamics(*z, u, p, t + reach * h)], [x], [h])
-    return ca.Function("held", [x, u, p, t, h], [ca.densify(following)])
+def sample_of(
+    parts: Parts, dt: float, substeps: int = 1, continuous: bool = False, late: Sequence[int] = ()
+) -> ca.Function:
+    """One sample of the controller and the motion up to the next, as loop.c has it.
+
+    `(x, s, u, commands, reports, y, tau) = sample(x, s, u, commands, reports, noise, extra, t, p, r, k)`; u
+    is the last command, `commands` and `reports` have a column for each sample, the last one first; `late`
+    says how many samples the commands and each report are late, none by default.
+    """
+    f, control = parts.functions, parts.control
+    delay, *delays = late or [0] * (1 + len(parts.reported_names))
+    sizes = {"x": f.x.numel(), "s": control.size1_in("s"), "u": f.u.numel()}
+    x, s, u = start = [ca.MX.sym(n, size) for n, size in sizes.items()]
+    commands = ca.MX.sym("commands", sizes["u"], delay + 1)
+    reports = ca.MX.sym("reports", len(delays), max(delays, default=0) + 1)
+    noise, extra, t = ca.MX.sym("noise", len(delays)), ca.MX.sym("extra", sizes["u"]), ca.MX.sym("t")
+    p, r, k = ca.MX.sym("p", f.p.numel()), *(ca.MX.sym(n, control.size1_in(n)) for n in "rk")
+    seen = ca.horzcat(parts.outputs(x, u, p, t), reports[:, :-1])
+    y = ca.vertcat(*[seen[i, age] for i, age in enumerate(delays)]) + noise
+    u, s, tau = control(y, r, s, k, 0.0 if continuous else dt)
+    sent = ca.horzcat(u, commands[:, :-1])
+    for i in range(substeps):
+        h = dt / substeps
+        if continuous:
+            x, s = _with_law(parts, [x, s], (extra, t + i * h, h, p, r, k))
+        else:
+            held, now = sent[:, -1] + extra, t + i * h
+            (x,) = runge_kutta(lambda z, reach: [parts.dynamics(*z, held, p, now + reach * h)], [x], [h])  # noqa: B023
+    inputs = [*start, commands, reports, noise, extra, t, p, r, k]
+    return ca.Function("sample", inputs, [x, s, u, sent, seen, y, tau])
 
 
-def _joint_step(parts: Parts) -> ca.Function:
-    """`(x_next, s_next) = step(x, s, r, k, extra, p, t, h)` with the law at every stage."""
-    f, law = parts.functions, parts.law
-    x, extra, p = ca.SX.sym("x", f.x.numel()), ca.SX.sym("e", f.u.numel()), ca.SX.sym("p", f.p.numel())
-    s, r, k = (ca.SX.sym(n, law.size1_in(n)) for n in "srk")
-    t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    u = ca.SX.zeros(extra.shape)
+def _with_law(parts: Parts, state: Sequence[ca.MX], given: tuple[ca.MX, ...]) -> list[ca.MX]:
+    """A step of vehicle and law together, the law at every stage."""
+    extra, t, h, p, r, k = given
+    u = ca.MX.zeros(extra.shape)
 
-    def rates(z: Sequence[ca.SX], reach: float) -> list[ca.SX]:
+    def rates(z: Sequence[ca.MX], reach: float) -> list[ca.MX]:
         nonlocal u
         now = t + reach * h
-        commands, s_dot, _ = law(parts.outputs(z[0], u, p, now), r, z[1], k)
+        commands, s_dot, _ = parts.law(parts.outputs(z[0], u, p, now), r, z[1], k)
         u = commands + extra
         return [parts.dynamics(z[0], u, p, now), s_dot]
 
-    following = runge_kutta(rates, [x, s], [h, h])
-    return ca.Function("joint", [x, s, r, k, extra, p, t, h], [*map(ca.densify, following)])
+    return runge_kutta(rates, state, [h, h])
 
 
 LoopStepper = CompiledLoop | VirtualLoop

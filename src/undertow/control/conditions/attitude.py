@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -27,6 +27,17 @@ class Interval:
 
     def __init__(self, lo: Any, hi: Any) -> None:
         self.lo, self.hi = np.asarray(lo, dtype=float), np.asarray(hi, dtype=float)
+
+    def __len__(self) -> int:
+        return len(self.lo)
+
+    def __getitem__(self, place: Any) -> Interval:
+        """Some of the intervals, by an index as NumPy has them."""
+        return Interval(self.lo[place], self.hi[place])
+
+    def reshape(self, *shape: int) -> Interval:
+        """The same in another shape."""
+        return Interval(self.lo.reshape(*shape), self.hi.reshape(*shape))
 
     @property
     def middle(self) -> Array:
@@ -107,10 +118,6 @@ class Interval:
     def __rmatmul__(self, other: Any) -> Interval:
         return enclose(other) @ self
 
-    def columns(self, places: Sequence[int]) -> Interval:
-        """Some columns of the matrices."""
-        return Interval(self.lo[..., places], self.hi[..., places])
-
     @property
     def T(self) -> Interval:
         """Transposes of the matrices along the last two axes."""
@@ -125,6 +132,16 @@ def _out(lo: Array, hi: Array) -> Interval:
 def enclose(value: Any) -> Interval:
     """A number or an array as intervals of no width."""
     return value if isinstance(value, Interval) else Interval(value, value)
+
+
+def within(size: Any) -> Interval:
+    """Everything up to a magnitude, either way."""
+    return Interval(-size, size)
+
+
+def transposed(matrix: Any) -> Any:
+    """Transposes of matrices, numbers or intervals, along the last two axes."""
+    return matrix.T if isinstance(matrix, Interval) else np.swapaxes(matrix, -1, -2)
 
 
 def sin(x: Any) -> Interval:
@@ -182,7 +199,7 @@ def least_eigenvalue(matrix: Any) -> Array:
     if not isinstance(matrix, Interval):
         if np.shape(matrix)[-1] == 1:
             return np.asarray(matrix)[..., 0, 0]
-        return np.linalg.eigvalsh(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))[..., 0]
+        return np.linalg.eigvalsh(0.5 * (matrix + transposed(matrix)))[..., 0]
     symmetric = 0.5 * (matrix + matrix.T)
     middle, radius = symmetric.middle, symmetric.radius
     usable = np.asarray(np.isfinite(radius).all(axis=(-1, -2)))
@@ -298,8 +315,7 @@ class Attitudes:
 
     def every_angle(self, values: dict[str, Interval]) -> list[Interval]:
         """Roll, pitch and heading, zero where not given."""
-        k = len(next(iter(values.values())).lo) if values else 1
-        zero = Interval(np.zeros(k), np.zeros(k))
+        zero = enclose(np.zeros(count_of(values)))
         return [values.get(a, zero) for a in ANGLES]
 
     def boxes(self, reach: dict[str, float]) -> dict[str, Interval]:
@@ -320,8 +336,13 @@ class Attitudes:
 
     def numbers(self, values: dict[str, Array]) -> Array:
         """J^-1 in floating point for angles of shape (k,), zero where not given, shape (k, n, n)."""
-        k = len(next(iter(values.values()))) if values else 1
+        k = count_of(values)
         return _filled(self._numbers(*(values.get(a, np.zeros(k)) for a in ANGLES)), (k,))
+
+
+def count_of(values: Mapping[str, Interval | Array]) -> int:
+    """How many attitudes, or boxes of them, there are: one where nothing depends on angles."""
+    return len(next(iter(values.values()))) if values else 1
 
 
 def enclosing(names: Sequence[sm.Symbol], matrix: sm.Matrix) -> Callable[..., Interval]:

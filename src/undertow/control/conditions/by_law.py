@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import sympy as sm
 
-from .attitude import block, least_eigenvalue
+from .attitude import block, least_eigenvalue, transposed
 
 FORMS = {
     "printed": "as the mini-AUV paper prints them",
@@ -42,9 +42,7 @@ class Quantities:
 
     def transposed(self, value: Any) -> Any:
         """The transpose of a matrix; a scalar is its own."""
-        if isinstance(value, sm.Basic):
-            return value
-        return np.swapaxes(value, -1, -2) if isinstance(value, np.ndarray) else value.T
+        return value if isinstance(value, sm.Basic) else transposed(value)
 
 
 Side = Callable[[Quantities], Any]

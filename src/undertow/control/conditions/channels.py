@@ -11,16 +11,15 @@ import numpy as np
 import sympy as sm
 from scipy.special import ndtri
 
-from undertow.control.allocation import allocation_of
-from undertow.control.gains import GainSet
+from undertow.control.gains import GainSet, allocation_of
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import ANGLES, FUNCTIONS, Interval
+from .attitude import ANGLES, FUNCTIONS, enclose, within
 from .problem import Problem, SignSet, Uncertainty, sign_sets
-from .result import FAILS, HOLDS, SETTINGS, Channel, LeftAlone, Row
+from .result import FAILS, HOLDS, SETTINGS, Channel, Row, ZeroDynamics
 
 
 def routh_array(coefficients: Sequence[Any]) -> list[list[Any]]:
@@ -145,10 +144,10 @@ def _given(gains: GainSet) -> Array:
 
 
 # --- what nothing pushes ----------------------------------------------------------------------
-def left_alone(gains: GainSet) -> LeftAlone | None:
-    """The zero dynamics of the axes that are left alone, the others at their set-points; None without.
+def zero_dynamics(gains: GainSet) -> ZeroDynamics | None:
+    """The zero dynamics of the axes that nothing pushes, the others at their set-points; None without.
 
-    What holds the others there may push along an axis that is left alone, too.
+    What holds the others there may push along an axis that nothing pushes, too.
     """
     if not gains.unactuated:
         return None
@@ -164,7 +163,7 @@ def left_alone(gains: GainSet) -> LeftAlone | None:
         poles += map(complex, np.linalg.eigvals(rates))
     poles = sorted(set(poles), key=lambda p: (-p.real, p.imag))
     stable, text = _fate(gains.unactuated, poles, force, stiffness[:, own])
-    return LeftAlone(gains.unactuated, poles, stable, text)
+    return ZeroDynamics(gains.unactuated, poles, stable, text)
 
 
 def _static(plant: Plant) -> tuple[Array, Array]:
@@ -177,10 +176,10 @@ def _static(plant: Plant) -> tuple[Array, Array]:
 
 
 def _fate(axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness: Array) -> tuple[bool, str]:
-    """Whether axes left alone come to rest, and where they go, in words."""
+    """Whether unactuated axes come to rest, and where they go, in words."""
     names = ", ".join(axes)
     if poles[0].real > SETTINGS.slowest:
-        return False, f"{names}: unstable, left alone it leaves its place with {poles[0].real:.4g} 1/s"
+        return False, f"{names}: unactuated and unstable, it leaves its place at {poles[0].real:.4g} 1/s"
     free = [a for a, row in zip(axes, stiffness, strict=True) if not np.any(row)]
     loaded = {a: abs(f) for a, f in zip(axes, forces, strict=True) if a in free and abs(f) > 1e-9}
     if loaded:
@@ -190,8 +189,8 @@ def _fate(axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness:
         )
     decaying = [p.real for p in poles if p.real < -SETTINGS.slowest]
     if len(poles) - len(decaying) > 2 * len(free) or not decaying:
-        return False, f"{names}: left alone, its motion neither decays nor grows"
-    text = f"{names}: left alone, its speed dies out with {-max(decaying):.4g} 1/s"
+        return False, f"{names}: unactuated, its motion neither decays nor grows"
+    text = f"{names}: unactuated, its speed decays at {-max(decaying):.4g} 1/s"
     if free:
         axes_free = ", ".join(free)
         text += f"; it comes to rest where that leaves it: an error along {axes_free} is never corrected"
@@ -262,6 +261,6 @@ def _largest(expression: sm.Expr, problem: Problem) -> float:
     if expression.free_symbols - set(angles):
         return np.inf
     tilt = problem.attitudes.tilt
-    ranges = [Interval(-tilt, tilt), Interval(-tilt, tilt), Interval(-np.pi, np.pi)]
+    ranges = map(within, (tilt, tilt, np.pi))
     found = function_of(angles, expression, FUNCTIONS)(*ranges)
-    return float(np.max(np.abs([found.lo, found.hi]))) if isinstance(found, Interval) else abs(float(found))
+    return float(enclose(found).size)

@@ -9,11 +9,11 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
-from undertow.typing import Array, Flags
+from undertow.typing import Array, Flags, Progress
 
 from .attitude import Certificate
 from .by_law import Condition
-from .channels import coupled, left_alone, linear_channels, reaching
+from .channels import coupled, linear_channels, reaching, zero_dynamics
 from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import (
     ALL,
@@ -33,13 +33,7 @@ from .problem import (
 from .region import region
 from .result import FAILS, HOLDS, NO_IOTA, UNPROVED, Agreement, Region, Report, Row
 
-Progress = Callable[[float, str], None]
-"""Is called with the share that is done (0 to 1) and with what is next."""
 _DERIVED = "derived"
-
-
-def no_progress(done: float, words: str) -> None:
-    """Report to nobody."""
 
 
 def check(
@@ -50,7 +44,7 @@ def check(
     iota: float | None = None,
     tilt: float = np.pi / 3,
     start: Mapping[str, float] | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = lambda done, words: None,
 ) -> Report:
     """Check the gains of a law against every condition, without effects that no condition knows.
 
@@ -102,8 +96,8 @@ def check(
         coupled=coupled(problem),
         lyapunov=lyapunov(gains.plant, gains.law, equilibria),
         region=_region(everything.of_forms([_DERIVED]), start, rows, agreements),
-        alone=left_alone(gains),
-        left_out=dict(gains.plant.left_out),
+        zero_dynamics=zero_dynamics(gains),
+        not_covered=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
     )
 
@@ -149,13 +143,14 @@ def _region(
     """
     if problem.gains.unactuated:
         names = ", ".join(problem.gains.unactuated)
-        text = f"none is certified: {names} is left alone, so that V may rise"
-        return Region("none", text, start=dict(start or {}), start_held=False if start else None)
+        are = "is" if len(problem.gains.unactuated) == 1 else "are"
+        text = f"none is certified: {names} {are} unactuated, so V may rise"
+        return Region("none", text, start=dict(start or {}), contains_start=False if start else None)
     own = [a for a in agreements if a.form == _DERIVED]
     derived = [r for r in rows if r.form == _DERIVED]
     if not derived:
         own = _agreements(problem, None)
-        derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, own, no_progress)
+        derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, own)
     verdicts = [r.verdict for r in derived] + [a.verdict for a in own]
     return region(problem, all(v == HOLDS for v in verdicts), start)
 
@@ -187,7 +182,7 @@ def _rows(
     uncertainty: Uncertainty,
     iota: float | None,
     agreements: list[Agreement],
-    progress: Progress,
+    progress: Progress = lambda done, words: None,
 ) -> list[Row]:
     spans = {a.form: a.iota for a in agreements}
     rows: list[Row] = []

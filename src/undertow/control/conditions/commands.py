@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sm
 
-from undertow.control.allocation import allocation_of
+from undertow.control.gains import allocation_of
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import ANGLES, Interval, enclose, enclosing
+from .attitude import ANGLES, Interval, enclose, enclosing, within
 from .problem import Problem, SignSet
 from .result import Command
 
@@ -52,14 +53,11 @@ class Commands:
 
     def holding_slopes(self, boxes: dict[str, Interval]) -> Interval:
         """How what compensates weight and buoyancy changes with roll and pitch, shape (boxes, m, 2)."""
-        found = [f(*self.problem.attitudes.every_angle(boxes)) for f in self._holding_slopes]
-        return Interval(
-            *(np.concatenate([getattr(f, side) for f in found], axis=-1) for side in ("lo", "hi"))
-        )
+        return self._holding_slopes(*self.problem.attitudes.every_angle(boxes))
 
     @cached_property
-    def _holding_slopes(self) -> list[Callable[..., Interval]]:
-        return [enclosing(_ANGLES, self._held.diff(a)) for a in _ANGLES[:2]]
+    def _holding_slopes(self) -> Callable[..., Interval]:
+        return enclosing(_ANGLES, sm.Matrix.hstack(*(self._held.diff(a) for a in _ANGLES[:2])))
 
     @cached_property
     def _holding(self) -> Callable[..., Interval]:
@@ -152,7 +150,7 @@ class SlidingCommands:
     def _rates(self, errors: Array) -> Interval:
         """What q_dot can be in the box, shape (n, 1)."""
         fastest = 2 * (self._problem.values["Lambda"] * errors)[:, None]
-        return Interval(-fastest, fastest)
+        return within(fastest)
 
     def _boxes(self, errors: Array) -> dict[str, Interval]:
         reach = dict(zip(self._problem.coordinates, map(float, errors), strict=True))
@@ -164,10 +162,10 @@ class SlidingCommands:
         angles = problem.attitudes.every_angle(boxes)
         inverse, rate = self._backward(*angles), self._rates(errors)
         nu = inverse @ rate
-        speeds = [Interval(nu.lo[..., i, 0], nu.hi[..., i, 0]) for i in range(problem.size)]
+        speeds = [nu[..., i, 0] for i in range(problem.size)]
         jump = self._reach(errors)[:, None]
         braked = problem.values["Lambda"][:, None] * rate
-        wanted = Interval(-jump, jump) - self._turning(*angles, *speeds) - braked
+        wanted = within(jump) - self._turning(*angles, *speeds) - braked
         rest = self._commands.at_rest(boxes)
         found = []
         for one, moving in zip(problem.sets, self._moving, strict=True):
@@ -185,22 +183,51 @@ class SlidingCommands:
         return values["K_1"] * np.sqrt(surface) + np.sqrt(2 * values["K_2"] * surface)
 
 
-Term = tuple[int, int, tuple[int, ...], float]
-"""Row, column, exponents of the magnitudes of the velocities, size of the coefficient."""
+# --- what motion does to the matrices -------------------------------------------------------------
+class Term(NamedTuple):
+    """One product in an entry of a matrix."""
+
+    row: int
+    column: int
+    powers: tuple[int, ...]  # of the velocities, their magnitudes and their signs
+    value: float
 
 
-def _extra_damping(plant: Plant, one: SignSet) -> sm.Matrix:
-    """D(nu) - D(0) in one sign set, with the numbers of the vehicle, shape (n, n)."""
-    D = plant.one_way(plant.D, one.way).xreplace(plant.numbers)
-    return (D - D.xreplace(dict.fromkeys(plant.nu, sm.Integer(0)))).applyfunc(sm.expand)
+def sizes_and_signs(plant: Plant) -> tuple[list[sm.Symbol], list[sm.Symbol]]:
+    """Symbols for the magnitudes and the signs of the velocities."""
+    sizes, signs = ([sm.Symbol(f"{kind}_{v}") for v in plant.nu] for kind in ("size", "sign"))
+    return sizes, signs
+
+
+def plain(plant: Plant, matrix: sm.Matrix) -> sm.Matrix:
+    """Numbers for parameters, symbols for magnitudes and signs of velocities."""
+    found: dict[sm.Expr, sm.Symbol] = {}
+    for v, size, sign in zip(plant.nu, *sizes_and_signs(plant), strict=True):
+        found |= {sm.Abs(v): size, sm.sign(v): sign}
+    return matrix.xreplace(found).xreplace(plant.numbers)
+
+
+def terms_of(plant: Plant, matrix: sm.Matrix) -> list[Term]:
+    """Damping and the like as a sum of products of numbers, velocities, their magnitudes and signs.
+
+    Raises
+    ------
+    UndertowError
+        If it is none.
+    """
+    symbols = [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind)]
+    moving, found = plain(plant, matrix).applyfunc(sm.expand), []
+    for i, j in product(range(len(plant.nu)), repeat=2):
+        if not moving[i, j].is_polynomial(*symbols) or moving[i, j].free_symbols - set(symbols):
+            raise UndertowError("damping is no polynomial in velocities and their magnitudes")
+        terms = sm.Poly(moving[i, j], *symbols).terms()
+        found += [Term(i, j, powers, float(value)) for powers, value in terms if value]
+    return found
 
 
 @dataclass(frozen=True)
 class FastDamping:
-    """A bound on what D(nu) may take away from D(0), by magnitudes of velocities.
-
-    It is the sum of coefficients, which are positive, times powers of |nu|.
-    """
+    """A bound on what D(nu) may take away from D(0), by magnitudes of velocities."""
 
     size: int  # number of velocities
     falling: tuple[Term, ...]  # terms of D(nu) - D(0), but those of the diagonal that are never negative
@@ -213,33 +240,16 @@ class FastDamping:
     def loss(self, speeds: Array) -> Array:
         """What damping can lose while |nu| <= speeds: |nu' (D(nu) - D(0)) nu| <= |nu|' loss |nu|, (n, n)."""
         found = np.zeros((self.size, self.size))
-        for i, j, powers, coefficient in self.falling:
-            found[i, j] += coefficient * float(np.prod(speeds ** np.array(powers)))
+        for i, j, powers, value in self.falling:
+            found[i, j] += abs(value) * float(
+                np.prod(np.tile(speeds, 2) ** np.array(powers[: 2 * self.size]))
+            )
         return 0.5 * (found + found.T)
 
 
-def fast_damping(plant: Plant, one: SignSet) -> FastDamping | None:
-    """The bound for one sign set, or None where damping is no polynomial in velocities and magnitudes."""
-    more, n = _extra_damping(plant, one), len(plant.nu)
-    falling: list[Term] = []
-    for i in range(n):
-        for j in range(n):
-            found = _monomials(more[i, j], plant.nu)
-            if found is None:
-                return None
-            falling += [(i, j, powers, abs(c)) for powers, c, even in found if i != j or c < 0 or not even]
-    return FastDamping(n, tuple(falling))
-
-
-def _monomials(entry: sm.Expr, nu: Sequence[sm.Symbol]) -> list[tuple[tuple[int, ...], float, bool]] | None:
-    """Powers of the magnitudes, coefficient, and whether the monomial itself is never negative."""
-    sizes = [sm.Symbol(f"size_{v}", nonnegative=True) for v in nu]
-    plain = sm.expand(entry).xreplace({sm.Abs(v): s for v, s in zip(nu, sizes, strict=True)})
-    if not plain.is_polynomial(*nu, *sizes) or plain.free_symbols - {*nu, *sizes}:
-        return None
-    n, found = len(sizes), []
-    for powers, coefficient in sm.Poly(plain, *nu, *sizes).terms():
-        if coefficient != 0:
-            both = cast(tuple[int, ...], tuple(powers[k] + powers[n + k] for k in range(n)))
-            found.append((both, float(coefficient), all(p % 2 == 0 for p in powers[:n])))
-    return found
+def fast_damping(plant: Plant, one: SignSet) -> FastDamping:
+    """The bound for one sign set."""
+    n = len(plant.nu)
+    moving = [t for t in terms_of(plant, plant.one_way(plant.D, one.way)) if any(t.powers)]
+    never = [t for t in moving if t.row == t.column and t.value > 0 and all(p % 2 == 0 for p in t.powers[:n])]
+    return FastDamping(n, tuple(t for t in moving if t not in never))

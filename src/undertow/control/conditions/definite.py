@@ -30,11 +30,6 @@ class ProofSettings:
 SETTINGS = ProofSettings()
 
 
-def rows_of(stack: Interval, rows: Any) -> Interval:
-    """Some rows of a stack."""
-    return Interval(stack.lo[rows], stack.hi[rows])
-
-
 def mean_roots(middle: Array, place: Any, count: int) -> Array:
     """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
     total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
@@ -61,27 +56,19 @@ def _part(matrices: Array, of: Callable[[Array], Array]) -> Array:
 
 def positive(matrices: Interval) -> Flags:
     """By row of a stack, whether all of its matrices are positive definite, proved."""
-    count = len(matrices.lo)
+    count = len(matrices)
     if count == 0 or certainly_positive(matrices):
         return np.ones(count, dtype=bool)
     if count == 1:
         return np.zeros(1, dtype=bool)
     halves = slice(None, count // 2), slice(count // 2, None)
-    return np.concatenate([positive(rows_of(matrices, half)) for half in halves])
+    return np.concatenate([positive(matrices[half]) for half in halves])
 
 
 def bounded(P: Array, rows: Interval, bounds: Array) -> Flags:
     """By box, whether |row z| < bound on z' P z < 1, proved: bound^2 P - row row' is positive definite."""
     rows = rows * enclose(bounds[:, None]).reciprocal()
-    outer = Interval(rows.lo[..., :, None], rows.hi[..., :, None]) * Interval(
-        rows.lo[..., None, :], rows.hi[..., None, :]
-    )
-    return positive(P - outer)
-
-
-def flat(stack: Interval) -> Interval:
-    """Attitudes and cases in one row."""
-    return Interval(*(v.reshape(-1, *v.shape[2:]) for v in (stack.lo, stack.hi)))
+    return positive(P - rows[..., :, None] * rows[..., None, :])
 
 
 def doubled(P: Array, A: Array) -> Array:
@@ -185,8 +172,8 @@ def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, wo
         own, places = np.unique(place[left], return_inverse=True)
         # Triangular, so regular for certain: in these states rows are near the identity.
         inverse = np.asarray(np.linalg.inv(mean_roots(middle[left], places, len(own))), dtype=float)
-        rows = lowest(_turned(rows_of(rest, left), inverse[places]))
-        choices = [Choices(_lowest_turned(rows_of(e, own), inverse[:, None])) for e in ends]
+        rows = lowest(_turned(rest[left], inverse[places]))
+        choices = [Choices(_lowest_turned(e[own], inverse[:, None])) for e in ends]
         _cut(rows, places, choices, box[left], held, work)
     return held
 

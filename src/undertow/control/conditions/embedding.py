@@ -16,8 +16,8 @@ from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
-from .attitude import ANGLES, Interval, block, enclose, enclosing
-from .commands import Commands
+from .attitude import ANGLES, Interval, block, enclose, enclosing, within
+from .commands import Commands, Term, plain, sizes_and_signs, terms_of
 from .problem import Problem
 
 _EPS = float(np.finfo(float).eps)
@@ -101,8 +101,7 @@ def inverse_of_inertia(matrix: Interval) -> Interval:
     left = (enclose(np.eye(n)) - near @ matrix).size.sum(axis=-1).max(axis=-1) * (1 + n * _EPS)
     if not (left < 0.5).all():
         raise UndertowError("the mass matrix is too badly conditioned for a certificate: check [effects]")
-    radius = (2 * left)[..., None, None] * np.abs(near).max(axis=-2, keepdims=True)
-    return Interval(near, near) + Interval(-radius, radius)
+    return near + within((2 * left)[..., None, None] * np.abs(near).max(axis=-2, keepdims=True))
 
 
 def rotation_of(plant: Plant) -> sm.Matrix:
@@ -120,20 +119,6 @@ def rotation_of(plant: Plant) -> sm.Matrix:
             "its translations do not turn as a rotation: no quadratic V nor bounds in time are searched for"
         )
     return rotation
-
-
-def sizes_and_signs(plant: Plant) -> tuple[list[sm.Symbol], list[sm.Symbol]]:
-    """Symbols for the magnitudes and the signs of the velocities."""
-    sizes, signs = ([sm.Symbol(f"{kind}_{v}") for v in plant.nu] for kind in ("size", "sign"))
-    return sizes, signs
-
-
-def plain(plant: Plant, matrix: sm.Matrix) -> sm.Matrix:
-    """Numbers for parameters, symbols for magnitudes and signs of velocities."""
-    found: dict[sm.Expr, sm.Symbol] = {}
-    for v, size, sign in zip(plant.nu, *sizes_and_signs(plant), strict=True):
-        found |= {sm.Abs(v): size, sm.sign(v): sign}
-    return matrix.xreplace(found).xreplace(plant.numbers)
 
 
 def sign_cases(switching: Sequence[int], n: int) -> Array:
@@ -197,7 +182,7 @@ class Corners:
     @property
     def cases(self) -> int:
         """How many cases of the signs there are."""
-        return len(self.rest.inverse.lo)
+        return len(self.rest.inverse)
 
 
 class Embedding:
@@ -291,8 +276,7 @@ class Embedding:
         if key not in self._functions:
             matrix = self._matrices[name]
             self._functions[key] = enclosing(_ANGLES, matrix.diff(symbol(by), order) if order else matrix)
-        found = self._functions[key](*self.problem.attitudes.every_angle(dict(angles)))
-        return Interval(found.lo[:, None], found.hi[:, None])
+        return self._functions[key](*self.problem.attitudes.every_angle(dict(angles)))[:, None]
 
     @cached_property
     def half_turn(self) -> Array:
@@ -335,15 +319,13 @@ class Embedding:
             inverse, m.rest(*_columns(cases)), enclose(self._turning(zero)), enclose(zero[..., None])
         )
         ends = [self._ends(i, float(speeds[i]), cases, inverse) for i in range(n)]
-        nu = Interval(-speeds[None], speeds[None])
-        either = Interval(-np.ones((1, n)), np.ones((1, n)))
+        nu, either = within(speeds[None]), within(np.ones((1, n)))
         hull = inverse.lo.min(axis=0)[None], inverse.hi.max(axis=0)[None]
         moving = m.rest(*_columns(either)) + m.added(
             *_columns(nu), *_columns(abs(nu)), *_columns(either), *_columns(either)
         )
-        most = self._turning(np.array(speeds, dtype=float)[None])
-        turning = Interval(-np.abs(most), np.abs(most))
-        bend = Matrices(Interval(*hull), moving, turning, Interval(nu.lo[..., None], nu.hi[..., None]))
+        turning = within(np.abs(self._turning(np.array(speeds, dtype=float)[None])))
+        bend = Matrices(Interval(*hull), moving, turning, nu[..., None])
         values = [e.yaw.middle[:, i, 0].reshape(len(cases), -1) for i, e in enumerate(ends)]
         return Corners(rest, ends, bend, m.switching, values)
 
@@ -359,12 +341,7 @@ class Embedding:
         nu[:, i], signs[:, i] = [v for _, v, _ in rows], [s for _, _, s in rows]
         points = [enclose(c) for c in (*nu.T, *np.abs(nu).T, *signs.T)]
         added = m.added(*points, *_columns(cases[place]))
-        return Matrices(
-            Interval(inverse.lo[place], inverse.hi[place]),
-            added,
-            enclose(self._turning(nu)),
-            enclose(nu[..., None]),
-        )
+        return Matrices(inverse[place], added, enclose(self._turning(nu)), enclose(nu[..., None]))
 
     def _turning(self, nu: Array) -> Array:
         """S(omega) of the translations, shape (k, n, n)."""
@@ -392,11 +369,10 @@ class Embedding:
         With a single box where no attitude changes it.
         """
         if self._turned_by_body:
-            angles = {a: Interval(v.lo[:1], v.hi[:1]) for a, v in angles.items()}
+            angles = {a: v[:1] for a, v in angles.items()}
         found = {m: self._at(m, angles) for m in self._matrices}
         blocks = [block(self._cells(e, found, at_rest=False)) for e in at.ends]
-        shape = (at.cases, -1, self.size, self.size)
-        return [Interval(*(v.reshape(len(v), *shape) for v in (b.lo, b.hi))) for b in blocks]
+        return [b.reshape(len(b), at.cases, -1, self.size, self.size) for b in blocks]
 
     def bend(self, at: Corners, angles: Mapping[str, Interval], by: str) -> Array:
         """Bound on |second derivative of A by one angle| in each box, shape (boxes, size, size)."""
@@ -410,7 +386,7 @@ class Embedding:
     def body(self, angles: Mapping[str, Interval], by: str = "", order: int = 0) -> Interval:
         """T of (integral, error, nu) = T' z, or a derivative by an angle, shape (boxes, 1, size, size)."""
         if self._turned_by_body:
-            angles = {a: Interval(v.lo[:1], v.hi[:1]) for a, v in angles.items()}
+            angles = {a: v[:1] for a, v in angles.items()}
         other = self.size - self.n
         unit, none = np.eye(other) * (order == 0), np.zeros((other, self.n))
         return block([[unit, none], [none.T, self._at("L", angles, by, order)]])  # type: ignore[no-any-return]
@@ -456,7 +432,7 @@ class Embedding:
         """Rows that give the body velocities from z, shape (boxes, n, size)."""
         L = self._at("L", angles)
         none = np.zeros((self.n, self.size - self.n))
-        return _one(block([[none, L.T]]))
+        return block([[none, L.T]])[:, 0]  # type: ignore[no-any-return]
 
     def commands_of(self, commands: Commands, angles: Mapping[str, Interval]) -> Interval:
         """Rows that give what each limited command adds to that at rest, shape (boxes, m, size)."""
@@ -464,7 +440,7 @@ class Embedding:
         K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
         force = commands.share @ (L.T @ N.T)
         parts = [force @ K["K_P"], -(force @ K["K_V"] @ N)]
-        return _one(block([[force @ K["K_I"], *parts] if self.integral else parts]))
+        return block([[force @ K["K_I"], *parts] if self.integral else parts])[:, 0]  # type: ignore[no-any-return]
 
     def boxes(self, ranges: Mapping[str, tuple[float, float]]) -> Boxes:
         """Boxes of the angles that A depends on, each of their ranges cut into two."""
@@ -472,11 +448,6 @@ class Embedding:
         low, high = (np.meshgrid(*[e[part] for e in edges]) for part in (slice(-1), slice(1, None)))
         pairs = zip(self.angles, low, high, strict=True)
         return {a: Interval(lo.ravel(), hi.ravel()) for a, lo, hi in pairs}
-
-
-def _one(rows: Interval) -> Interval:
-    """Without the place of the vertices."""
-    return Interval(rows.lo[:, 0], rows.hi[:, 0])
 
 
 def _corners(speed: float, count: int) -> list[tuple[float, float]]:
@@ -496,20 +467,11 @@ class _Moving(NamedTuple):
 
 
 def _columns(rows: Array | Interval) -> list[Interval]:
-    own = rows if isinstance(rows, Interval) else enclose(rows)
-    return [Interval(own.lo[..., i], own.hi[..., i]) for i in range(own.lo.shape[-1])]
+    own = enclose(rows)
+    return [own[..., i] for i in range(own.lo.shape[-1])]
 
 
-class Term(NamedTuple):
-    """One product in an entry of C + D."""
-
-    row: int
-    column: int
-    powers: tuple[int, ...]  # of the velocities, their magnitudes and their signs
-    value: float
-
-
-def terms_of(plant: Plant) -> list[Term]:
+def motion_terms(plant: Plant) -> list[Term]:
     """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most.
 
     Raises
@@ -517,14 +479,8 @@ def terms_of(plant: Plant) -> list[Term]:
     UndertowError
         If it is none.
     """
-    n, symbols = len(plant.nu), [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind)]
-    moving, found = plain(plant, plant.C + plant.D).applyfunc(sm.expand), []
-    for i, j in product(range(n), repeat=2):
-        if not moving[i, j].is_polynomial(*symbols):
-            raise UndertowError("damping is no polynomial in velocities and their magnitudes")
-        terms = sm.Poly(moving[i, j], *symbols).terms()
-        found += [Term(i, j, powers, float(value)) for powers, value in terms if value]
-    if any(sum(term.powers[: 2 * n]) > 1 for term in found):
+    found = terms_of(plant, plant.C + plant.D)
+    if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):
         raise UndertowError(
             "damping grows faster than in proportion to a velocity: no certificate is searched for"
         )
@@ -535,22 +491,12 @@ def _switching(plant: Plant, inertia: sm.Matrix) -> list[int]:
     """Velocities whose sign has to be known: those in the mass matrix, and in products with another one's."""
     n, signs = len(plant.nu), sizes_and_signs(plant)[1]
     found = {i for i in range(n) if signs[i] in inertia.free_symbols}
-    for term in terms_of(plant):
+    for term in motion_terms(plant):
         own = {k for k in range(n) if term.powers[2 * n + k]}
         moved = {k for k in range(n) if term.powers[k] + term.powers[n + k]}
         if len(own | moved) > 1 or any(term.powers[2 * n + k] > 1 for k in own):
             found |= own
     return sorted(found)
-
-
-def point(value: Array) -> Interval:
-    """Intervals of no width."""
-    return Interval(value, value)
-
-
-def count_of(boxes: Boxes) -> int:
-    """How many boxes there are: one where nothing depends on angles."""
-    return len(next(iter(boxes.values())).lo) if boxes else 1
 
 
 def halved(boxes: Boxes) -> Boxes:
@@ -572,4 +518,4 @@ def corners_of(boxes: Boxes) -> tuple[Boxes, Index]:
         [[e[k] for e, k in zip(ends, ways, strict=True)] for ways in product((0, 1), repeat=len(ends))]
     )
     found, place = np.unique(rows.swapaxes(1, 2).reshape(-1, len(ends)), axis=0, return_inverse=True)
-    return {a: point(found[:, i]) for i, a in enumerate(boxes)}, place.reshape(len(rows), -1)
+    return {a: enclose(found[:, i]) for i, a in enumerate(boxes)}, place.reshape(len(rows), -1)

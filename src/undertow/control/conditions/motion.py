@@ -16,9 +16,9 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, enclose, enclosing
-from .commands import Commands
+from .commands import Commands, plain, sizes_and_signs
 from .definite import SETTINGS as PROOFS
-from .embedding import inverse_of_inertia, plain, rotation_of, sign_cases, sizes_and_signs, terms_of
+from .embedding import inverse_of_inertia, motion_terms, rotation_of, sign_cases
 from .problem import Problem
 
 
@@ -97,7 +97,7 @@ class Motion:
     def _forces(self) -> Forces:
         n, found = self.n, Forces(*(np.zeros((self.n,) * k) for k in (2, 2, 3, 3)))
         products: dict[tuple[int, ...], float] = {}
-        for i, j, powers, value in terms_of(self.plant):
+        for i, j, powers, value in motion_terms(self.plant):
             key = (i, *(p + (k == j) for k, p in enumerate(powers)))
             products[key] = products.get(key, 0.0) + value
         for (i, *own_powers), value in products.items():
@@ -183,10 +183,8 @@ class Motion:
         ends = ((2 * (rows + side) / cuts_of - 1) * most[:, None] for side in (0, 1))
         low, high = (e.reshape(-1, len(ANGLES)).T for e in ends)
         names, function = self._turns
-        found = function(*map(Interval, low, high))
-        shape = (-1, len(names), 1, self.n, self.n)
-        lo, hi = (m.reshape(shape) for m in (found.lo, found.hi))
-        return {name: Interval(lo[:, k], hi[:, k]) for k, name in enumerate(names)}
+        found = function(*map(Interval, low, high)).reshape(-1, len(names), 1, self.n, self.n)
+        return {name: found[:, k] for k, name in enumerate(names)}
 
     def leftover(self, caps: Array) -> Leftover:
         """The bounds for angles up to these, rad, shape (caps, angles)."""
@@ -237,13 +235,12 @@ class Motion:
 
         def curved(J: Interval, left: Interval, right: Interval) -> Interval:
             """J (left' A right) over the places of the first index."""
-            inner, boxes = left.T @ A @ right, len(J.lo)
-            flat = J @ Interval(*(m.reshape(-1, 1, n, n * n) for m in (inner.lo, inner.hi)))
-            return Interval(*(m.reshape(boxes, *n3) for m in (flat.lo, flat.hi)))
+            inner, boxes = left.T @ A @ right, len(J)
+            return (J @ inner.reshape(-1, 1, n, n * n)).reshape(boxes, *n3)
 
         def turning(rows: list[Interval]) -> Interval:
             """J_dot J^-1 v as a form in v: of each angle's rate, what it turns."""
-            found = np.zeros((2, len(rows[0].lo) if rows else 1, *n3))
+            found = np.zeros((2, len(rows[0]) if rows else 1, *n3))
             for place, row in zip(self.places, rows, strict=True):
                 found[:, :, :, place] = row.lo[:, 0], row.hi[:, 0]
             return Interval(*found)

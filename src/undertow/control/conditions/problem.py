@@ -22,7 +22,7 @@ from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .attitude import Attitudes, Certificate, least
+from .attitude import Attitudes, Certificate, least, transposed
 from .by_law import CONDITIONS, Condition, Quantities
 
 
@@ -260,7 +260,7 @@ class Problem:
 
     @property
     def driven(self) -> list[int]:
-        """Coordinates that the law drives: axes left alone have gains only if the file states them."""
+        """Coordinates that the law drives: unactuated axes have gains only if the file states them."""
         return [i for i in range(self.size) if all(v[i] for v in self.values.values())]
 
     @cached_property
@@ -346,9 +346,8 @@ class Problem:
         theta = one.theta if theta is None else theta
         own = self.driven
         gains = {name: np.diag(v[own]) for name, v in self.values.items()}
-        columns = inverse[..., own] if isinstance(inverse, np.ndarray) else inverse.columns(own)
-        turn = columns.T if not isinstance(columns, np.ndarray) else np.swapaxes(columns, -1, -2)
-        M, D = (turn @ m.at(theta) @ columns for m in (one.M, one.D))
+        columns = inverse[..., own]
+        M, D = (transposed(columns) @ m.at(theta) @ columns for m in (one.M, one.D))
         return Quantities({**gains, "M": M, "D": D, "iota": iota})
 
     def channel_quantities(
@@ -385,9 +384,8 @@ class Problem:
         """The margin over all attitudes, the least of these sets, with its proof."""
 
         def margins(inverse: Any) -> Array:
-            count = len(inverse) if isinstance(inverse, np.ndarray) else len(inverse.lo)
             each = (condition.margin(self.quantities(one, inverse, iota)) for one in sets)
-            return np.min([np.broadcast_to(m, count) for m in each], axis=0)
+            return np.min([np.broadcast_to(m, len(inverse)) for m in each], axis=0)
 
         return least(margins, self.attitudes, self.turned, bool(condition.uses))
 

@@ -16,7 +16,6 @@ from .attitude import ANGLES
 from .by_law import DERIVED_PD_DAMPER
 from .commands import (
     Commands,
-    FastDamping,
     SlidingCommands,
     dampings,
     fast_damping,
@@ -62,7 +61,7 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
         found = _none("V is not positive at every attitude with digits to spare")
     if start is None:
         return found
-    return replace(found, start=dict(start), start_held=_holds(problem, found, start))
+    return replace(found, start=dict(start), contains_start=_holds(problem, found, start))
 
 
 def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None) -> Region:
@@ -139,7 +138,7 @@ def _pd_bounds(commands: Commands, level: float) -> Array:
 
 def _damping_outlasts(problem: Problem) -> Callable[[float], bool]:
     """Whether K_V + D(nu) is positive at all speeds that a level of V allows, over all attitudes, proved."""
-    fast = _fast_dampings(problem)
+    fast = [fast_damping(problem.plant, one) for one in problem.sets]
     if not any(d.falls for d in fast):
         return lambda level: True  # the conditions at rest are those at any speed
     rest = dampings(problem.sets)
@@ -155,15 +154,6 @@ def _damping_outlasts(problem: Problem) -> Callable[[float], bool]:
         return all(problem.certificate(DERIVED_PD_DAMPER, [one], None).bound > 0 for one in left)
 
     return outlasts
-
-
-def _fast_dampings(problem: Problem) -> list[FastDamping]:
-    """The bound of damping at speed in every sign set."""
-    found = [fast_damping(problem.plant, one) for one in problem.sets]
-    known = [d for d in found if d is not None]
-    if len(known) < len(found):
-        raise UndertowError("damping is no polynomial in velocities and their magnitudes")
-    return known
 
 
 def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:

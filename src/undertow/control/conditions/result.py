@@ -204,7 +204,7 @@ class Region:
     starts: dict[str, float] = field(default_factory=dict)
     commands: tuple[Command, ...] = ()
     start: dict[str, float] = field(default_factory=dict)  # box of errors that was asked for, m and rad
-    start_held: bool | None = None  # whether the region holds it; None where none was asked for
+    contains_start: bool | None = None  # whether the region holds it; None where none was asked for
     quadratic: Quadratic | None = None  # V, where it was found by a semidefinite program
     transient: Transient | None = None  # bounds in time, where the region is a box of starts
 
@@ -215,7 +215,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class LeftAlone:
+class ZeroDynamics:
     """What becomes of the axes that no thruster pushes, while the others are at their set-points."""
 
     axes: tuple[str, ...]  # degrees of freedom
@@ -260,15 +260,15 @@ class Report:
         Candidate and derivative.
     region : Region
         From where the loop is certified to come to its set-point.
-    alone : LeftAlone or None
+    zero_dynamics : ZeroDynamics or None
         What becomes of the axes that no thruster pushes.
-    left_out : dict of str
+    not_covered : dict of str
         Effects that no condition knows, with the reason.
     uncertainty : str
         Where the uncertainty of the parameters is from, and its confidence.
-    whole : WholeLoop or None
+    full_loop : WholeLoop or None
         The loop with the effects that no condition knows; None where it was not looked at.
-    observed : WholeLoop or None
+    loop_with_observer : WholeLoop or None
         The loop in which the law gets the estimate of an observer, linearised; None without one.
     """
 
@@ -281,11 +281,11 @@ class Report:
     coupled: dict[str, list[complex]]
     lyapunov: Lyapunov
     region: Region
-    alone: LeftAlone | None = None
-    left_out: dict[str, str] = field(default_factory=dict)
+    zero_dynamics: ZeroDynamics | None = None
+    not_covered: dict[str, str] = field(default_factory=dict)
     uncertainty: str = ""
-    whole: WholeLoop | None = None
-    observed: WholeLoop | None = None
+    full_loop: WholeLoop | None = None
+    loop_with_observer: WholeLoop | None = None
 
     @property
     def satisfied(self) -> bool:
@@ -296,7 +296,7 @@ class Report:
     @property
     def conditions_hold(self) -> bool:
         """Whether every condition of every form holds, one iota serves all, and every channel is stable."""
-        border = SETTINGS.slowest if self.alone else 0.0  # what nothing pushes stays where it is
+        border = SETTINGS.slowest if self.zero_dynamics else 0.0  # what nothing pushes stays where it is
         coupled = all(r.real < border for roots in self.coupled.values() for r in roots)
         return self.satisfied and coupled and all(c.stable for c in self.channels)
 
@@ -306,13 +306,13 @@ class Report:
 
         Conditions hold, or a quadratic V or bounds in time were found and proved, and those derived from the
         model need not be asked for then; motions from a region come to rest within the limits of the
-        thrusters or, where axes are left alone, those come to rest; and the loop with all effects is stable
+        thrusters or, where axes are unactuated, those come to rest; and the loop with all effects is stable
         where there are others, as is the one with an observer, if one was asked for.
         """
-        certified = self.alone.stable if self.alone else self.region.kind != "none"
+        certified = self.zero_dynamics.stable if self.zero_dynamics else self.region.kind != "none"
         held = self.conditions_hold or (self.region.found and self._others_hold)
-        whole = all(one is None or one.stable for one in (self.whole, self.observed))
-        return held and certified and whole and self.region.start_held is not False
+        whole = all(one is None or one.stable for one in (self.full_loop, self.loop_with_observer))
+        return held and certified and whole and self.region.contains_start is not False
 
     @property
     def _others_hold(self) -> bool:

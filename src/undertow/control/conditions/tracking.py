@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 import sympy as sm
 
-from undertow.codegen.simulate import runge_kutta
 from undertow.control.closed_loop.parts import Parts
 from undertow.control.closed_loop.simulate import Choices
+from undertow.control.closed_loop.stepping import sample_of
 from undertow.control.controller import GATE, Controller
 from undertow.control.gains import GainSet
 from undertow.control.guidance.line_of_sight import LineOfSight
@@ -73,7 +73,7 @@ class MissionReport:
     mission: str
     kind: str
     rows: tuple[MissionRow, ...]
-    left_out: Mapping[str, str]  # effects that no condition knows; on legs all are in the loop
+    not_covered: Mapping[str, str]  # effects that no condition knows; on legs all are in the loop
 
     @property
     def ok(self) -> bool:
@@ -181,9 +181,8 @@ def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
     sets = [problem.with_damping(d) for d in _lowest(matrices)]
 
     def margins(inverse: Any) -> Array:
-        count = len(inverse) if isinstance(inverse, np.ndarray) else len(inverse.lo)
         found = [DERIVED_PD_DAMPER.margin(problem.quantities(one, inverse, None)) for one in sets]
-        return np.broadcast_to(np.min(found, axis=0), count)
+        return np.broadcast_to(np.min(found, axis=0), len(inverse))
 
     certificate = least(margins, problem.attitudes, problem.turned)
     where = f"{_covered(problem, most)}; {certificate.proof}"
@@ -403,8 +402,7 @@ def _leg_row(
     if not change <= TRACKING.still:
         text = f"no steady motion was found: it still changes by {change:.3g} in a second"
         return MissionRow(leg, statement, about, "linearisation", -change, FAILS, text)
-    slope = np.asarray(ca.Function("A", [step.z], [ca.jacobian(step.following, step.z)])(state))
-    slope = _along_the_leg(slope, names, way)
+    slope = _along_the_leg(np.asarray(step.factory("A", ["z"], ["jac:after:z"])(state)), names, way)
     kept = _that_count(slope, names, vehicle)
     poles = np.log(np.linalg.eigvals(slope[np.ix_(kept, kept)]).astype(complex)) / TRACKING.dt
     slowest = poles[int(np.argmax(poles.real))]
@@ -413,30 +411,19 @@ def _leg_row(
     return _row(leg, statement, about, margin, True, where, "linearisation of the sampled loop")
 
 
-@dataclass(frozen=True)
-class _Step:
-    """One sample of the loop: states before and after it, and the same as a function."""
-
-    z: ca.SX
-    following: ca.SX
-    function: ca.Function
-
-
-def _sample(parts: Parts) -> tuple[_Step, list[str]]:
-    f, control, dt = parts.functions, parts.control, TRACKING.dt
-    nx, ns = f.x.numel(), control.size1_in("s")
-    z = ca.SX.sym("z", nx + ns)
-    x, s = z[:nx], z[nx:]
-    r, k = (ca.DM(v) for v in (parts.controller.mission_numbers, parts.gains))
-    still = ca.DM.zeros(f.u.numel(), 1)
-    u, following, _ = control(parts.outputs(x, still, parts.parameters, 0.0), r, s, k, dt)
-    (moved,) = runge_kutta(lambda at, _: [parts.dynamics(*at, u, parts.parameters, 0.0)], [x], [dt])
-    after = ca.vertcat(moved, following)
+def _sample(parts: Parts) -> tuple[ca.Function, list[str]]:
+    """One sample of the loop as a map of its states, and their names."""
+    f, control = parts.functions, parts.control
+    nx, nu = f.x.numel(), f.u.numel()
+    z = ca.MX.sym("z", nx + control.size1_in("s"))
+    still, seen = ca.DM.zeros(nu), ca.DM.zeros(len(parts.reported_names))
+    given = (still, seen, 0, 0, 0, parts.parameters, parts.controller.mission_numbers, parts.gains)
+    x, s, *_ = sample_of(parts, TRACKING.dt)(z[:nx], z[nx:], still, *given)
     names = [*f.state_names, *parts.controller.state_names]
-    return _Step(z, after, ca.Function("step", [z], [ca.densify(after)])), names
+    return ca.Function("step", [z], [ca.vertcat(x, s)], ["z"], ["after"]).expand(), names
 
 
-def _steady(parts: Parts, mission: Mission, reference: LineOfSight, step: _Step) -> tuple[Array, float]:
+def _steady(parts: Parts, mission: Mission, reference: LineOfSight, step: ca.Function) -> tuple[Array, float]:
     """The state after a long way along the leg, and how much what counts still changes in a second."""
     guidance, speed = mission.guidance, mission.limits.speed
     slow = max(
@@ -445,14 +432,15 @@ def _steady(parts: Parts, mission: Mission, reference: LineOfSight, step: _Step)
     count = int(min(TRACKING.lasts * slow, TRACKING.longest) / TRACKING.dt)
     names = parts.vehicle.pose_names
     known = dict(zip(reference.names, reference.start, strict=True))
-    x = parts.at_rest(np.array([known.get(n, 0.0) for n in names]))
-    x[len(names) + names.index("x")] = speed
+    start = np.array([known.get(n, 0.0) for n in names] + [0.0] * len(names))
+    start[len(names) + names.index("x")] = speed
+    x = parts.at_rest(start[None], parts.parameters[None])[0]
     z = np.concatenate([x, parts.controller.initial_states()])
     second = round(1 / TRACKING.dt)
-    far = step.function.mapaccum("far", max(count - second, 1))
+    far = step.mapaccum("far", max(count - second, 1))
     with np.errstate(all="ignore"):
         before = np.asarray(far(z))[:, -1]
-        after = np.asarray(step.function.mapaccum("second", second)(before))[:, -1]
+        after = np.asarray(step.mapaccum("second", second)(before))[:, -1]
     own = slice(len(names), 2 * len(names))  # velocities
     angles = [i for i, n in enumerate(names) if n in ("phi", "theta", "psi")]
     change = np.abs(after - before)

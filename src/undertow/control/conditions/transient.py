@@ -3,7 +3,7 @@
 By variation of constants z(t) = e^{At} z(0) + integral of e^{A(t-s)} g(z(s)) ds. Bounds B on the signals of
 z bound g, and this integral; where what comes out is below B, no motion leaves B. What g comes to at second
 order in the start is worked out (`second`), and only what is beyond is bounded, by integrals of |responses|
-(`kernels`).
+(`responses`).
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
-from .attitude import Interval, enclose
+from .attitude import enclose, within
 from .definite import SETTINGS as PROOFS
-from .kernels import SETTINGS as KERNELS
-from .kernels import Kernels, Modes, Responses, grid, modes
 from .motion import Leftover, Motion
 from .problem import Problem
+from .responses import SETTINGS as KERNELS
+from .responses import Driven, Form, Kernels, Modes, Responses, Starts, by_heading, grid, modes, second_order
 from .result import Transient
-from .second import Driven, Form, Starts, by_heading, second_order
 
 
 @dataclass(frozen=True)
@@ -234,7 +233,7 @@ class Bounds:
         shape = (*B.shape[:-1], len(motion.commands.limits))
         if not own or not len(motion.commands.limits):
             return np.zeros(shape)
-        slopes = motion.commands.holding_slopes({a: Interval(-e, e) for a, e in own.items()})
+        slopes = motion.commands.holding_slopes({a: within(e) for a, e in own.items()})
         off = (slopes - motion.commands.holding_slopes({}).middle).size
         angles = np.stack([own.get(a, np.zeros(len(errors))) for a in ("phi", "theta")], axis=-1)
         return (np.einsum("kma,ka->km", off, angles) * (1 + SETTINGS.room)).reshape(shape)

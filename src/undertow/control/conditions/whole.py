@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undertow.control.allocation import allocation_of
-from undertow.control.gains import GainSet
+from undertow.control.gains import GainSet, allocation_of
 from undertow.control.laws import JUMPING, LAMBDA, LAWS
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design
-from undertow.typing import Array
+from undertow.typing import Array, Progress
 
 from .attitude import ANGLES
-from .check import Progress, check, no_progress
+from .check import check
 from .problem import Problem, Uncertainty
 from .result import SETTINGS, Region, Report, WholeLoop
 
@@ -32,7 +31,7 @@ def certify(
     uncertainty: Uncertainty | None = None,
     *,
     observer: Design | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = lambda done, words: None,
     **options: Any,
 ) -> Report:
     """As `check`, which has the options, with the whole loop where effects or axes are outside conditions.
@@ -42,10 +41,10 @@ def certify(
     report = check(gains, uncertainty, progress=progress, **options)
     progress(0.9, "the whole loop")
     if observer is not None:
-        report = replace(report, observed=observed_loop(gains, observer))
-    if not (report.alone or report.left_out):
+        report = replace(report, loop_with_observer=observed_loop(gains, observer))
+    if not (report.zero_dynamics or report.not_covered):
         return report
-    return replace(report, whole=whole_loop(gains, report.region))
+    return replace(report, full_loop=whole_loop(gains, report.region))
 
 
 def verdicts(gains: GainSet) -> dict[str, tuple[str, float | None]]:
@@ -59,8 +58,8 @@ def verdicts(gains: GainSet) -> dict[str, tuple[str, float | None]]:
     for a in report.agreements:
         found[f"{a.form} conditions with one iota"] = (a.verdict, None)
     found["certified region"] = (report.region.kind, report.region.level)
-    if report.whole is not None:
-        found["whole loop"] = (report.whole.verdict, None)
+    if report.full_loop is not None:
+        found["whole loop"] = (report.full_loop.verdict, None)
     return found
 
 

@@ -11,21 +11,20 @@ import casadi as ca
 import control as ct
 import numpy as np
 
-from undertow.codegen import Compiled, Functions
+from undertow.codegen import Functions
 from undertow.codegen.compiler import Evaluator
-from undertow.codegen.manifest import dead_time, describe, output_delay
+from undertow.codegen.manifest import describe
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation
-from undertow.model.effects.ocean_current import OceanCurrent, check_current
 from undertow.model.symbols import VELOCITY
-from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 _WAYS = {1: "forward", -1: "backward"}
 
 
 class Numeric:
-    """The functions of a vehicle and their slopes at a point, from compiled code."""
+    """The functions of a vehicle and their slopes at a point."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle, self.functions = vehicle, Functions(vehicle)
@@ -33,7 +32,6 @@ class Numeric:
         self.commands = vehicle.command_names
         self.outputs = (*vehicle.pose_names, *vehicle.velocity_names)
         self.p = np.array(self.functions.values())  # parameters, SI and SNAME signs
-        self._compiled = Compiled(self.functions)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -41,14 +39,6 @@ class Numeric:
         manifest = describe(self.functions)
         units = {e.name: e.unit for e in (*manifest.states, *manifest.inputs)}
         return units | {t.name: t.unit for t in self.vehicle.thrusters}
-
-    def dead_time(self, p: Array | None = None) -> float:
-        """Delay between command and thrust, s."""
-        return dead_time(self.functions, self._or_stated(p))
-
-    def report_delays(self, p: Array | None = None) -> dict[str, float]:
-        """Age of the reports that come late, s, by name."""
-        return output_delay(self.functions, self._or_stated(p))
 
     @cached_property
     def varies(self) -> bool:
@@ -59,15 +49,15 @@ class Numeric:
     # --- values and slopes --------------------------------------------------------------------
     @cached_property
     def _rate(self) -> Evaluator:
-        return self._compiled.evaluator("dynamics")
+        return Evaluator(self.functions.dynamics)
 
     @cached_property
     def _slopes(self) -> Evaluator:
-        return self._compiled.evaluator("jacobians")
+        return Evaluator(self.functions.jacobians)
 
     @cached_property
     def _report(self) -> Evaluator:
-        return self._compiled.evaluator("outputs")
+        return Evaluator(self.functions.outputs)
 
     @cached_property
     def _report_slopes(self) -> Evaluator:
@@ -77,11 +67,11 @@ class Numeric:
 
     def rate(self, t: float, x: Array, u: Array, p: Array | None = None) -> Array:
         """Time derivative of the state, shape (nx,)."""
-        return self._rate(x, u, self._or_stated(p), np.array([t]))[0][0, :, 0]
+        return self._rate(x, u, self._or_stated(p), t)[0][:, 0]
 
     def report(self, t: float, x: Array, u: Array, p: Array | None = None) -> Array:
         """Reported pose and velocity, shape (2n,)."""
-        return self._report(x, u, self._or_stated(p), np.array([t]))[0][0, :, 0]
+        return self._report(x, u, self._or_stated(p), t)[0][:, 0]
 
     def reports(self, x: Array, u: Array, p: Array | None = None) -> dict[str, float]:
         """Reported pose and velocity by name."""
@@ -89,13 +79,13 @@ class Numeric:
 
     def slopes(self, x: Array, u: Array, p: Array | None = None) -> tuple[Array, Array, Array, Array]:
         """Time derivative of the state, and its slopes A, B, P in state, command and parameters."""
-        rate, a, b, by_p = self._slopes(x, u, self._or_stated(p), np.zeros(1))
-        return rate[0, :, 0], a[0], b[0], by_p[0]
+        rate, a, b, by_p = self._slopes(x, u, self._or_stated(p), 0.0)
+        return rate[:, 0], a, b, by_p
 
     def report_slopes(self, x: Array, u: Array, p: Array | None = None) -> tuple[Array, Array]:
         """Slopes C, D of the reported pose and velocity in state and command."""
-        c, d = self._report_slopes(x, u, self._or_stated(p), np.zeros(1))
-        return c[0], d[0]
+        c, d = self._report_slopes(x, u, self._or_stated(p), 0.0)
+        return c, d
 
     def _or_stated(self, p: Array | None) -> Array:
         return self.p if p is None else p
@@ -147,18 +137,6 @@ def motion_of(vehicle: Vehicle, name: str) -> str | None:
 def with_ideal_thrust(vehicle: Vehicle) -> Vehicle:
     """The vehicle whose thrusters give at once, and in proportion, what is commanded."""
     return replace(vehicle, effects=tuple(e for e in vehicle.effects if not isinstance(e, Actuation)))
-
-
-def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
-    """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced.
-
-    Raises
-    ------
-    UndertowError
-        If no water flows that fast.
-    """
-    check_current(north, east)
-    return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
 
 
 _LOOK = "look for a value in the vehicle, the gains or the options that is wrong by powers of ten"

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from math import isclose, isfinite
+from itertools import zip_longest
+from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import control as ct
-from pydantic import Field, TypeAdapter
+from pydantic import TypeAdapter
 
 from undertow.control.gains import GainSet, load_gains
 from undertow.errors import UndertowError, nearest
@@ -323,31 +325,29 @@ def analyse(
     return found
 
 
-SCHEMA = "undertow/update/1"
+SCHEMA = "undertow/update/2"
 STABLE, UNSTABLE, NOT_LINEAR = "stable", "unstable", "no linear form"
-_SAME = 1e-9
+_MARGIN_UNITS = {"gain": "", "phase": " deg", "delay": " s", "distance": ""}
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Pole = tuple[Number, Number, list[str]]
-"""Real and imaginary part, 1/s and rad/s, and the states that take part."""
 Verdicts = Callable[[GainSet], Mapping[str, tuple[str, float | None]]]
 
 
 @dataclass
 class Snapshot:
-    """A vehicle and its gain sets in numbers."""
+    """What is watched of a vehicle and its gain sets, by name, as it is printed."""
 
     vehicle: str  # its name
     gains: list[str] = field(default_factory=list)  # gain files that were asked for
     at: list[str] = field(default_factory=list)  # motion that was asked for
-    parameters: dict[str, tuple[Number, str]] = field(default_factory=dict)  # value, unit; signs of the file
-    poles: dict[str, list[Pole]] = field(default_factory=dict)  # by what they are poles of
-    margins: dict[str, dict[str, Number | None]] = field(default_factory=dict)  # by loop; None is infinite
+    parameters: dict[str, str] = field(default_factory=dict)  # in the signs of the file
+    # by loop and the states that take part, numbered where several have the same; 1/s and rad/s
+    eigenvalues: dict[str, dict[str, str]] = field(default_factory=dict)
+    margins: dict[str, str] = field(default_factory=dict)  # by loop and kind
     verdicts: dict[str, str] = field(default_factory=dict)  # by condition or loop
 
     def to_json(self) -> str:
         """Text of the state file."""
-        return json.dumps({"schema": SCHEMA, **asdict(self)}, indent=1, allow_nan=False) + "\n"
+        return json.dumps({"schema": SCHEMA, **asdict(self)}, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
@@ -360,16 +360,39 @@ class Snapshot:
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise UndertowError(f"it cannot be read ({error})") from error
 
+    def add_modes(self, name: str, all_modes: Sequence[Mode]) -> None:
+        """Poles of a loop, and whether they decay."""
+        seen, texts = Counter[str](), self.eigenvalues.setdefault(name, {})
+        for mode in all_modes:
+            states = ", ".join(mode.states)
+            seen[states] += 1
+            again = f" ({seen[states]})" if seen[states] > 1 else ""
+            turning = f" ± {abs(mode.pole.imag):.6g}i" if mode.pole.imag else ""
+            texts[f"{states}{again}"] = f"{mode.pole.real:.6g}{turning}"
+        self.verdicts[name] = STABLE if all(m.stable for m in all_modes) else UNSTABLE
 
-# --- taking one -----------------------------------------------------------------------------------
+    def add_loop(self, name: str, vehicle: Vehicle, gains: GainSet, trim: Trim) -> None:
+        """Poles and margins of a loop, where it has a linear form."""
+        try:
+            loop = close_loop(vehicle, gains, trim)
+        except UndertowError:
+            self.verdicts[name] = NOT_LINEAR
+            return
+        self.add_modes(name, modes(loop.closed))
+        for force, own in loop.margins.items():
+            for kind, unit in _MARGIN_UNITS.items():
+                value = getattr(own, kind)
+                self.margins[f"{name}, {force}: {kind}"] = f"{value:.4g}{unit}" if isfinite(value) else "any"
+
+
 def snapshot(
     vehicle: Vehicle,
     gains: Mapping[str, GainSet],
     motion: Mapping[str, float] | None,
     at: Sequence[str] = (),
     conditions: Verdicts | None = None,
-) -> tuple[Snapshot, dict[str, LinearLoop]]:
-    """Everything that is to be compared, and the linear loops by name.
+) -> Snapshot:
+    """Everything that is to be compared.
 
     `motion` is what a trim besides hovering holds, `at` the same in words. `conditions` gives verdicts of the
     conditions on gains and, where it is of interest, their margins, by condition.
@@ -377,28 +400,27 @@ def snapshot(
     found = Snapshot(vehicle.name, list(gains), list(at), _parameters(vehicle))
     hovering = _hovering(vehicle)
     for name, trim in hovering.items():
-        _add_poles(found, f"vehicle, hovering{name}", modes(linearize(vehicle, trim)))
+        found.add_modes(f"vehicle, hovering{name}", modes(linearize(vehicle, trim)))
     if motion is not None:
         trim = find_trim(vehicle, motion)
-        _add_poles(found, f"vehicle, {', '.join(at)}", modes(linearize(vehicle, trim)))
-    loops: dict[str, LinearLoop] = {}
+        found.add_modes(f"vehicle, {', '.join(at)}", modes(linearize(vehicle, trim)))
     for source, gain_set in gains.items():
         for name, trim in hovering.items():
-            _add_loop(found, loops, f"{source}, hovering{name}", vehicle, gain_set, trim)
+            found.add_loop(f"{source}, hovering{name}", vehicle, gain_set, trim)
         for name, (verdict, margin) in ({} if conditions is None else conditions(gain_set)).items():
             found.verdicts[f"{source}, {name}"] = verdict
             if margin is not None:
-                found.margins[f"{source}, {name}"] = {"margin": float(margin)}
-    return found, loops
+                found.margins[f"{source}, {name}: margin"] = f"{margin:.4g}"
+    return found
 
 
-def _parameters(vehicle: Vehicle) -> dict[str, tuple[float, str]]:
+def _parameters(vehicle: Vehicle) -> dict[str, str]:
     found = {}
     for name in vehicle.parameter_names:
         declared = vehicle.parameter_of(name)
         value = vehicle.value_of(name).value
-        shown = value if declared is None else printed(declared, value, vehicle.signs)
-        found[name] = (float(shown), declared.unit if declared else "")
+        shown, unit = (printed(declared, value, vehicle.signs), declared.unit) if declared else (value, "")
+        found[name] = f"{shown:.6g} {unit}".strip()
     return found
 
 
@@ -411,31 +433,6 @@ def _hovering(vehicle: Vehicle) -> dict[str, Trim]:
     return {n: find_trim(vehicle, direction=dict.fromkeys(switched, way)) for n, way in ways.items()}
 
 
-def _add_poles(found: Snapshot, name: str, all_modes: Sequence[Mode]) -> None:
-    found.poles[name] = [(m.pole.real, m.pole.imag, list(m.states)) for m in all_modes]
-    found.verdicts[name] = STABLE if all(m.stable for m in all_modes) else UNSTABLE
-
-
-def _add_loop(
-    found: Snapshot, loops: dict[str, LinearLoop], name: str, vehicle: Vehicle, gains: GainSet, trim: Trim
-) -> None:
-    try:
-        loop = close_loop(vehicle, gains, trim)
-    except UndertowError:
-        found.verdicts[name] = NOT_LINEAR
-        return
-    loops[name] = loop
-    _add_poles(found, name, modes(loop.closed))
-    for force, own in loop.margins.items():
-        found.margins[f"{name}, {force}"] = _numbers(own)
-
-
-def _numbers(margins: Margins) -> dict[str, float | None]:
-    numbers = {kind: float(getattr(margins, kind)) for kind in ("gain", "phase", "delay", "distance")}
-    return {kind: value if isfinite(value) else None for kind, value in numbers.items()}
-
-
-# --- comparing ------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Change:
     """One thing that is not as it was, in words; empty where it was not, or is no more."""
@@ -446,88 +443,29 @@ class Change:
 
 
 def changes(old: Snapshot, new: Snapshot) -> dict[str, list[Change]]:
-    """What has changed, by kind: parameters, eigenvalues, margins, verdicts."""
+    """What has changed, by kind."""
+    loops = {**old.eigenvalues, **new.eigenvalues}
+    moved = [
+        Change(f"{loop}: {change.what}", change.old, change.new)
+        for loop in loops
+        for change in _moved(old.eigenvalues.get(loop, {}), new.eigenvalues.get(loop, {}))
+    ]
     return {
-        "parameters": _changed(old.parameters, new.parameters, _value),
-        "eigenvalues": _poles_changed(old, new),
-        "margins": [
-            Change(f"{loop}: {kind}", a, b)
-            for loop in {**old.margins, **new.margins}
-            for kind, a, b in _margin_pairs(old.margins.get(loop, {}), new.margins.get(loop, {}))
-        ],
-        "verdicts": _changed(old.verdicts, new.verdicts, str),
+        "parameters": _changed(old.parameters, new.parameters),
+        "eigenvalues": moved,
+        "margins": _changed(old.margins, new.margins),
+        "verdicts": _changed(old.verdicts, new.verdicts),
     }
 
 
-def _changed(old: Mapping[str, Any], new: Mapping[str, Any], shown: Callable[[Any], str]) -> list[Change]:
-    names = [n for n in {**old, **new} if not _equal(old.get(n), new.get(n))]
-    return [Change(n, shown(old[n]) if n in old else "", shown(new[n]) if n in new else "") for n in names]
+def _changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
+    return [Change(n, old.get(n, ""), new.get(n, "")) for n in {**old, **new} if old.get(n) != new.get(n)]
 
 
-def _equal(a: Any, b: Any) -> bool:
-    if isinstance(a, tuple) and isinstance(b, tuple):
-        return a[1] == b[1] and isclose(a[0], b[0], rel_tol=_SAME)
-    return bool(a == b)
-
-
-def _value(entry: tuple[float, str]) -> str:
-    return f"{entry[0]:.6g} {entry[1]}".strip()
-
-
-def _margin_pairs(
-    old: Mapping[str, float | None], new: Mapping[str, float | None]
-) -> list[tuple[str, str, str]]:
-    pairs = []
-    for kind in {**old, **new}:
-        a, b = old.get(kind), new.get(kind)
-        same = a == b or (a is not None and b is not None and isclose(a, b, rel_tol=1e-6, abs_tol=1e-9))
-        if not (same and (kind in old) == (kind in new)):
-            pairs.append((kind, _margin(old, kind), _margin(new, kind)))
-    return pairs
-
-
-def _margin(margins: Mapping[str, float | None], kind: str) -> str:
-    if kind not in margins:
-        return ""
-    value = margins[kind]
-    units = {"phase": " deg", "delay": " s"}
-    return "any" if value is None else f"{value:.4g}{units.get(kind, '')}"
-
-
-def _poles_changed(old: Snapshot, new: Snapshot) -> list[Change]:
-    found = []
-    for name in {**old.poles, **new.poles}:
-        for a, b in _matched(old.poles.get(name, []), new.poles.get(name, [])):
-            if a is None or b is None or not _near(a, b):
-                states = ", ".join((b or a or (0.0, 0.0, []))[2])
-                found.append(Change(f"{name}: {states}", _pole(a), _pole(b)))
-    return found
-
-
-def _near(a: Pole, b: Pole) -> bool:
-    return abs(complex(*a[:2]) - complex(*b[:2])) <= 1e-7 * max(abs(complex(*a[:2])), 1e-3)
-
-
-def _matched(old: Sequence[Pole], new: Sequence[Pole]) -> list[tuple[Pole | None, Pole | None]]:
-    """Poles in pairs: those of the same states first of all, then the nearest."""
-    from scipy.optimize import linear_sum_assignment
-
-    def price(a: Pole, b: Pole) -> float:
-        different = len({*a[2]} ^ {*b[2]})
-        return abs(complex(*a[:2]) - complex(*b[:2])) + 0.3 * different
-
-    if not old or not new:
-        return [*((a, None) for a in old), *((None, b) for b in new)]
-    rows, columns = linear_sum_assignment([[price(a, b) for b in new] for a in old])
-    pairs: list[tuple[Pole | None, Pole | None]] = [
-        (old[i], new[j]) for i, j in zip(rows, columns, strict=True)
+def _moved(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
+    """Poles that are elsewhere; of those in which other states take part, each is put beside the next."""
+    gone, come = ([n for n in a if n not in b] for a, b in ((old, new), (new, old)))
+    pairs = [*((n, n) for n in old if n in new), *zip_longest(gone, come, fillvalue="")]
+    return [
+        Change(b or a, old.get(a, ""), new.get(b, "")) for a, b in pairs if old.get(a, "") != new.get(b, "")
     ]
-    pairs += [(a, None) for i, a in enumerate(old) if i not in rows]
-    return [*pairs, *((None, b) for j, b in enumerate(new) if j not in columns)]
-
-
-def _pole(pole: Pole | None) -> str:
-    if pole is None:
-        return ""
-    real, imaginary, _ = pole
-    return f"{real:.6g}" if not imaginary else f"{real:.6g} ± {abs(imaginary):.6g}i"

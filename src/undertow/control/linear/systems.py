@@ -95,8 +95,8 @@ def linear_with_delays(
     _check_sampling(dt, pade)
     system = linear_at(numeric, trim, p)
     system = _held(system, dt) if dt else system
-    dead = numeric.dead_time(p)
-    late = {n: s for n, s in numeric.report_delays(p).items() if n in system.output_labels}
+    dead, late = numeric.functions.late(p)
+    late = {n: s for n, s in late.items() if n in system.output_labels}
     if not dead and not late:
         return system
     if not (pade or dt):
@@ -196,7 +196,7 @@ def linear_at(numeric: Numeric, trim: Trim, p: Array | None = None) -> ct.StateS
 def as_nlsys(
     vehicle: Vehicle, *, direction: Mapping[str, int] | None = None, units: bool = False
 ) -> ct.NonlinearIOSystem:
-    """The vehicle as a nonlinear system that calls the compiled equations of motion.
+    """The vehicle as a nonlinear system that calls the equations of motion.
 
     States, inputs and outputs are those of `linearize`, but the values themselves and not deviations. The
     parameter ``p`` of the system replaces the values of the vehicle's parameters. A dead time is left out.
@@ -211,7 +211,7 @@ def as_nlsys(
         Whether labels are "u [m/s]" instead of "u", which `as_controller` connects by.
     """
     numeric = Numeric(in_direction(vehicle, direction or {}))
-    if late := numeric.dead_time():
+    if late := numeric.functions.late()[0]:
         _log.warning("commands of '%s' act %g s late; as_nlsys is without it", vehicle.name, late)
 
     def rate(t: float, x: Array, u: Array, params: Mapping[str, Array]) -> Array:
@@ -277,7 +277,7 @@ class LawSystem:
     def outputs(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Commands, rates of the law's states, and the forces it asks for."""
         state = np.append(z, _GATE_PASSED)
-        u, rates, force = (part[0, :, 0] for part in self._continuous(y, ref, state, self._k))
+        u, rates, force = (part[:, 0] for part in self._continuous(y, ref, state, self._k))
         return u, rates[:-1], force
 
     @cached_property
@@ -315,7 +315,7 @@ class LawSystem:
     def linear(self, trim: Trim) -> ct.StateSpace:
         """The law at a trim that it keeps: references, pose and velocity to forces."""
         n, nz = len(self.references), len(self.states)
-        (slope,) = self._slopes(*self.keeping(trim))[0]
+        (slope,) = self._slopes(*self.keeping(trim))
         force, rates = slope[:n], slope[n : n + nz]  # the last row is the gate's
         return ct.ss(
             rates[:, 3 * n :].reshape(nz, nz),
@@ -341,7 +341,7 @@ class LawSystem:
         target = self._controller.allocation.acting @ commands
         for _ in range(20):  # Newton; laws are nearly linear, so that a few would do
             lacking = target - self.outputs(ref, y, z)[2][rows]
-            slope = self._slopes(ref, y, z)[0][0][rows]
+            slope = self._slopes(ref, y, z)[0][rows]
             if self.states:
                 z = z + np.linalg.pinv(slope[:, 3 * n :]) @ lacking
             else:
