@@ -8,6 +8,7 @@ EVALUATION = "one evaluation of f in C"
 CALL = "call of f from Python"
 ROLLOUT = "closed-loop rollout, 240 s at 1 ms, PID"
 BATCH = "1000 rollouts"
+REGRESSION = "regression, 10^6 samples x 6 rows x 30 parameters"
 FIT = "output-error fit, 60 s at 20 Hz, 20 parameters"
 DIAGNOSIS = "whole-catalogue diagnosis, 6 DOF, 4 x 100 s at 20 Hz"
 COLD = "derive, generate and compile, nothing in the cache"
@@ -46,6 +47,8 @@ GOALS = (
     Goal(ROLLOUT, "NumPy Runge-Kutta", 900, "gains, simulate"),
     Goal(BATCH, "hand-written C, one thread", 5, "gains", "undertow, one thread"),
     Goal(BATCH, "hand-written C, one thread", 9, "gains", "undertow, two threads"),
+    Goal(REGRESSION, "NumPy and lstsq", 200, "identify"),
+    Goal(REGRESSION, "one pass over the data", 1 / 5, "identify"),
     Goal(FIT, "IPOPT multiple shooting, virtual machine", 100, "fit"),
     Goal(FIT, "SciPy, finite differences on the same simulation", 4, "fit"),
     Goal(DIAGNOSIS, "", 15, "diagnose"),

@@ -1,4 +1,4 @@
-"""Least squares in one pass: as lstsq on all rows, however ill conditioned."""
+"""Least squares in one pass: as lstsq on all rows, by compiled code and without, however ill conditioned."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.quick import first_quick, quick_if
+from undertow.codegen.compiler import find_compiler
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import Triangle
@@ -20,7 +21,16 @@ NAMES = (
     *("X_udot", "Y_vdot", "Z_wdot", "K_pdot", "M_qdot", "N_rdot", "X_u", "Y_v", "Z_w", "K_p", "M_q", "N_r"),
     *("X_uabsu", "Y_vabsv", "Z_wabsw", "K_pabsp", "M_qabsq", "N_rabsr", "W", "S_z"),
 )
+# Whole groups of lanes, parts of one, and past the number of samples after which sums are handed on.
+LENGTHS = (3, 8, 37, 1024, 8200)
 Samples = dict[str, np.ndarray]
+
+
+@pytest.fixture(params=["compiled", "virtual"])
+def compiled(request: pytest.FixtureRequest) -> bool:
+    if request.param == "compiled" and find_compiler() is None:
+        pytest.skip("no C compiler on this machine")
+    return request.param == "compiled"
 
 
 @cache
@@ -29,15 +39,15 @@ def functions() -> Functions:
 
 
 @cache
-def fit() -> LinearFit:
-    return LinearFit(functions(), NAMES)
+def fit(compiled: bool) -> LinearFit:
+    return LinearFit(functions(), NAMES, compiled=compiled)
 
 
-def reduced(logs: Sequence[Samples]) -> Triangle:
+def reduced(logs: Sequence[Samples], compiled: bool) -> Triangle:
     """All samples of some logs as one triangle."""
     triangle = Triangle(len(NAMES))
     for log in logs:
-        triangle.add(*fit().triangle(log))
+        triangle.add(*fit(compiled).triangle(log))
     return triangle
 
 
@@ -97,37 +107,51 @@ def assert_same(theta: np.ndarray, expected: np.ndarray, tolerance: float = 1e-8
 
 
 @pytest.mark.parametrize("count", first_quick([37, 1024, 8200]))
-def test_estimates_are_those_of_lstsq(count: int) -> None:
+def test_estimates_are_those_of_lstsq(count: int, compiled: bool) -> None:
     log = samples(count)
-    factor, known = fit().triangle(log)
+    factor, known = fit(compiled).triangle(log)
     assert known == count
-    assert_same(estimates(reduced([log])), by_lstsq([log]), 1e-10)
+    assert_same(estimates(reduced([log], compiled)), by_lstsq([log]), 1e-10)
     H, target = rows(log)
     table = np.column_stack([H.reshape(-1, len(NAMES)), target.ravel()])
     products = table.T @ table
     np.testing.assert_allclose(factor.T @ factor, products, atol=1e-12 * np.abs(products).max())
 
 
-def test_several_logs_are_one() -> None:
+def test_several_logs_are_one(compiled: bool) -> None:
     logs = [samples(200, 1), samples(3, 2), nothing(), samples(131, 4)]
-    found = reduced(logs)
+    found = reduced(logs, compiled)
     assert found.count == 334
     assert_same(estimates(found), by_lstsq([logs[0], logs[1], logs[3]]))
 
 
 def test_the_truth_is_found_from_enough_samples() -> None:
     f = functions()
-    found = reduced([samples(4000)])
+    found = reduced([samples(4000)], False)
     truth = np.array([f.vehicle.value_of(n).value for n in NAMES])
     H, squares = found.factor[:-1, :-1], found.factor[-1, -1] ** 2
     errors = np.sqrt(squares / (6 * 4000) * np.diag(np.linalg.inv(H.T @ H)))
     assert np.all(np.abs(estimates(found) - truth) < 5 * errors + 0.05 * np.abs(truth))
 
 
+@pytest.mark.parametrize("count", LENGTHS)
+def test_compiled_rows_are_those_of_the_virtual_machine(count: int) -> None:
+    if find_compiler() is None:
+        pytest.skip("no C compiler on this machine")
+    log = samples(count, 5)
+    # Private: rows before they are summed, where one that differs cannot hide.
+    parts = [fit(c)._columns(log) for c in (True, False)]
+    (ours, n), (theirs, m) = (
+        fit(c)._rows.build(part, fit(c)._p) for c, part in zip((True, False), parts, strict=True)
+    )
+    assert n == m == count
+    np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-13)
+
+
 # --- gaps ----------------------------------------------------------------------------------------
 
 
-def test_a_sample_with_a_gap_counts_nothing() -> None:
+def test_a_sample_with_a_gap_counts_nothing(compiled: bool) -> None:
     log = {name: column.copy() for name, column in samples(203, 10).items()}
     gone = [0, 17, 18, 101, 202]
     for place, name in zip(gone, ("u", "q_dot", "theta", log_command(), "r"), strict=True):
@@ -136,7 +160,7 @@ def test_a_sample_with_a_gap_counts_nothing() -> None:
     log["x"][50] = np.nan
     kept = np.setdiff1d(np.arange(203), gone)
     whole = {name: column[kept] for name, column in samples(203, 10).items()}
-    found = reduced([log])
+    found = reduced([log], compiled)
     assert found.count == 198
     assert_same(estimates(found), by_lstsq([whole]))
 
@@ -157,9 +181,9 @@ def alike(count: int, apart: float) -> Samples:
 
 
 @pytest.mark.parametrize("apart", quick_if((0.3, 1e-8).__contains__, [0.3, 1e-4, 1e-6, 1e-8]))
-def test_digits_are_kept_however_ill_conditioned(apart: float) -> None:
+def test_digits_are_kept_however_ill_conditioned(apart: float, compiled: bool) -> None:
     log = alike(3000, apart)
-    found, expected = estimates(reduced([log])), by_lstsq([log])
+    found, expected = estimates(reduced([log], compiled)), by_lstsq([log])
     H = rows(log)[0].reshape(-1, len(NAMES))
     # In the forces that parameters make; each by itself is known to condition x rounding at best.
     assert np.linalg.norm(H @ (found - expected)) / np.linalg.norm(H @ expected) < 1e-10
@@ -174,7 +198,7 @@ def test_normal_equations_alone_would_not_do() -> None:
     size = np.linalg.norm(H, axis=0)
     gram = (H / size).T @ (H / size)
     plain = np.linalg.solve(gram, (H / size).T @ target) / size
-    expected, found = by_lstsq([log]), estimates(reduced([log]))
+    expected, found = by_lstsq([log]), estimates(reduced([log], False))
     off = [np.max(np.abs(theta - expected) / np.abs(expected)) for theta in (plain, found)]
     # The reference, too, knows each parameter to condition times rounding at best.
     known = 1000 * np.linalg.cond(H / size) * 2.2e-16
@@ -185,22 +209,22 @@ def test_normal_equations_alone_would_not_do() -> None:
 
 
 def test_only_what_rows_need_is_asked_for() -> None:
-    needed = fit().needed
+    needed = fit(compiled=False).needed
     assert not {"x", "y", "z", "psi", "t"} & {*needed}
     log = samples(50)
     del log["q_dot"]
     with pytest.raises(UndertowError, match="lack channel 'q_dot'"):
-        fit().triangle(log)
+        fit(compiled=False).triangle(log)
 
 
 def test_columns_of_different_lengths_are_refused() -> None:
     log = samples(50)
     log["q"] = log["q"][:-1]
     with pytest.raises(UndertowError, match="differ in length"):
-        fit().triangle(log)
+        fit(compiled=False).triangle(log)
 
 
 def test_a_parameter_that_is_not_linear_is_refused() -> None:
     vehicle = load_vehicle("bluerov2").with_effect(catalogue()["ocean_current"], {})
     with pytest.raises(UndertowError, match="X_u does not enter the equations linearly"):
-        LinearFit(Functions(vehicle), ["X_u", "V_N"])
+        LinearFit(Functions(vehicle), ["X_u", "V_N"], compiled=False)
