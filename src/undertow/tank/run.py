@@ -244,9 +244,9 @@ def bare(root: Path, tank: Tank) -> Iterator[str]:
         covered = _said(folder_of(root, case, grid) / _GRID).get("covered", 1.0)
         if covered < RULES.covered:
             yield (
-                f"{case.name}, grid {grid}: layers cover {100 * covered:.0f} % of the hull, at least "
-                f"{100 * RULES.covered:.0f} % make its drag that of the wall: leave small parts out of the mesh of "
-                "the hull and round off its inner corners, or do not rely on this drag"
+                f"{case.name}, grid {grid}: layers cover {100 * covered:.0f} % of the hull, less than "
+                f"{100 * RULES.covered:.0f} %: do not rely on its drag, or leave small parts out of the mesh of the "
+                "hull and round off inner corners"
             )
 
 
