@@ -245,8 +245,8 @@ def bare(root: Path, tank: Tank) -> Iterator[str]:
         if covered < RULES.covered:
             yield (
                 f"{case.name}, grid {grid}: layers cover {100 * covered:.0f} % of the hull, less than "
-                f"{100 * RULES.covered:.0f} %: do not rely on its drag, or leave small parts out of the mesh of the "
-                "hull and round off inner corners"
+                f"{100 * RULES.covered:.0f} %: do not rely on its drag, or leave small parts out of the mesh of "
+                "the hull and round off inner corners"
             )
 
 

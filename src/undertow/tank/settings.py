@@ -42,7 +42,7 @@ class TankRules:
     thinnest: float = 0.125  # of the first, in cells of the surface: thinner ones cannot follow a curved hull
     growth: float = 1.3  # thickness of one over that of the one below it
     layers: float = 1.0  # thickness of all, in cells of the surface
-    # least share of the hull that layers cover: without any, drag was up to 40 % off, so that a twentieth is 2 %
+    # least share of the hull that layers cover: without any, drag was up to 40 % off: a twentieth of it is 2 %
     covered: float = 0.95
     refinement: float = 2**0.5  # ratio of cells, and of time steps, of one grid to the next finer one
     courant: float = 0.5  # surface cells that pass in one time step, at the speed asked for
