@@ -31,7 +31,7 @@ from undertow.tank.coefficients import (
     write_record,
 )
 from undertow.tank.pictures import picture, read_section
-from undertow.tank.run import read_forces, read_motion, run_tank
+from undertow.tank.run import read_forces, read_motion, read_results, run_tank
 from undertow.tank.settings import (
     Case,
     Tank,
@@ -461,6 +461,32 @@ def test_motion_and_forces_of_runs_that_were_taken_up_again(tmp_path: Path) -> N
     times, force = read_forces(tmp_path, 1)
     assert times.tolist() == [0.1, 0.2]
     assert force.tolist() == [2, 5]
+
+
+@pytest.mark.parametrize("wobble", [0.0, 0.1])
+def test_a_free_hull_whose_speed_is_not_that_of_the_forces_is_refused(tmp_path: Path, wobble: float) -> None:
+    """Added mass is 20 kg; `wobble` of the force is what an iteration has left over."""
+    tank = _tank(replace(PUSHED, prescribed=False, profiles=("push",)))
+    (case,) = tank.cases
+    t = np.linspace(0.0, case.end, 41)
+    push = np.interp(t, case.times, case.peak * np.array(case.signal))
+    a = push / (case.inertia + 20.0)
+    v = np.concatenate([[0.0], np.cumsum((a[1:] + a[:-1]) / 2 * np.diff(t))])
+    water = (-20.0 * a + wobble * case.peak * np.sin(40 * np.arange(41))) / case.copies
+    moved = "".join(
+        f"Time = {now}\n    Centre of rotation: (0 0 0)\n    Orientation: (1 0 0 0 1 0 0 0 1)\n"
+        f"    Linear velocity: ({speed} 0 0)\n    Angular velocity: (0 0 0)\n"
+        for now, speed in zip(t, v, strict=True)
+    )
+    (tmp_path / "log.pimpleFoam").write_text(moved)
+    (tmp_path / "postProcessing" / "forces" / "0").mkdir(parents=True)
+    rows = [f"{now} ({force} 0 0) (0 0 0) (0 0 0)" for now, force in zip(t, water, strict=True)]
+    (tmp_path / "postProcessing" / "forces" / "0" / "force.dat").write_text("\n".join(rows))
+    if wobble:
+        with pytest.raises(UndertowError, match="not that of the forces on it"):
+            read_results(tank, case, 1, tmp_path, 1000)
+    else:
+        assert read_results(tank, case, 1, tmp_path, 1000).acceleration == pytest.approx(a)
 
 
 def test_a_rotation_is_read_from_its_matrix(tmp_path: Path) -> None:

@@ -245,8 +245,8 @@ def bare(root: Path, tank: Tank) -> Iterator[str]:
         if covered < RULES.covered:
             yield (
                 f"{case.name}, grid {grid}: layers cover {100 * covered:.0f} % of the hull, less than "
-                f"{100 * RULES.covered:.0f} %: do not rely on its drag, or leave small parts out of the mesh of "
-                "the hull and round off inner corners"
+                f"{100 * RULES.covered:.0f} %: do not rely on its drag, or leave small parts out of the mesh "
+                "of the hull and round off inner corners"
             )
 
 
@@ -349,4 +349,16 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
         raise UndertowError(
             f"{folder}: diverged (a force is not a number): write the tank again with a smaller --time-step"
         )
+    if not case.prescribed and (off := _apart(times, v, a)) > RULES.apart:
+        raise UndertowError(
+            f"{folder}: the speed of the hull is not that of the forces on it: {100 * off:.0f} % apart, limit "
+            f"{100 * RULES.apart:.0f} %: write the tank again with a smaller --time-step or --prescribed"
+        )
     return Record(times, push, x, v, a, water, grid, cells, processor_seconds(folder))
+
+
+def _apart(times: Array, speed: Array, acceleration: Array) -> float:
+    """How far acceleration by the speed is from that by the forces, root mean squares over each other."""
+    mean = (acceleration[1:] + acceleration[:-1]) / 2
+    off = np.diff(speed) / np.diff(times) - mean
+    return float(np.sqrt(np.mean(off**2) / max(np.mean(acceleration**2), 1e-300)))
