@@ -351,7 +351,7 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
         )
     if not case.prescribed and (off := _apart(times, v, a)) > RULES.apart:
         raise UndertowError(
-            f"{folder}: the speed of the hull is not that of the forces on it: {100 * off:.0f} % apart, limit "
+            f"{folder}: the speed of the hull is not that of its forces, {100 * off:.0f} % apart, limit "
             f"{100 * RULES.apart:.0f} %: write the tank again with a smaller --time-step or --prescribed"
         )
     return Record(times, push, x, v, a, water, grid, cells, processor_seconds(folder))
