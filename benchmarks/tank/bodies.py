@@ -291,11 +291,13 @@ def ship(name: str, work: Path) -> None:
                 write_whole(target / "logs" / path.name, path.read_text(encoding="utf-8"))
 
 
-def drawing(name: str, work: Path) -> Figure:
-    """The picture of the first case of a body on its finest grid."""
+def drawing(name: str, work: Path, case_name: str) -> Figure:
+    """The picture of a case of a body on its finest grid."""
     root = work / name
     tank = read_tank(root)
-    return picture(root, tank, tank.cases[0], BODIES[name].grids, coefficients(root, tank))
+    case = next(c for c in tank.cases if c.name == case_name)
+    grid = max(g for g in range(1, tank.grids + 1) if log_of(root, case, g).is_file())
+    return picture(root, tank, case, grid, coefficients(root, tank))
 
 
 def _coefficients(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
