@@ -361,7 +361,7 @@ def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
                     "speed": u,
                     "reynolds": float(abs(u) * tank.size / tank.viscosity),
                     "value": values[0],
-                    "grid": asdict(convergence(values, [tank.cell_of(g) for g in grids])),
+                    "grid": asdict(convergence(values, [tank.cell_of(g) for g in grids], drag=True)),
                     "cells": [r.cells for r in reversed(records)],
                     "seconds": [_seconds(log_of(root, case, g)) for g in reversed(grids)],
                 }
