@@ -472,7 +472,7 @@ def test_a_free_hull_whose_speed_is_not_that_of_the_forces_is_refused(tmp_path: 
     push = np.interp(t, case.times, case.peak * np.array(case.signal))
     a = push / (case.inertia + 20.0)
     v = np.concatenate([[0.0], np.cumsum((a[1:] + a[:-1]) / 2 * np.diff(t))])
-    water = (-20.0 * a + wobble * case.peak * np.sin(40 * np.arange(41))) / case.copies
+    water = (-20.0 * a + wobble * case.peak) / case.copies
     moved = "".join(
         f"Time = {now}\n    Centre of rotation: (0 0 0)\n    Orientation: (1 0 0 0 1 0 0 0 1)\n"
         f"    Linear velocity: ({speed} 0 0)\n    Angular velocity: (0 0 0)\n"
@@ -483,7 +483,7 @@ def test_a_free_hull_whose_speed_is_not_that_of_the_forces_is_refused(tmp_path: 
     rows = [f"{now} ({force} 0 0) (0 0 0) (0 0 0)" for now, force in zip(t, water, strict=True)]
     (tmp_path / "postProcessing" / "forces" / "0" / "force.dat").write_text("\n".join(rows))
     if wobble:
-        with pytest.raises(UndertowError, match="not that of its forces"):
+        with pytest.raises(UndertowError, match="away from that of its forces"):
             read_results(tank, case, 1, tmp_path, 1000)
     else:
         assert read_results(tank, case, 1, tmp_path, 1000).acceleration == pytest.approx(a)
