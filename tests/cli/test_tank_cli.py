@@ -73,6 +73,24 @@ def test_from_a_hull_to_a_vehicle_file(hull: Path, monkeypatch: pytest.MonkeyPat
     assert "tank with logs: choose another folder" in line
 
 
+def test_layers_on_part_of_the_hull_are_told(
+    hull: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """What snappyHexMesh prints of its layers: faces, layers on average, thickness in m and %."""
+    programs = stand_ins(hull / "bin", copies=4)
+    monkeypatch.setenv("PATH", f"{programs}:/usr/bin:/bin")
+    table = "patch faces    layers   overall thickness\nhull 656      10.3     0.00691   83      "
+    (programs / "snappyHexMesh").write_text(f"#!/bin/sh\necho '{table}\n\n  cells: 1234'\n")
+    assert main(NEW) == 0
+    capsys.readouterr()
+    assert main(["tank", "run", "tank"]) == 0
+    (line,) = capsys.readouterr().err.splitlines()  # a push has no layers
+    assert "surge-step, grid 1: layers cover 83 % of the hull, less than 95 %" in line
+    assert "inner corners" in line
+    assert main(["tank", "run", "tank"]) == 0  # also when all is there
+    assert "layers cover 83 %" in capsys.readouterr().err
+
+
 def test_a_hole_is_refused(hull: Path, capsys: Capture) -> None:
     box = box_mesh((0.60, 0.42, 0.24))
     stl(Mesh(box.vertices, box.faces[:-1]), hull / "box.stl")

@@ -25,10 +25,12 @@ from .case import case_files
 from .coefficients import Record, write_record
 from .settings import HULL, RULES, Case, Tank, folder_of, log_of, motion
 
+_GRID = "grid.json"  # beside a grid: its cells, and the share of the hull that layers cover
 INSTALL = "OpenFOAM is not installed (no {} on the PATH): apt-get install openfoam"
 _TIME = re.compile(r"^Time = (\S+)")
 _COURANT = re.compile(r"^Courant Number mean: \S+ max: (\S+)")
 _RESIDUAL = re.compile(r"Solving for p, Initial residual = ([^,]+),")
+_COVERED = re.compile(r"^hull\s+\d+\s+\S+\s+\S+\s+(\S+)\s*$", re.MULTILINE)  # % of the thickness asked for
 _FATAL = re.compile(r"FOAM FATAL|Foam::sigFpe::sigHandler|^Floating point exception")
 
 
@@ -206,16 +208,16 @@ def _fatal(watch: Watch) -> str:
 
 def _grid(root: Path, tank: Tank, case: Case, folder: Path, report: Progress) -> int:
     """Make the grid if it is not there, and count its cells."""
-    mark = folder / "grid.json"
-    if mark.is_file():
-        return int(re.findall(r"\d+", read_json(mark, "grid"))[0])
+    mark = folder / _GRID
+    if "cells" in (said := _said(mark)):
+        return int(said["cells"])
     need_openfoam()
     shutil.rmtree(folder / "constant" / "polyMesh", ignore_errors=True)
     surface = folder / "constant" / "triSurface"
     surface.mkdir(exist_ok=True)
     (surface / HULL).unlink(missing_ok=True)
     (surface / HULL).symlink_to(os.path.relpath(root / HULL, surface))
-    cells = 0
+    cells, covered = 0, 1.0
     for program in ("blockMesh", "surfaceFeatureExtract", "snappyHexMesh"):
         (folder / f"log.{program}").unlink(missing_ok=True)
         report(0.0, f"{program} makes the grid")
@@ -224,8 +226,28 @@ def _grid(root: Path, tank: Tank, case: Case, folder: Path, report: Progress) ->
         _execute(folder, command, watch)
         text = (folder / f"log.{program}").read_text(encoding="utf-8")
         cells = int((re.findall(r"cells:\s*(\d+)", text) or [cells])[-1])
-    write_whole(mark, f'{{"cells": {cells}}}\n')
+        if case.layers is not None and (shares := _COVERED.findall(text)):
+            covered = float(shares[-1]) / 100
+    write_whole(mark, f'{{"cells": {cells}, "covered": {covered}}}\n')
     return cells
+
+
+def _said(mark: Path) -> dict[str, float]:
+    """What is noted of a grid; nothing where it has not been made."""
+    text = read_json(mark, "grid") if mark.is_file() else ""
+    return {name: float(value) for name, value in re.findall(r'"(\w+)": (\d[.\d]*)', text)}
+
+
+def bare(root: Path, tank: Tank) -> Iterator[str]:
+    """A line for each grid that has layers on part of the hull only."""
+    for case, grid in product(tank.cases, range(1, tank.grids + 1)):
+        covered = _said(folder_of(root, case, grid) / _GRID).get("covered", 1.0)
+        if covered < RULES.covered:
+            yield (
+                f"{case.name}, grid {grid}: layers cover {100 * covered:.0f} % of the hull, less than "
+                f"{100 * RULES.covered:.0f} %: do not rely on its drag, or leave small parts out of the mesh "
+                "of the hull and round off inner corners"
+            )
 
 
 def _distribute(tank: Tank, case: Case, grid: int, folder: Path, cores: int) -> None:
@@ -327,4 +349,16 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
         raise UndertowError(
             f"{folder}: diverged (a force is not a number): write the tank again with a smaller --time-step"
         )
+    if not case.prescribed and (off := _apart(times, v, a)) > RULES.apart:
+        raise UndertowError(
+            f"{folder}: the speed of the hull gets {100 * off:.0f} % away from that of its forces, limit "
+            f"{100 * RULES.apart:.0f} %: write the tank again with a smaller --time-step or --prescribed"
+        )
     return Record(times, push, x, v, a, water, grid, cells, processor_seconds(folder))
+
+
+def _apart(times: Array, speed: Array, acceleration: Array) -> float:
+    """How far the speed gets from that by the forces, in highest speeds."""
+    mean = (acceleration[1:] + acceleration[:-1]) / 2
+    off = speed[1:] - speed[0] - np.cumsum(mean * np.diff(times))
+    return float(np.abs(off).max() / max(np.abs(speed).max(), 1e-300))

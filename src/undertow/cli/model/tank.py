@@ -20,6 +20,7 @@ package: apt-get install openfoam.
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -163,12 +164,14 @@ def run(
     that diverges is refused with the time and the Courant number. Logs and mapping files are in TANK/logs.
     """
     from undertow.tank.coefficients import coefficients
-    from undertow.tank.run import run_tank
+    from undertow.tank.run import bare, run_tank
     from undertow.tank.settings import read_tank
 
     made = read_tank(root)
     with progress("towing tank") as report:
         written = run_tank(root, made, grids=grids, cores=cores, progress=report)
+    for line in bare(root, made):
+        logging.getLogger("undertow").warning("%s", line)
     found = coefficients(root, made)
     if json:
         print_json({"coefficients": [_plain(c) for c in found], "written": written})
