@@ -41,7 +41,7 @@ from .diagnosis.result import (
 )
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
-from .diagnosis.selection import Selection, size_beside
+from .diagnosis.selection import Graded, Selection, size_beside
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,
@@ -104,13 +104,9 @@ class ResultBuilder:
         selection = self._selection
         if selection is not None and not (residual_is_noise and selection.all_but_one_established):
             judged = judge_selection(self.found, scores, noise, selection)
-            doubts = self._contradictions(judged.effects)
-            if doubts:
-                first = len(judged.effects) - len(doubts)
-                later = selection.graded[first:]
-                words = [*doubts, *[""] * (len(later) - len(doubts))]
-                doubted = [replace(g, doubt=g.doubt or w) for g, w in zip(later, words, strict=True)]
-                self._selection = replace(selection, graded=[*selection.graded[:first], *doubted])
+            doubted = self._contradicted(judged.effects, selection.graded)
+            if doubted != selection.graded:
+                self._selection = replace(selection, graded=doubted)
                 judged = judge_selection(self.found, scores, noise, self._selection)
             return judged
         left = Remainder(
@@ -121,19 +117,20 @@ class ResultBuilder:
         )
         return judge(self.found, scores, noise, left)
 
-    def _contradictions(self, named: Sequence[FoundEffect]) -> list[str]:
-        """Doubts of as few of the last named effects as possible, so that nothing contradicts the others.
+    def _contradicted(self, named: Sequence[FoundEffect], graded: list[Graded]) -> list[Graded]:
+        """The effects with a doubt of the first named one that a force speaks against, and of those after it.
 
-        What was named first does not lose its name by what was found later.
+        Each is judged on top of those before it, which do not lose their names by what was found later.
         """
-        doubts: list[str] = []
-        for count in range(len(named), 0, -1):
-            weak = self._weak[0], self._weak[count]
-            doubt = contradiction(named[:count], weak, self.bench, self.validator)
-            if not doubt:
-                break
-            doubts.insert(0, doubt)
-        return doubts
+        for i, effect in enumerate(named):
+            bench = replace(self.bench, base=self._weak[i])
+            doubt = contradiction([effect], (self._weak[i], self._weak[i + 1]), bench, self.validator)
+            if doubt:
+                beside = f"it was found beside {effect.id}, which is not established either"
+                words = [doubt, *[beside] * (len(graded) - i - 1)]
+                later = [replace(g, doubt=g.doubt or w) for g, w in zip(graded[i:], words, strict=True)]
+                return [*graded[:i], *later]
+        return graded
 
     def worth(self) -> list[Worth]:
         """What every effect that was added does to predictions, between the fits of the result."""
