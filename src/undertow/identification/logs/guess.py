@@ -153,11 +153,11 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in left if n.force]
-    asked = [_LACKING.format(c) for c in lacking]
+    asked = [NO_COLUMN.format(c) for c in lacking]
     return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
-_LACKING = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
+NO_COLUMN = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
 _WRENCH = (
     "{} may be the force on the whole vehicle. Where it was computed or measured, state generalised_forces "
     "in the vehicle file; if a controller asked for it, state a thruster with a wrench for each, whose "

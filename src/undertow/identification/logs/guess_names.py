@@ -318,6 +318,11 @@ def is_force(name: str) -> bool:
     return bool({*Name.of(name).words} & {*_WHOLE_FORCE, "tau"})
 
 
+def is_wanted(name: str) -> bool:
+    """Whether a name means what was wanted of a motion, or how far off it was, and not the motion."""
+    return bool({*Name.of(name).words} & WANTED)
+
+
 def is_clock(name: str) -> bool:
     """Whether a word in the name of a column means time."""
     return bool(set(Name.of(name).words) & _TIMES)
@@ -325,4 +330,4 @@ def is_clock(name: str) -> bool:
 
 def is_time(name: str) -> bool:
     """Whether the name of a column means that it counts the time."""
-    return is_clock(name) and not set(Name.of(name).words) & WANTED
+    return is_clock(name) and not is_wanted(name)
