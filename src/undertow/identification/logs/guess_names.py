@@ -126,7 +126,7 @@ class Name:
         bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
         rest = column if bracket is None else column.replace(bracket[0], " ")
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
-        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+", spaced) if w]
+        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
         if bracket is not None:
             return cls(column, tuple(words), known_unit(bracket[1]))
