@@ -129,7 +129,7 @@ def _bursts(step: Array, usual: float) -> list[Finding]:
         Finding(
             id="bursts",
             severity="mistake",
-            text=f"rows come in bursts, {usual:.3g} s apart, and {share:.0%} of the time passes in {len(gaps)} "
+            text=f"rows come in bursts, {usual:.3g} s apart, and {share:.0%} of the time is in {len(gaps)} "
             f"steps of more than {SETTINGS.gap:g} times that: the times are those of arrival or "
             "of writing, not of measurement, and no rate of change can be had with them: use the time that "
             "the vehicle stamped as the column of [time]",
