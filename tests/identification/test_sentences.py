@@ -182,6 +182,13 @@ def test_each_verdict_says_what_to_do() -> None:
         "20-s error of 9.0 % on stretches of the logs that were not fitted, and can be used as it is."
     )
     assert "undertow fit" in next_command(enough, LINE)
+    open_ = _diagnosis("not_identifiable", effects=[])
+    assert next_command(open_, LINE).startswith("undertow plan 'my rov.toml' a.csv")
+    # Of a buoy without a thruster, or a model that is towed, no manoeuvre can be planned.
+    assert next_command(open_, LINE, plannable=False).startswith("undertow doctor 'my rov.toml' a.csv")
+    assert "undertow add lift" in next_command(
+        either.model_copy(update={"effects": ["lift"]}), LINE, plannable=False
+    )
     freed = REFITTED.model_copy(update={"ahead": BETTER.ahead, "freed": ["N_r"]})
     others = _diagnosis("adequate", steps=[REFITTED, freed])
     assert first_sentence(others).startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6 %")

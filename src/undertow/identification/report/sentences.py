@@ -227,11 +227,15 @@ def _separable(diagnosis: Diagnosis) -> bool:
     return all(s.separable is not False for s in diagnosis.indistinguishable)
 
 
-def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:
-    """The command that does what the first sentence says, with the files of this one."""
+def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = True) -> str:
+    """The command that does what the first sentence says, with the files of this one.
+
+    plannable: whether a manoeuvre can be planned, with commands that move the vehicle.
+    """
     # What only helps to predict is added one by one: the first may be enough.
     effects, freed = diagnosis.effects or diagnosis.helps[:1], diagnosis.freed
-    if diagnosis.verdict == "indistinguishable" and diagnosis.indistinguishable and _separable(diagnosis):
+    told_apart = plannable and diagnosis.indistinguishable and _separable(diagnosis)
+    if diagnosis.verdict == "indistinguishable" and told_apart:
         between = ",".join(diagnosis.indistinguishable[0].effects)
         return line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
     if len(effects) == 1 and not freed:
@@ -242,7 +246,7 @@ def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:
         return line.fitting(["fit"], "--out", line.better("fitted"))
     if _terms(diagnosis):
         return _made_of_what_remains(line)
-    if diagnosis.verdict == "not_identifiable":
+    if diagnosis.verdict == "not_identifiable" and plannable:
         return line.looking(["plan"], "--out", "plan.csv")
     reading = tuple(o for o in line.options if o != "--trust-log")  # doctor refuses nothing
     return replace(line, options=reading).looking(["doctor"])
