@@ -503,6 +503,21 @@ def test_texts_among_numbers_are_asked_about(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.channels["throttle"], c["u"], atol=1e-3)
 
 
+def test_of_two_clocks_the_one_with_a_time_in_every_row_is_the_time(tmp_path: Path) -> None:
+    """As bags are written as text (rostopic echo -p) and put together: one topic alone has stamps."""
+    header = "field.header.stamp,%time,field.velocity.x,field.torque.z\n"
+    rows = [
+        f"{1669909199900000000 + 50_000_000 * k},{1669909200000000000 + 50_000_000 * k},{0.01 * k},"
+        if k % 2
+        else f",{1669909200000000000 + 50_000_000 * k},,{k % 7}"
+        for k in range(400)
+    ]
+    (tmp_path / "both.csv").write_text(header + "\n".join(rows) + "\n")
+    guessed = guess_mapping(tmp_path / "both.csv")
+    assert (guessed.time.column, guessed.time.entry["unit"]) == ("%time", "ns")
+    assert guessed.time.doubt.startswith("1e+08 from sample to sample: that is 10 samples a second")
+
+
 def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Path) -> None:
     wrench = {"surge_force": 0, "sway_force": 1, "yaw_moment": 5}
     own = CATAMARAN + "".join(
@@ -513,4 +528,5 @@ def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Pa
     guesses, found = _guesses(tmp_path, own, **dict.fromkeys(columns, 50.0))
     assert {n: guesses[n].column for n in wrench} == dict(zip(wrench, reversed(columns), strict=True))
     assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
+    assert [guesses[n].entry["unit"] for n in wrench] == ["N", "N", "N m"]
     assert not any("looks like" in question for question in found.questions)

@@ -10,6 +10,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.errors import UndertowError
+from undertow.identification.doctor.examine import examine, refuse_impossible
 from undertow.identification.doctor.findings import (
     Edit,
     Finding,
@@ -67,6 +69,33 @@ def test_a_log_far_denser_than_the_motion_is_said_with_what_would_do() -> None:
     assert found.evidence["rate"] == pytest.approx(400.0)
     assert found.mapping == "[time]\nevery = 40", "of the rows of the file"
     assert "dense" not in _found(_run(np.arange(0.0, 10.0, 0.05), u=RNG.standard_normal(200)))
+
+
+def _in_bursts(t: np.ndarray, every: float, apart: float) -> np.ndarray:
+    """Times at which a link hands over what was taken at times t: all of a while at once."""
+    _, which = np.unique(np.floor(t / every), return_index=True)
+    nth = np.arange(len(t)) - np.repeat(which, np.diff([*which, len(t)]))
+    return every * np.floor(t / every) + apart * nth
+
+
+def test_rows_that_arrive_in_bursts_are_a_mistake_and_outages_are_none() -> None:
+    t = np.arange(0.0, 60.0, 0.05) + 1e-6
+    found = _found(_run(_in_bursts(t, 0.3, 0.005), u=np.sin(t)))["bursts"]
+    assert found.severity == "mistake"
+    assert found.evidence["gaps"] == pytest.approx(199, abs=2)
+    out = (t < 10.0) | ((t > 40.0) & (t < 45.0)) | (t > 58.0)  # most of the time, but twice
+    assert "bursts" not in _found(_run(t[out], u=np.sin(t[out])))
+
+
+def test_nothing_is_said_of_units_and_signs_where_the_times_are_those_of_arrival() -> None:
+    case = make_case("usv", (), 2, duration=40.0, runs=("multisine",))
+    (run,) = runs_of(case)
+    t = _in_bursts(run.t - run.t[0], 10 * run.step, 0.05 * run.step)
+    vehicle, late = vehicle_of(case), replace(run, t=t)
+    with pytest.raises(UndertowError, match=r"^log .*: rows come in bursts.* as the column of \[time\], or"):
+        refuse_impossible(vehicle, [late])
+    found = examine(vehicle, [late]).result.findings
+    assert [f.id for f in found if f.severity == "mistake"] == ["bursts"]
 
 
 def test_missing_rows_are_counted() -> None:

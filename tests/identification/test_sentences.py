@@ -22,6 +22,7 @@ from undertow.identification.diagnosis.result import (
     Step,
     Verdict,
 )
+from undertow.identification.doctor.findings import Finding
 from undertow.identification.report.sentences import (
     CommandLine,
     as_stated,
@@ -148,7 +149,12 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
     assert summarised(found).headline == f"{said} What was tried."
     useless_one = BETTER.model_copy(update={"channels": {"u": 0.5, "r": 2.0}})
     poor = found.model_copy(update={"steps": [*found.steps[:-1], useless_one]})
-    assert summarised(poor).headline.startswith("Worse than no model at all in yaw (200 %):")
+    assert summarised(poor).headline.startswith(
+        "Worse than no model at all in yaw (200 %): first check the s"
+    )
+    note = Finding(id="jitter", severity="note", text="a: sampling is irregular", evidence={})
+    looked_at = poor.model_copy(update={"doctor": [note]})
+    assert "(200 %): undertow doctor finds no mistake in the logs, so check" in summarised(looked_at).headline
     command = next_command(found, LINE)
     assert shlex.split(command) == [
         *("undertow", "add", "lift", "my rov.toml", "a.csv", "b.csv", "--holdout", "c.csv"),
@@ -182,6 +188,13 @@ def test_each_verdict_says_what_to_do() -> None:
         "20-s error of 9.0 % on stretches of the logs that were not fitted, and can be used as it is."
     )
     assert "undertow fit" in next_command(enough, LINE)
+    open_ = _diagnosis("not_identifiable", effects=[])
+    assert next_command(open_, LINE).startswith("undertow plan 'my rov.toml' a.csv")
+    # Of a buoy without a thruster, or a model that is towed, no manoeuvre can be planned.
+    assert next_command(open_, LINE, plannable=False).startswith("undertow doctor 'my rov.toml' a.csv")
+    assert "undertow add lift" in next_command(
+        either.model_copy(update={"effects": ["lift"]}), LINE, plannable=False
+    )
     freed = REFITTED.model_copy(update={"ahead": BETTER.ahead, "freed": ["N_r"]})
     others = _diagnosis("adequate", steps=[REFITTED, freed])
     assert first_sentence(others).startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6 %")

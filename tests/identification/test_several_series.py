@@ -304,3 +304,17 @@ def test_a_delay_that_is_no_time_is_refused(late: list[Path]) -> None:
     columns = {"x": {"channel": "x", "delay": "3 m"}}
     with pytest.raises(UndertowError, match="delay of column 'x'"):
         _read(late[0], LogMapping.model_validate({"columns": columns}))
+
+
+def test_reports_that_a_delay_moves_into_a_gap_of_the_log_are_left_out(tmp_path: Path) -> None:
+    """Nothing was logged meanwhile: a row there has no command, which was never missing in the file."""
+    t = np.arange(0.0, 30.0, 0.01)
+    t = t[(t < 10.0) | (t > 10.5)]
+    table = pl.DataFrame({"t": t, "psi": np.sin(t), "r": np.cos(t - 0.1), "n": np.cos(t)})
+    table.write_csv(tmp_path / "gap.csv")
+    mapping = LogMapping.model_validate({"columns": {"r": {"channel": "r", "delay": "0.1 s"}}})
+    run = read_log(tmp_path / "gap.csv", mapping, ["n"])
+    assert not ((run.t > 9.995) & (run.t < 10.505)).any()
+    assert np.isfinite(run.channels["n"]).all()
+    known = run.reported["r"]
+    np.testing.assert_allclose(run.channels["r"][known], np.cos(run.t[known]), atol=1e-9)

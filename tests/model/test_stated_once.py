@@ -295,3 +295,10 @@ def test_equations_have_the_weight_of_the_mass_that_is_estimated(load: Load, tmp
     before, heavier, unmoved = (np.array(forcing(*still, q))[:, 0] for q in (p, more, other))
     np.testing.assert_allclose(heavier - before, 9.81 * np.eye(6)[2], atol=1e-9)
     np.testing.assert_array_equal(unmoved, before)
+
+
+def test_the_error_of_a_place_is_that_of_its_static_moment(load: Load) -> None:
+    vehicle = load('z_g = { value = 0.08, assumed = true, sigma = "1 cm" }', "B = 112.815")
+    stated = vehicle.values["mz_g"]
+    assert (stated.value, stated.sigma) == pytest.approx((0.92, 11.5 * 0.01))
+    assert not stated.estimate, "a place with an error is not one that is to be found"

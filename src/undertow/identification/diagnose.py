@@ -230,7 +230,7 @@ def diagnose(
         builder = _builder(vehicle, found, validator, effects, report)
         roles: tuple[Role, Role] = ("train", "holdout") if judges else ("blocks", "blocks")
         infos = [run_info(r, roles[0]) for r in logs] + [run_info(r, roles[1]) for r in judges]
-        diagnosis = summarised(builder.build(infos, time.perf_counter() - began))
+        diagnosis = builder.build(infos, time.perf_counter() - began)
         diagnosis = _with_doctor(diagnosis, examined(), explained=builder.leaves_only_noise)
     return DiagnosisResult(
         diagnosis,
@@ -246,18 +246,18 @@ def diagnose(
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool) -> Diagnosis:
-    """The diagnosis with what the doctor found; mistakes come first among the warnings.
+    """The diagnosis in words, with what the doctor found; mistakes come first among the warnings.
 
     explained: whether the logs as they are read leave only noise.
     """
     if explained:
         examined = without_refuted(examined)
+    diagnosis = summarised(diagnosis.model_copy(update={"doctor": examined.findings}))
     mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
     ids = ", ".join(f.id for f in examined.mistakes)
     first = [f"First correct the mistakes in the logs or the vehicle file: {ids}."] if mistakes else []
     return diagnosis.model_copy(
         update={
-            "doctor": examined.findings,
             "warnings": [*mistakes, *diagnosis.warnings],
             "headline": " ".join([*first, diagnosis.headline]),
         }

@@ -470,10 +470,14 @@ def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str,
     converted = effect.from_file(plain)
     source = "; ".join(dict.fromkeys(e.source for e in aliases.values() if e.source))
     assumed = any(e.assumed for e in aliases.values())
-    sigma = _carried_over(effect, plain, converted, values)
+    estimated = {n: v.sigma for n, v in values.items() if v.estimate and v.sigma is not None}
     sought = {n for k in aliases if aliases[k].estimate for n in _touched(effect, plain, converted, k)}
+    # A mass that is to be found, at a known place, leaves its static moment to be found, too.
+    sought |= _carried_over(effect, plain, converted, estimated).keys()
+    stated = {k: _error_of(effect, k, e.sigma) for k, e in aliases.items() if e.sigma is not None}
+    sigma = _carried_over(effect, plain, converted, estimated | stated)
     new = {
-        n: Value(v, estimate=n in {*sigma, *sought}, sigma=sigma.get(n), source=source, assumed=assumed)
+        n: Value(v, estimate=n in sought, sigma=sigma.get(n), source=source, assumed=assumed)
         for n, v in converted.items()
         if n not in values
     }
@@ -490,19 +494,19 @@ def _carried_over(
     effect: Effect,
     plain: Mapping[str, float],
     converted: Mapping[str, float],
-    values: Mapping[str, Value],
+    errors: Mapping[str, float],
 ) -> dict[str, float]:
-    """Standard deviations of what a file states by way of others.
-
-    A mass that is to be found, at a known place, leaves its static moment to be found, too.
-    """
+    """Standard deviations of what a file states by way of others that have these errors."""
     found: dict[str, float] = {}
-    for name, value in values.items():
-        if value.estimate and value.sigma is not None:
-            moved = effect.from_file({**plain, name: value.value + value.sigma})
-            for n in set(converted) - set(values):
-                found[n] = math.hypot(found.get(n, 0.0), moved[n] - converted[n])
+    for name, error in errors.items():
+        moved = effect.from_file({**plain, name: plain[name] + error})
+        for n in converted.keys() - plain.keys():
+            found[n] = math.hypot(found.get(n, 0.0), moved[n] - converted[n])
     return {n: s for n, s in found.items() if s > 0.0}
+
+
+def _error_of(effect: Effect, key: str, sigma: str | float) -> float:
+    return si_of(f"[effects.{effect.id}] sigma of {key}", sigma, effect.file_units()[key])
 
 
 def _touched(
@@ -521,7 +525,7 @@ def _made_of(effect: Effect, key: str) -> list[str]:
 
 def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
     place = f"[effects.{effect.id}] {key}"
-    if (entry.estimate or entry.sigma is not None) and key not in effect.former_keys:
+    if entry.estimate and key not in effect.former_keys:
         base = _made_of(effect, key)
         shown = ", ".join(f"{p.name} ({p.about})" for p in effect.parameters if p.name in base)
         lines = ", ".join(f"{name} = {{ value = ..., estimate = true }}" for name in base)

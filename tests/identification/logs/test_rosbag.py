@@ -14,6 +14,7 @@ from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import examine
 from undertow.identification.logs.formats import rosbag
+from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.registry import format_of, read_field_log
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
@@ -97,7 +98,7 @@ def test_of_two_odometries_the_one_that_reports_most_is_taken(tmp_path: Path) ->
                 out.write("/slow", t, out.odometry(float(t), frames, 2 * position[k], q[k], twist[k]))
     log = read_field_log(out.path)
     assert {name.split(".")[0] for name in log.mapping.columns} == {"/fast"}
-    assert any("/slow" in note and "not used" in note for note in log.notes)
+    assert any("/slow" in note and "not used" in note for note in log.remarks)
 
 
 @pytest.mark.parametrize(("topic", "position"), [("/ins/NED_pose", "NED"), ("/ins_pose", "ENU")])
@@ -119,6 +120,67 @@ def test_a_pose_in_the_plane_is_read(tmp_path: Path, suffix: str, topic: str, po
     np.testing.assert_allclose(run.channels["y"], east, atol=1e-9)
     np.testing.assert_allclose(np.exp(1j * run.channels["psi"]), np.exp(1j * heading), atol=1e-9)
     assert any("names no frame" in note for note in run.reader_notes) is not down
+
+
+def _boat(path: Path) -> Path:
+    """As a boat in a pool logs itself: degrees, a set-point and the pose of one type; thrusters by side."""
+    north, east, heading = dive().pose[:, 0], dive().pose[:, 1], dive().pose[:, 5]
+    with BagWriter(path) as out:
+        float_ = out.store.types["std_msgs/msg/Float64"]
+        for k, t in enumerate(map(float, dive().t)):
+            for delay in (0.0, 0.01):  # of the three the most frequent, though no place in metres
+                degrees = {"x": 25.65 + north[k] / 111e3, "y": -100.29 + east[k] / 100e3, "theta": heading[k]}
+                out.write("/ins_2d/ins_pose", t + delay, out.message("geometry_msgs/msg/Pose2D", **degrees))
+            pose = {"x": north[k], "y": east[k], "theta": heading[k]}
+            out.write("/ins_2d/NED_pose", t, out.message("geometry_msgs/msg/Pose2D", **pose))
+            still = {"x": 1.0, "y": 2.0, "theta": 0.0}
+            out.write("/ned/trajectory", t, out.message("geometry_msgs/msg/Pose2D", **still))
+            out.write("/ned/trajectory", t + 0.01, out.message("geometry_msgs/msg/Pose2D", **still))
+            for side, thrust in (("left", 5.0 + k % 7), ("right", 30.0)):
+                out.write(f"/controller/{side}_thruster", t, float_(data=thrust))
+    return path
+
+
+def test_a_pose_that_names_its_axes_is_believed_before_one_that_does_not_and_before_a_set_point(
+    tmp_path: Path,
+) -> None:
+    log = read_field_log(_boat(tmp_path / "boat.bag"))
+    assert {name.split(".")[0] for name in log.mapping.columns} == {"/ins_2d/NED_pose"}
+    assert log.mapping.frames.position == "NED"
+    for other in ("/ins_2d/ins_pose", "/ned/trajectory"):
+        because = "is not used: x, y, psi are those of /ins_2d/NED_pose"
+        assert f"{other} (geometry_msgs/msg/Pose2D) {because}" in log.remarks
+
+
+def test_a_first_mapping_of_a_bag_finds_the_commands_of_a_vehicle_and_asks_whether_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    monkeypatch.chdir(tmp_path)
+    _boat(tmp_path / "boat.bag")
+    size = ["--length", "1", "--beam", "0.4", "--height", "0.1", "--mass", "30"]
+    assert main(["vehicle", "new", "--type", "asv", *size, "--out", "v.toml"]) == 0
+    vehicle = load_vehicle("v.toml")
+    with pytest.raises(UndertowError, match=r"no recognised motors, but .* port, starboard: .*map new boat"):
+        read_logs([Path("boat.bag")], vehicle)
+    assert main(["map", "new", "boat.bag", "--vehicle", "v.toml", "--out", "log.toml"]) == 0
+    assert "/controller/left_thruster.data: is it command 'port'? from 0 to 11:" in capsys.readouterr().out
+    (run,) = read_logs([Path("boat.bag")], vehicle, read_mapping("log.toml"))
+    assert run.channels["port"][:3] == pytest.approx([5.0, 6.0, 7.0])
+    assert run.channels["x"] == pytest.approx(dive().pose[:, 0])
+    assert run.reader_notes == ("read as ROS bag",)  # not what would have been chosen without it
+    assert main(["import", "boat.bag", "--vehicle", "v.toml", "--out", "table.parquet"]) == 0
+    (same,) = read_logs([Path("table.parquet")], vehicle, read_mapping("table.toml"))
+    assert same.channels["starboard"] == pytest.approx(run.channels["starboard"])
+
+
+def test_commands_that_no_column_is_called_like_are_asked_for(tmp_path: Path) -> None:
+    vehicle = load_vehicle("mini-auv")
+    found = first_mapping(read_field_log(_boat(tmp_path / "boat.bag")), vehicle)
+    assert len(found.questions) == len(vehicle.command_names)
+    (others,) = found.ignored.values()
+    assert others == ("/controller/left_thruster.data", "/controller/right_thruster.data")
+    assert found.meaning.ignore == others
 
 
 _DVL = """
@@ -175,7 +237,7 @@ def test_sensors_without_odometry(tmp_path: Path, name: str) -> None:
     assert run.channels["altitude"] == pytest.approx(7.5)
     water = log.series["/dvl"].columns["water.x"]
     assert np.array_equal(np.isfinite(water), (t >= 20.0) & (t < 30.0))
-    assert any("hPa" in note and "1025 kg/m^3" in note for note in log.notes)
+    assert any("hPa" in note and "1025 kg/m^3" in note for note in log.remarks)
 
 
 def test_a_twist_that_no_sensor_fills_gives_way(tmp_path: Path) -> None:
@@ -201,8 +263,8 @@ def test_a_twist_that_no_sensor_fills_gives_way(tmp_path: Path) -> None:
     assert run.channels["u"] == pytest.approx(dive().velocity[:, 0], abs=1e-9)
     assert run.channels["r"] == pytest.approx(dive().rates[:, 2], abs=1e-9)
     assert "z" not in run.channels
-    assert any("/pressure: a pressure of 0.2 is neither Pa nor hPa" in note for note in log.notes)
-    assert any("no topic is recognised as thruster commands" in note for note in log.notes)
+    assert any("/pressure: a pressure of 0.2 is neither Pa nor hPa" in note for note in log.remarks)
+    assert any("no topic is recognised as thruster commands" in note for note in log.remarks)
 
 
 def test_commands_one_by_one_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:

@@ -113,6 +113,7 @@ def _diagnosed(
 ) -> DiagnosisResult:
     """The diagnosis of one experiment (without a rig the only one), with the command to go on with."""
     from undertow.identification.diagnose import diagnose as run
+    from undertow.identification.planning.manoeuvres import can_be_planned
     from undertow.identification.report.sentences import next_command
 
     where = f" in {part.name}" if part.held or part.moved else ""
@@ -127,7 +128,8 @@ def _diagnosed(
             trust_log=options.trust_log,
         )
     long = loaded.checked(_models(outcome, part.vehicle))
-    changes = {"command": next_command(outcome.diagnosis, line), "long_logs": long}
+    command = next_command(outcome.diagnosis, line, plannable=can_be_planned(part.vehicle))
+    changes = {"command": command, "long_logs": long}
     return replace(outcome, diagnosis=outcome.diagnosis.model_copy(update=changes))
 
 

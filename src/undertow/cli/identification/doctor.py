@@ -127,7 +127,8 @@ def verdict(result: Examination) -> str:
     others = f", {warned} warning{'s' * (warned != 1)}" if warned else ""
     if not count:
         return f"no mistake found in how the logs are read{others} ({result.seconds:.1f} s)"
-    first = result.mistakes[0].text.partition(":")[0]
+    of_run = [part for part in result.mistakes[0].text.split(": ") if part not in result.runs]
+    first = of_run[0].partition(":")[0]
     return f"{count} mistake{'s' * (count != 1)}{others}; first of all: {first} ({result.seconds:.1f} s)"
 
 

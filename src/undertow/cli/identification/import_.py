@@ -55,9 +55,9 @@ def import_(
     messages: Annotated[Path | None, _MESSAGES] = None,
     force: NewForceOption = False,
 ) -> None:
+    from undertow.identification.logs.formats.by_name import first_mapping
     from undertow.identification.logs.formats.registry import read_field_log
-    from undertow.identification.logs.guess import guess_table
-    from undertow.identification.logs.mapping import LogMapping, mapping_text, read_mapping
+    from undertow.identification.logs.mapping import mapping_text, read_mapping
     from undertow.identification.logs.opening import columns_read
     from undertow.model.loading import load_vehicle
 
@@ -69,21 +69,18 @@ def import_(
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading", None):
         found = read_field_log(log, messages or (given.messages if given else None))
-    for note in found.notes:
+    for note in (*found.notes, *(() if given else found.remarks)):
         say(note, "dim")
     if target is None or beside is None:
         section(f"{log}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()]))
         return
-    meaning = given or found.mapping_for(model.command_names if model else ())
-    if given or _has_motion(meaning):
-        _write(found.table(columns_read(meaning)), target, mapping_text(meaning), beside)
-        read = [(name, column.channel, column.unit or "") for name, column in meaning.columns.items()]
-        section(f"{log}: {found.format}", table(("column", "channel", "unit"), read))
-    else:
-        rows = found.table(f"{s.name}.{column}" for s in found.series.values() for column in s.columns)
-        guessed = guess_table(rows, target, model, LogMapping(missing_commands="hold"))
-        _write(rows, target, guessed.text(), beside)
+    guessed = first_mapping(found, model)
+    meaning = given or guessed.meaning
+    text = mapping_text(given) if given else guessed.text()
+    _write(found.table([*columns_read(meaning), *meaning.ignore]), target, text, beside)
+    if not _has_motion(meaning):
         say(f"no column is recognised as a motion: {target} has all of them", "yellow")
+    if not given:
         show_guesses(guessed, log)
     say(f"the meaning of the columns is in {beside}: correct it there if it is wrong")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")

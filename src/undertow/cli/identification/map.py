@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from undertow.errors import UndertowError
-
 from .._options import NewForceOption, new_file
 from .._terminal import progress, say, section, table
 
@@ -31,27 +29,23 @@ _VEHICLE = typer.Option(
 
 @app.command()
 def new(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log: CSV, CSV.gz or Parquet.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log: a table, or a vehicle log as it is.")],
     vehicle: Annotated[str | None, _VEHICLE] = None,
     out: Annotated[Path, typer.Option(metavar="NEW.toml", help="Output file.")] = Path("log.toml"),
     force: NewForceOption = False,
 ) -> None:
     """Guess what the columns of a log mean, and write it as a mapping file with questions."""
     from undertow.files import write_whole
-    from undertow.identification.logs.formats.registry import format_of
+    from undertow.identification.logs.formats.by_name import first_mapping
+    from undertow.identification.logs.formats.registry import format_of, read_field_log
     from undertow.identification.logs.guess import guess_mapping
     from undertow.model.loading import load_vehicle
 
     new_file(out, force, [log, *([vehicle] if vehicle else [])])
-    written = format_of(log)
-    if written is not None:
-        raise UndertowError(
-            f"log {log} is in {written.name} format, not a table: undertow import {log} --out NEW.parquet "
-            "converts it, with a mapping file"
-        )
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading"):
-        guessed = guess_mapping(log, model)
+        own = read_field_log(log) if format_of(log) else None
+        guessed = first_mapping(own, model) if own else guess_mapping(log, model)
     write_whole(out, guessed.text())
     show_guesses(guessed, log)
     left = sum(len(names) for names in guessed.ignored.values())

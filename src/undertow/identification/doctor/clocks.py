@@ -266,7 +266,7 @@ def clock_findings(
         yield Finding(
             id="latencies",
             severity="note",
-            text=f"time time stamps of the sources: {'; '.join(sizes)}",
+            text=f"time stamps of the sources: {'; '.join(sizes)}",
             evidence={one.names[0]: one.delay for one in steady},
         )
 

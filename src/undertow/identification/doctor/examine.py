@@ -119,10 +119,12 @@ def examine(
     report(0.0, "checking clock and samples")
     examiner.look_at_samples()
     report(0.1, "comparing pose rates with velocities")
-    examiner.undo_reading_mistakes()
-    examiner.undo_what_cannot_be()
+    if examiner.is_timed:
+        examiner.undo_reading_mistakes()
+        examiner.undo_what_cannot_be()
     report(0.4, "comparing motion with commands")
-    examiner.undo_model_mistakes()
+    if examiner.is_timed:
+        examiner.undo_model_mistakes()
     report(0.9, "checking sensors and excitation")
     rows = excitation(vehicle, examiner.runs)
     examiner.look_at_the_rest()
@@ -153,7 +155,11 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
         after_all = "override with --trust-log (trust_log=True)"
         examiner = _of_one(vehicle, run)
         unmeasured = sensors.without_measurement(examiner.kinematics, [run]) if examiner.kinematics else None
-        if found := _refused(examiner):
+        refused = _refused(examiner)
+        if not examiner.is_timed:
+            bursts = next(f.text for f in examiner.findings if f.id == "bursts")
+            raise UndertowError(f"log {bursts}, or {after_all}")
+        if found := refused:
             finding, edits = found
             raise UndertowError(
                 f"{where} is impossible: {finding.text}; write {_on_one_line(edits)} into the mapping file "
@@ -170,8 +176,9 @@ def _of_one(vehicle: Vehicle, run: Run) -> _Examiner:
 def _refused(examiner: _Examiner) -> tuple[Finding, Edits] | None:
     """What cannot be in a log, and all that mends it."""
     examiner.look_at_samples()
-    examiner.undo_reading_mistakes()
-    examiner.undo_what_cannot_be()
+    if examiner.is_timed:
+        examiner.undo_reading_mistakes()
+        examiner.undo_what_cannot_be()
     return None if examiner.refused is None else (examiner.refused, tuple(examiner.edits))
 
 
@@ -199,6 +206,11 @@ class _Examiner:
         self.findings: list[Finding] = []
         self.edits: list[Edit] = []
         self.refused: Finding | None = None
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether rates of change mean something: units and signs are judged by them."""
+        return not any(f.id == "bursts" for f in self.findings)
 
     def look_at_samples(self) -> None:
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)

@@ -26,6 +26,7 @@ class SamplingSettings:
     jitter: float = 0.05  # spread of the steps, as a share of the usual one
     gap: float = 5.0  # steps of this many usual ones are gaps: nothing is integrated across them
     missing: float = 0.02  # share of rows or cells that are missing
+    most_time: float = 0.5  # share of the time in gaps, many of them, from which rows come in bursts
     # Where rows are lost from an even clock, this share of the longer steps is a whole number of usual ones,
     # as near as this; a clock that ticks when it likes has steps of any length.
     whole: float = 0.7
@@ -91,7 +92,7 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
     step = np.diff(run.clock)
     usual = float(np.median(step))
     yield from _disorder(run, mapping)
-    yield from _lost_rows(run, step, usual)
+    yield from _bursts(step, usual) or _lost_rows(run, step, usual)
     jitter = float(np.std(step[step < 1.5 * usual]) / usual)
     if jitter > SETTINGS.jitter:
         yield Finding(
@@ -116,6 +117,25 @@ def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
             evidence={"rows": float(run.dropped)},
             mapping="" if known else as_toml(DROP),
         )
+
+
+def _bursts(step: Array, usual: float) -> list[Finding]:
+    """Rows that come a few at once: what is between them is no time in which the vehicle moved."""
+    gaps = step[step > SETTINGS.gap * usual]
+    share = float(np.sum(gaps) / np.sum(step))
+    if share <= SETTINGS.most_time or len(gaps) < SETTINGS.missing * len(step):
+        return []
+    return [
+        Finding(
+            id="bursts",
+            severity="mistake",
+            text=f"rows come in bursts, {usual:.3g} s apart, and {share:.0%} of the time is in {len(gaps)} "
+            f"steps of more than {SETTINGS.gap:g} times that: the times are those of arrival or "
+            "of writing, not of measurement, and no rate of change can be had with them: use the time that "
+            "the vehicle stamped as the column of [time]",
+            evidence={"share": share, "gaps": float(len(gaps))},
+        )
+    ]
 
 
 def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:

@@ -151,11 +151,11 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in left if n.force]
-    asked = [_LACKING.format(c) for c in lacking]
+    asked = [NO_COLUMN.format(c) for c in lacking]
     return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
-_LACKING = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
+NO_COLUMN = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
 _WRENCH = (
     "{} may be the force on the whole vehicle. Where it was computed or measured, state generalised_forces "
     "in the vehicle file; if a controller asked for it, state a thruster with a wrench for each, whose "
@@ -260,7 +260,7 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     dated = found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
-    stated, step = Name.of(found).unit, float(np.median(np.diff(times[sampled])))
+    stated, step = Name.of(found).unit, float(np.nanmedian(np.diff(times[sampled])))
     known = stated if stated in ("s", "ms", "us", "ns") else _unit_of_time(times, step)
     unit = "iso" if dated else known
     rate = 1.0 / max(step * _seconds(unit), 1e-12)
@@ -288,7 +288,8 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
     texts = [n for n in table.columns if is_clock(n) and n not in data]
     dated = [n for n in texts if not _no_dates(table, n, where)]
     named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
-    found = next(iter([*named, *rising]), None)
+    # Of a table of several clocks only one has the time of every row.
+    found = min([*named, *rising], key=lambda n: (n not in named, table[n].null_count()), default=None)
     if found is None:
         reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
         raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
@@ -520,7 +521,7 @@ def _command(
     elif unit == "N" == name.counts and not name.unit:
         entry["unit"], doubt = "N", "no unit in the name: is it in N?"
     elif name.force and name.force == axes.get(command) and not name.unit:
-        doubt = f"no unit in the name: is it in {UNITS[name.force]}?"
+        entry["unit"], doubt = (u := UNITS[name.force]), f"no unit in the name: is it in {u}?"
     elif name.unit in ("N", "deg", "rad", "V"):
         entry["unit"] = name.unit
     elif name.counts == "rev/s":

@@ -126,7 +126,7 @@ class Name:
         bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
         rest = column if bracket is None else column.replace(bracket[0], " ")
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
-        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+", spaced) if w]
+        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
         if bracket is not None:
             return cls(column, tuple(words), known_unit(bracket[1]))
@@ -327,6 +327,11 @@ def is_force(name: str) -> bool:
     return bool({*Name.of(name).words} & {*_WHOLE_FORCE, "tau"})
 
 
+def is_wanted(name: str) -> bool:
+    """Whether a name means what was wanted of a motion, or how far off it was, and not the motion."""
+    return bool({*Name.of(name).words} & WANTED)
+
+
 def is_clock(name: str) -> bool:
     """Whether a word in the name of a column means time."""
     return bool(set(Name.of(name).words) & _TIMES)
@@ -334,4 +339,4 @@ def is_clock(name: str) -> bool:
 
 def is_time(name: str) -> bool:
     """Whether the name of a column means that it counts the time."""
-    return is_clock(name) and not set(Name.of(name).words) & WANTED
+    return is_clock(name) and not is_wanted(name)

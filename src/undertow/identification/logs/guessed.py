@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -63,6 +64,11 @@ class GuessedMapping:
             doubts.setdefault(guess.doubt, []).append(guess.column)
         of_columns = [f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items() if doubt]
         return [*of_columns, *self.axes.questions, *self.questions]
+
+    @property
+    def meaning(self) -> LogMapping:
+        """What the mapping file says."""
+        return LogMapping.model_validate(tomllib.loads(self.text()))
 
     def text(self) -> str:
         """The mapping file."""

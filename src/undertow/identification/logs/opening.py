@@ -78,7 +78,8 @@ def opened_field_log(
         _refuse_other_motors(log, meaning, commands)
     low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
     table = log.table(columns_read(meaning), (low, high))
-    return Opened(table, meaning, file_hash(log.path), (f"read as {log.format}", *log.notes))
+    said = (f"read as {log.format}", *log.notes, *(() if mapping else log.remarks))
+    return Opened(table, meaning, file_hash(log.path), said)
 
 
 def opened_table(path: Path, mapping: LogMapping | None, limits: LogLimits = WHOLE) -> Opened:
@@ -101,8 +102,8 @@ def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[
         unknown = f"no recognised motors{why}"
         raise UndertowError(
             f"log {log.path} has {motors if log.actuators else unknown}, but the vehicle has commands "
-            f"{', '.join(lacking)}: assign them in a mapping file (undertow import {log.path} --out "
-            "NEW.parquet writes a first one)"
+            f"{', '.join(lacking)}: undertow map new {log.path} --vehicle VEHICLE writes a mapping file that "
+            "assigns them, or asks which columns they are"
         )
 
 

@@ -50,7 +50,7 @@ from .opening import (
 )
 from .pose_velocity import velocities_from_pose
 from .run import FORCES, UNITS, Run, unwrapped
-from .series import OneClock, Series, are_several, on_one_clock, with_report_noise
+from .series import OneClock, Series, are_several, in_gaps, on_one_clock, with_report_noise
 
 Commands = dict[str, float]
 
@@ -372,6 +372,9 @@ def _on_rows(
     unreadable = np.isnan(table).all() or (table > checks.MEASURABLE.largest).any()  # refused by name, later
     if unreadable or not (slow or any(late.values()) or are_several(t, read)):
         return OneClock(t, read, {}, several=False)
+    # Where a delay moves reports into a gap of the log, nothing is known of what else happened.
+    moved = {n: in_gaps(t, t - late[n]) for n in read if late[n] and len(t) > 1}
+    read |= {n: np.where(lost, np.nan, read[n]) for n, lost in moved.items()}
     noise = _stated_noise(sources, mapping, where)
     series, angles = {}, {n: unwrapped(column) for n, column in read.items() if mapping.jumps(n)}
     for name, column in {**read, **angles}.items():

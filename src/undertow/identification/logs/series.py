@@ -166,10 +166,14 @@ def between(t: Array, known: Array, reports: Array) -> Array:
 
     if len(known) < 2:
         return np.full(len(t), np.nan)
-    after = np.clip(np.searchsorted(known, t), 1, len(known) - 1)
-    apart = known[after] - known[after - 1]
-    lost = (apart > _longest(np.median(np.diff(known)))) & (t > known[after - 1]) & (t < known[after])
-    return np.where(lost, np.nan, PchipInterpolator(known, reports, extrapolate=False)(t))
+    return np.where(in_gaps(known, t), np.nan, PchipInterpolator(known, reports, extrapolate=False)(t))
+
+
+def in_gaps(clock: Array, t: Array) -> Flags:
+    """Which of the times t (n,) lie where a clock (k,), of at least two times, has lost some."""
+    after = np.clip(np.searchsorted(clock, t), 1, len(clock) - 1)
+    apart = clock[after] - clock[after - 1]
+    return (apart > _longest(np.median(np.diff(clock)))) & (t > clock[after - 1]) & (t < clock[after])
 
 
 def _longest(usual: float) -> float:

@@ -12,6 +12,7 @@ from pathlib import PurePath
 from undertow.errors import listed
 from undertow.identification.diagnosis.result import Diagnosis, Step
 from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.identification.doctor.findings import Finding
 from undertow.model.symbols import DOFS, VELOCITY
 
 
@@ -105,21 +106,24 @@ def _longest_fall(before: Mapping[str, float], after: Mapping[str, float]) -> tu
     return (1.0 - after[both[-1]] / before[both[-1]], both[-1]) if both else (0.0, "")
 
 
-def useless(relative: Mapping[str, float | None]) -> str:
+def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = ()) -> str:
     """A sentence on velocities that are predicted worse than by no model at all; none where all are better.
 
     `relative`: errors of predicted velocities as shares of their rms, None or infinite where they diverge. A
-    model of a vehicle that never moves has 1.
+    model of a vehicle that never moves has 1. `examined`: what the doctor has said of the logs already.
     """
     worse = {n: e for n, e in relative.items() if e is None or not e <= 1.0}
     if not worse:
         return ""
     motions = listed([DOFS[VELOCITY.index(n)] for n in worse])
     sizes = ", ".join(shown(e, 3) + ("" if e is None or not isfinite(e) else " %") for e in worse.values())
-    return (
-        f"Worse than no model at all in {motions} ({sizes}): first check the signs of commands and axes "
-        "(undertow doctor)."
-    )
+    advice = "first check the signs of commands and axes (undertow doctor)"
+    if examined and not any(f.severity == "mistake" for f in examined):
+        advice = (
+            "undertow doctor finds no mistake in the logs, so check the vehicle file: thrust per command, "
+            "places and directions of the thrusters, inertia"
+        )
+    return f"Worse than no model at all in {motions} ({sizes}): {advice}."
 
 
 def errors(ahead: Mapping[str, float]) -> str:
@@ -184,7 +188,11 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
     """A diagnosis whose headline begins with what was found in errors of prediction."""
     if not diagnosis.steps:
         return diagnosis
-    parts = (useless(diagnosis.last_step.channels), first_sentence(diagnosis), diagnosis.headline)
+    parts = (
+        useless(diagnosis.last_step.channels, diagnosis.doctor),
+        first_sentence(diagnosis),
+        diagnosis.headline,
+    )
     return diagnosis.model_copy(update={"headline": " ".join(filter(None, parts))})
 
 
@@ -227,11 +235,15 @@ def _separable(diagnosis: Diagnosis) -> bool:
     return all(s.separable is not False for s in diagnosis.indistinguishable)
 
 
-def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:
-    """The command that does what the first sentence says, with the files of this one."""
+def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = True) -> str:
+    """The command that does what the first sentence says, with the files of this one.
+
+    plannable: whether a manoeuvre can be planned, with commands that move the vehicle.
+    """
     # What only helps to predict is added one by one: the first may be enough.
     effects, freed = diagnosis.effects or diagnosis.helps[:1], diagnosis.freed
-    if diagnosis.verdict == "indistinguishable" and diagnosis.indistinguishable and _separable(diagnosis):
+    told_apart = plannable and diagnosis.indistinguishable and _separable(diagnosis)
+    if diagnosis.verdict == "indistinguishable" and told_apart:
         between = ",".join(diagnosis.indistinguishable[0].effects)
         return line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
     if len(effects) == 1 and not freed:
@@ -242,7 +254,7 @@ def next_command(diagnosis: Diagnosis, line: CommandLine) -> str:
         return line.fitting(["fit"], "--out", line.better("fitted"))
     if _terms(diagnosis):
         return _made_of_what_remains(line)
-    if diagnosis.verdict == "not_identifiable":
+    if diagnosis.verdict == "not_identifiable" and plannable:
         return line.looking(["plan"], "--out", "plan.csv")
     reading = tuple(o for o in line.options if o != "--trust-log")  # doctor refuses nothing
     return replace(line, options=reading).looking(["doctor"])

@@ -9,15 +9,17 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.guess import SETTINGS, guess_table
-from undertow.identification.logs.guess_names import rows_by_number
+from undertow.identification.logs.guess import NO_COLUMN, SETTINGS, guess_table
+from undertow.identification.logs.guess_frames import Axes
+from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number
 from undertow.identification.logs.guessed import Guess, GuessedMapping
-from undertow.identification.logs.mapping import Column, Frames, LogMapping
-from undertow.identification.logs.run import UNITS
+from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
+from undertow.identification.logs.run import MEASURED, UNITS
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.units import scale_offset
+from undertow.model.vehicle import Vehicle
 
-from .fieldlog import Series
+from .fieldlog import TIME, FieldLog, Series
 
 _TIME = "time [s]"
 Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
@@ -46,6 +48,49 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
         if number == 0 and not known:
             frames = Frames.model_validate(guess.axes.entry)
     return LogMapping(columns=columns, frames=frames), _numbered(driving, columns), notes
+
+
+def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMapping:
+    """A mapping file of a vehicle's own log: what its format says, and guesses and questions on the rest.
+
+    Commands that the log is not known to hold are looked for by name among its columns. If no motion is
+    known, everything is guessed.
+    """
+    meaning = log.mapping_for(vehicle.command_names if vehicle else ())
+    every = [f"{one.name}.{column}" for one in log.series.values() for column in one.columns]
+    held = LogMapping(missing_commands="hold")
+    known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
+    if not MEASURED & {guess.channel for guess in known}:
+        return guess_table(log.table(every), log.path, vehicle, held)
+    commands = vehicle.command_names if vehicle else ()
+    lacking = [c for c in commands if c not in {guess.channel for guess in known}]
+    left = [n for n in every if lacking and n not in meaning.columns and _may_drive(n, lacking)]
+    guessed = guess_table(log.table(left), log.path, vehicle, held).columns if left else ()
+    found = [guess for guess in guessed if guess.channel in lacking]
+    unknown = [c for c in lacking if c not in {guess.channel for guess in found}]
+    others = tuple(n for n in left if unknown and n not in {guess.column for guess in found})
+    return GuessedMapping(
+        log.path.name,
+        Guess(meaning.time.column, meaning.time.model_dump(exclude_defaults=True) or {"column": TIME}),
+        (*known, *found),
+        Axes(meaning.frames.model_dump(exclude_none=True, exclude_defaults=True)),
+        {"? may drive the vehicle": others} if others else {},
+        held if found else meaning,
+        tuple(NO_COLUMN.format(command) for command in unknown),
+    )
+
+
+def _may_drive(column: str, commands: Sequence[str]) -> bool:
+    name = Name.of(column)
+    return name.is_command or any(name.drives(command, {}) < NO_FIT for command in commands)
+
+
+def _as_guesses(known: Mapping[str, Column] | Mapping[str, Channel]) -> list[Guess]:
+    """What is known of columns, and of channels that are computed from several, without a doubt."""
+    return [
+        Guess(name, {"channel": name, **one.model_dump(exclude_defaults=True, mode="json", by_alias=True)})
+        for name, one in known.items()
+    ]
 
 
 def _guess(path: Path, one: Series) -> GuessedMapping:

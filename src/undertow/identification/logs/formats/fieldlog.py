@@ -86,6 +86,8 @@ class FieldLog:
     # parts to be used, s: armed, and on one side of a reset of the estimator; empty for the whole log
     stretches: tuple[Stretch, ...] = ()
     notes: tuple[str, ...] = ()  # what was left out, repaired or looked odd, one line each
+    # what was chosen or is not sure of `mapping`: of no interest where another one is given
+    remarks: tuple[str, ...] = ()
 
     def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
         """What is understood, with the commands of a vehicle as its columns.

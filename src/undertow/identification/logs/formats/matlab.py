@@ -73,7 +73,8 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         found = [Series(one.name, one.t - begin, one.columns, one.units) for one in found]
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=(*notes, *questions))
+    about, asked = tuple(notes), tuple(questions)
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked)
 
 
 # --- from the file to names and arrays ------------------------------------------------------------

@@ -90,7 +90,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             if meant and meant.channel not in {column.channel for column in known.values()}:
                 known[f"{name}.{variable.name}"] = meant
     mapping, actuators, questions = guessed(path, list(series.values()), known)
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=tuple(questions))
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, remarks=tuple(questions))
 
 
 # --- from the file to variables -------------------------------------------------------------------

@@ -10,14 +10,14 @@ what it tracked.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from undertow.identification.logs.conversions import ANGLES, angles, depth
-from undertow.identification.logs.guess_names import rows_by_number
+from undertow.identification.logs.guess_names import is_wanted, rows_by_number
 from undertow.identification.logs.mapping import FLIPPED_BODY, Column, Frames, LogMapping
 from undertow.typing import Array
 
@@ -27,6 +27,7 @@ from .fieldlog import Series
 _LEAST_PRESSURE = 50_000.0
 Kind = Literal["pose", "plane", "attitude", "twist", "rates", "velocity"]
 _AXES = ("x", "y", "z")
+_DOWN, _UP = ("ned", "frd"), ("enu", "flu")  # words in the names of frames
 _LINEAR, _RATES = dict(zip("uvw", _AXES, strict=True)), dict(zip("pqr", _AXES, strict=True))
 
 # Types in the order in which they are believed, and which of their fields are what.
@@ -45,6 +46,7 @@ _DRIVES = re.compile(r"thrust|motor|actuator|pwm|rc_?out|propeller|servo|(?:^|[/
 _ASKED = re.compile(r"input|cmd|command|control|pwm|rpm|setpoint", re.IGNORECASE)
 _LIST = re.compile(r"(?:data|channels|outputs?|controls?|commands?|pwm|thrust|forces?)\[\d+\]")
 _SINGLE = ("data", "value")
+_CONTROL = {"input", "cmd", "command", "control", "controller", "trajectory", "path"}  # of what is asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +152,9 @@ def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Colum
     actuators = _actuators(topics, known)
     _take_wrench(known, topics, bool(actuators))
     if known.columns and not actuators and "tau_X" not in known.columns:
-        lacking = "no topic is recognised as thruster commands"
-        known.notes.append(f"{lacking}: a model needs the inputs of the vehicle")
+        known.notes.append(
+            "no topic is recognised as thruster commands: undertow map new --vehicle asks which ones are"
+        )
     columns = dict(known.columns.values())
     return LogMapping(columns=columns, frames=frames), actuators, known.notes
 
@@ -163,8 +166,19 @@ def _most(topics: Sequence[Topic], pattern: re.Pattern[str]) -> list[Topic]:
 
 def _sources(topics: Sequence[Topic]) -> Iterator[tuple[Topic, dict[Kind, str]]]:
     for type_, fields in _TYPES.items():
-        for topic in _most(topics, re.compile(f"^{re.escape(type_)}$")):
+        for topic in sorted(_most(topics, re.compile(f"^{re.escape(type_)}$")), key=_doubt):
             yield topic, fields
+
+
+def _doubt(topic: Topic) -> tuple[bool, bool]:
+    """How doubtful it is that a topic is a measurement whose axes are known; the least is believed first.
+
+    A set-point has the type of what is measured, and where no header names a frame, of two poses one may be
+    latitude and longitude.
+    """
+    name = topic.series.name
+    framed = bool(topic.frame or topic.child or _said(name, *_DOWN, *_UP))
+    return is_wanted(name) or _said(name.rsplit("/", 1)[-1], *_CONTROL), not framed
 
 
 def _said(name: str, *words: str) -> bool:
@@ -175,7 +189,7 @@ def _said(name: str, *words: str) -> bool:
 def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Understood) -> Frames:
     """Axes of the topic that is believed most."""
     down, first = _is_down(sources[0][0]), sources[0][0]
-    if not (first.frame or first.child or _said(first.series.name, "ned", "enu")):
+    if _doubt(first)[1]:
         known.notes.append(
             f"{first.series.name} ({first.type}) names no frame: east-north-up is assumed, as in REP 103; "
             '[frames] position = "NED", body = "FRD" in a mapping file changes that'
@@ -195,9 +209,7 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
 def _is_down(topic: Topic) -> bool:
     """Whether the axes of a topic point down."""
     frames = [topic.frame, topic.child] if topic.frame or topic.child else [topic.series.name]
-    return any(_said(name, "ned", "frd") for name in frames) and not any(
-        _said(n, "enu", "flu") for n in frames
-    )
+    return any(_said(name, *_DOWN) for name in frames) and not any(_said(n, *_UP) for n in frames)
 
 
 def _take_motion(
@@ -213,9 +225,15 @@ def _take_motion(
             if channel in (*_LINEAR, *_RATES) and frames.velocity == "body":
                 known.take(topic, {channel: name}, scale=-1.0 if channel in FLIPPED_BODY else 1.0)
     if len(known.columns) == before and named:
-        known.notes.append(
-            f"{topic.series.name} ({topic.type}) is not used: another topic has the same information"
-        )
+        _not_used(known, topic, named)
+
+
+def _not_used(known: _Understood, topic: Topic, channels: Iterable[str]) -> None:
+    """Say which topic has the channels that another could be."""
+    taken = {c: known.columns[c][0].split(".")[0] for c in channels if c in known.columns}
+    of = f"{', '.join(taken)} are those of {' and '.join(dict.fromkeys(taken.values()))}"
+    why = of if taken else "its axes are not those of the others"
+    known.notes.append(f"{topic.series.name} ({topic.type}) is not used: {why}")
 
 
 def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator[tuple[str, str]]:
@@ -263,7 +281,7 @@ def _take_doppler(known: _Understood, topic: Topic, frames: Frames) -> None:
             )
         return
     if frames.velocity != "body" or "u" in known.columns:
-        known.notes.append(f"{name} ({topic.type}) is not used: another topic has the same information")
+        _not_used(known, topic, _LINEAR)
         return
     for channel, axis in _LINEAR.items():
         known.take(

@@ -91,7 +91,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         notes += [] if topic else [f"{name}: no message can be decoded: left out"]
     mapping, actuators, said = meaning(list(topics.values()))
     series = {name: topic.series for name, topic in topics.items()}
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=(*notes, *said))
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=tuple(notes), remarks=tuple(said))
 
 
 # --- from the file to records ---------------------------------------------------------------------
