@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from undertow.codegen import Compiled
 from undertow.codegen.gram import layout
 from undertow.codegen.source import FORMS
 from undertow.identification.estimation.fitted import Triangle
@@ -62,10 +61,10 @@ def samples() -> dict[str, np.ndarray]:
     f, rng = vehicle.functions(), np.random.default_rng(3)
     x = rng.uniform(-0.5, 0.5, (len(f.state_names), SAMPLES))
     u = rng.uniform(-10, 10, (f.u.numel(), SAMPLES))
-    evaluate = Compiled(f, compiled=True).evaluator("dynamics", 1000)
-    p = np.array(f.values())
-    parts = [evaluate(x[:, i : i + 1000].T, u[:, i : i + 1000].T, p, 0.0)[0] for i in range(0, SAMPLES, 1000)]
-    rates = np.concatenate(parts)[:, 6:12, 0].T + 0.1 * rng.standard_normal((6, SAMPLES))
+    dynamics, p = f.dynamics.map(1000), np.array(f.values())
+    pieces = (slice(i, i + 1000) for i in range(0, SAMPLES, 1000))
+    parts = [np.array(dynamics(x[:, piece], u[:, piece], p, 0.0)) for piece in pieces]
+    rates = np.concatenate(parts, axis=1)[6:12] + 0.1 * rng.standard_normal((6, SAMPLES))
     names = (*f.state_names, *(f"{n}_dot" for n in f.vehicle.velocity_names), *f.vehicle.command_names)
     columns = dict(zip(names, np.vstack([x, rates, u]), strict=True))
     return {name: np.ascontiguousarray(columns[name]) for name in fit().needed}
