@@ -55,7 +55,7 @@ def test_the_chain_from_a_log_to_a_loop_and_to_c(dive: Path, tmp_path: Path, cap
     assert (
         main(["gains", "mini-auv", "paper-pd", "--form", "derived", "--observer", str(save), "--json"]) == 0
     )
-    assert json.loads(capsys.readouterr().out)["observed"]["verdict"] == "stable"
+    assert json.loads(capsys.readouterr().out)["loop_with_observer"]["verdict"] == "stable"
     assert main(["export", "c", "mini-auv", "--observer", str(save), "--out", str(tmp_path)]) == 0
     assert (tmp_path / "mini-auv" / "src" / "mini_auv_observer.c").is_file()
     assert main(["export", "c", "mini-auv", "--observer", str(save), "--out", str(tmp_path), "--check"]) == 0
