@@ -171,11 +171,9 @@ class Blocks:
     shift what the candidate changes at the point of linearisation, J its derivative there.
 
     table: (B, k + 2, k + 2), gram matrices of the columns of J (k of them), shift and r, one for each block.
-    rows: entries of the residual in all blocks.
     """
 
     table: Array
-    rows: int
 
     @classmethod
     def of(cls, J: Array, shift: Array, r: Array, block: NDArray[np.intp]) -> Blocks:
@@ -184,7 +182,7 @@ class Blocks:
         order = np.argsort(block, kind="stable")
         edges = np.flatnonzero(np.diff(block[order])) + 1
         parts = np.split(columns[order], edges)
-        return cls(np.stack([part.T @ part for part in parts]), len(r))
+        return cls(np.stack([part.T @ part for part in parts]))
 
     @property
     def count(self) -> int:
@@ -195,7 +193,7 @@ class Blocks:
         """With the blocks of a group as one; `group` (B,) is the number of that of each block."""
         table = np.zeros((int(group.max()) + 1, *self.table.shape[1:]))
         np.add.at(table, group, self.table)
-        return Blocks(table, self.rows)
+        return Blocks(table)
 
     @cached_property
     def gram(self) -> Array:
@@ -222,7 +220,7 @@ class Blocks:
         kept = [*range(size - 2 - dropped), size - 2, size - 1]
         table = self.table[:, kept][:, :, kept].copy()
         table[:, -2, :] = table[:, :, -2] = 0.0
-        return Blocks(table, self.rows)
+        return Blocks(table)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate, possible
 from .evidence import (
     Chance,
+    Comparison,
     FoundEffect,
     IsNoise,
     Linear,
@@ -248,8 +249,7 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Ev
 def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, count: int) -> FoundEffect:
     settings = bench.settings
     compared = compare_scores(bench.base_score, trial.score, bench.test)
-    longer = times_longer(trial, evidence.left, bench)
-    chance, slow = (_chance(trial, bench, evidence, count, times) for times in (1, longer))
+    chance, slow = _chances(trial, compared, bench, evidence, count)
     strong = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
@@ -257,19 +257,29 @@ def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, 
     return FoundEffect(trial, compared, share, chance, strong and better, slow, inclusion)
 
 
-def _chance(trial: Trial, bench: Bench, evidence: _Evidence, count: int, times: int) -> float:
-    """Chance that the best of all candidates does as well as this one when nothing is missing.
+def _chances(
+    trial: Trial, compared: Comparison, bench: Bench, evidence: _Evidence, count: int
+) -> tuple[float, float]:
+    """Chance that the best of all candidates does as well as this one when nothing is missing; and the same
+    where a slow disturbance acts.
 
     The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
     other is blind to, and each gets half of the false alarms.
 
-    times: length of the blocks, in units of the usual one.
+    compared: the candidate and the model without it by the usual blocks.
     """
     if trial.id not in evidence.falls:
-        return 1.0
-    block = bench.test.blocks_of(times * bench.test.block_seconds)
-    by_rank = count * compare_scores(bench.base_score, trial.score, bench.test, block).p_value
-    return min(1.0, 2.0 * min(evidence.chance.p_value(evidence.falls[trial.id], times), by_rank))
+        return 1.0, 1.0
+
+    def chance(by_rank: Comparison, times: int) -> float:
+        by_draws = evidence.chance.p_value(evidence.falls[trial.id], times)
+        return min(1.0, 2.0 * min(by_draws, count * by_rank.p_value))
+
+    usual, longer = chance(compared, 1), times_longer(trial, evidence.left, bench)
+    if longer == 1:
+        return usual, usual
+    block = bench.test.blocks_of(longer * bench.test.block_seconds)
+    return usual, chance(compare_scores(bench.base_score, trial.score, bench.test, block), longer)
 
 
 @dataclass(frozen=True)

@@ -134,12 +134,17 @@ def size_beside(
     alone: what stands in for something predicts no better than it.
     """
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-    sets = (found, [other], [other, *found])
-    given, alone, both = (validator.final(fitted(vehicle, fs, bench).fit)[0] for fs in sets)
-    ahead, rival, joint = (validator.squares_ahead(fit) for fit in (given, alone, both))
-    pair = [compared(squares, found, validator) for squares in (ahead, rival)]
-    better = best_in_resamples(pair, settings)[0] >= settings.best_share
-    if better or not gained(ahead, joint, found, validator).enough(settings.worth):
+
+    def final(findings: Sequence[FoundEffect]) -> Fitted:
+        return validator.final(fitted(vehicle, findings, bench).fit)[0]
+
+    given = final(found)
+    ahead = validator.squares_ahead(given)
+    pair = [compared(each, found, validator) for each in (ahead, validator.squares_ahead(final([other])))]
+    if best_in_resamples(pair, settings)[0] >= settings.best_share:
+        return 1.0
+    both = final([other, *found])
+    if not gained(ahead, validator.squares_ahead(both), found, validator).enough(settings.worth):
         return 1.0
     names = {p.name: p.linear for f in found for p in f.trial.candidate.effect(()).parameters}
     own = [n for n in given.model.free if plain(n) in names]
