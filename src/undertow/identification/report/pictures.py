@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from scipy.stats import chi2
 
 from undertow.errors import UndertowError
 from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, look, plain, with_unit
@@ -18,9 +17,7 @@ from undertow.identification.doctor.examine import Examined
 from undertow.identification.doctor.findings import percent
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.logs.formats.fieldlog import FieldLog
-from undertow.identification.logs.run import UNITS, Run
-from undertow.identification.observe import Observed
-from undertow.model.symbols import MOTION_UNITS
+from undertow.identification.logs.run import UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -372,39 +369,3 @@ def _panel(axis: Any, points: tuple[Array, Array], name: str, title: str, colour
     axis.set_ylabel(f"rate of {plain(name)} [{unit}]")
     axis.set_title(title)
     axis.grid(visible=True)
-
-
-_NIS_WINDOW = 50
-
-
-def observed_picture(found: Observed, run: Run) -> Figure:
-    """Every pose and velocity with a band of two standard deviations and its reports, then the NIS over time.
-
-    The NIS is the mean of fifty normalised squared innovations that follow each other, with its 95 % band.
-    """
-    names = [n for n in found.estimate.names if n in MOTION_UNITS]
-    with look():
-        picture, axes = figure(1.5 * len(names) / 2 + 2.5, len(names) // 2 + 1, 2)
-        for axis, name in zip(axes[:-1].T.ravel(), names, strict=True):
-            i = found.estimate.names.index(name)
-            mean, spread = found.estimate.mean[:, i], 2 * found.estimate.deviation[:, i]
-            axis.fill_between(found.estimate.t, mean - spread, mean + spread, color=AFTER, alpha=0.25, lw=0)
-            if run.has(name) and name not in run.derived:
-                axis.plot(run.t, run.reports(name), ".", color=FAINT, ms=1.5)
-            axis.plot(found.estimate.t, mean, color=AFTER)
-            axis.set_ylabel(f"{name}, {MOTION_UNITS[name]}")
-        _nis_panel(axes[-1, 0], found)
-        axes[-1, 1].set_axis_off()
-        axes[-1, 0].set_xlabel("time, s")
-    return picture
-
-
-def _nis_panel(axis: Any, found: Observed) -> None:
-    used = found.filtered.used
-    square = (found.filtered.innovation**2 / found.filtered.variance)[used]
-    t = np.broadcast_to(found.filtered.t[:, None], used.shape)[used]
-    k = min(_NIS_WINDOW, max(len(square) // 4, 1))
-    low, high = chi2.ppf([0.025, 0.975], k) / k
-    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0)
-    axis.plot(t[k - 1 :], np.convolve(square, np.full(k, 1 / k), "valid"), color=INK, lw=0.8)
-    axis.set_ylabel("NIS")
