@@ -23,7 +23,6 @@ from .diagnosis.result import ValuesByRun, read_diagnosis, run_info
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
-from .estimation.adaptation import adapted, in_runs
 from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, notes, remarks, t_values, verdicts
 from .estimation.output_error import LossName, final_fit, fit_output_error
@@ -32,7 +31,7 @@ from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
 from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
-from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
+from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
 from .history import known_by, roles, save_found
 from .logs.checks import check_fit

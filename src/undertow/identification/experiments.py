@@ -19,7 +19,7 @@ from undertow.typing import Array
 
 from .diagnose import DiagnosisResult
 from .diagnosis.result import Role, RunInfo
-from .estimation.covariance import inverse_of
+from .estimation.data import inverse_of
 from .estimation.fitted import SURE, Fitted
 from .estimation.step import estimated, follower_errors, followers
 from .history import roles, save_found

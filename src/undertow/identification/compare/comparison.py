@@ -13,9 +13,9 @@ from scipy.special import chdtrc
 
 from undertow.codegen.functions import Functions
 from undertow.identification.doctor.examine import refuse_impossible
-from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.predictor import Predictor, predict_each
+from undertow.identification.estimation.weak_form import adapted
 from undertow.identification.estimation.windows import Prediction, cut, possible_horizon, prediction_error
 from undertow.identification.logs.pose_velocity import as_reported
 from undertow.identification.logs.run import UNITS, Run

@@ -13,12 +13,11 @@ from scipy.sparse import bsr_array, csr_array
 
 from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
-from undertow.identification.estimation.adaptation import of_each_run
-from undertow.identification.estimation.by_run import value_name
 from undertow.identification.estimation.data import Segment, WeakData, prepare
 from undertow.identification.estimation.inputs import ActuatorStates, Memory
 from undertow.identification.estimation.pointwise import Pointwise
-from undertow.identification.estimation.residual import SensorDelay, WeakModel, whitened
+from undertow.identification.estimation.residual import SensorDelay, WeakModel, value_name, whitened
+from undertow.identification.estimation.weak_form import of_each_run
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from undertow.identification.estimation.between_runs import heterogeneity
-from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.fitted import Fitted, heterogeneity
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
+from undertow.identification.estimation.residual import plain
 from undertow.model.effect import Effect, Flow, Measurement
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
+from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import Segment, WeakData, prepare
+from undertow.identification.estimation.data import Segment, WeakData, inverse_of, prepare
 from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
 from undertow.identification.estimation.residual import Linearised, whitened
 from undertow.identification.estimation.step import normal_equations, prior_of

@@ -16,7 +16,7 @@ import sympy as sm
 from scipy.optimize import nnls
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.between_runs import heterogeneity
+from undertow.identification.estimation.fitted import heterogeneity
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect, Wrench
 from undertow.model.symbols import FORCE, VELOCITY, Signals

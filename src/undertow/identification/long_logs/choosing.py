@@ -14,11 +14,10 @@ import numpy as np
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.files import json_ready
-from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import WeakModel
-from undertow.identification.estimation.weak_form import free_parameters
+from undertow.identification.estimation.weak_form import adapted, free_parameters
 from undertow.identification.estimation.windows import HORIZONS, Prediction, cut, geometric_mean
 from undertow.identification.logs.checks import MEASURABLE, refuse_twins, with_distinct_names
 from undertow.identification.logs.chunks import LongLog

@@ -11,8 +11,7 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.data import WeakData, inverse_of, prepare
 from undertow.identification.estimation.predictor import Predictor
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.step import prior_of

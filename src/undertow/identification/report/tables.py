@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.identification.compare.comparison import Comparison, Profile
-from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.predictor import Predictor, predict, predict_each
+from undertow.identification.estimation.weak_form import adapted
 from undertow.identification.estimation.windows import Prediction, cut
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import FORCE_UNITS, VELOCITY
