@@ -20,7 +20,6 @@ from .pointwise import scale_directions
 from .residual import WeakModel, origins, plain, run_of
 from .step import at_bounds, default_weights, estimated, follower_errors, followers, prior_of
 
-
 # --- whether what nature changes differs between runs ---------------------------------------------
 # A current is sought as one value for all runs first. Values by run take its place where they differ by more
 # than chance: a Wald test of equality, with errors that are robust to what the model leaves. So runs that
