@@ -34,10 +34,10 @@ from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
 from .history import known_by, roles, save_found
-from .logs.checks import check_fit
 from .logs.chunks import long_logs
-from .logs.formats.registry import format_of
+from .logs.formats.fieldlog import format_of
 from .logs.mapping import LogMapping, read_mapping
+from .logs.opening import check_fit
 from .logs.opening import save_log as save_log
 from .logs.reading import read_log as read
 from .logs.run import Run

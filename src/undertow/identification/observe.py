@@ -19,8 +19,7 @@ from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, l
 from undertow.typing import Array, Flags, Index, Progress
 
 from .estimation.inputs import without_gaps
-from .logs.run import Run
-from .logs.series import report_noise
+from .logs.run import Run, report_noise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import channel_noise
-from undertow.identification.logs.checks import check_fit
+from undertow.identification.logs.opening import check_fit
 from undertow.identification.logs.pose_velocity import as_reported, velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle

@@ -18,8 +18,7 @@ from undertow.identification.logs.mapping import (
     velocity_to_body,
     velocity_to_earth,
 )
-from undertow.identification.logs.run import Run, unwrapped
-from undertow.identification.logs.series import with_reports
+from undertow.identification.logs.run import Run, unwrapped, with_reports
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array

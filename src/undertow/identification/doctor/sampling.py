@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.identification.estimation.data import channel_noise, noise_by_order
-from undertow.identification.logs.checks import MEASURABLE
 from undertow.identification.logs.mapping import LogMapping
-from undertow.identification.logs.run import FORCES, UNITS, Run
+from undertow.identification.logs.run import FORCES, MEASURABLE, UNITS, Run
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle

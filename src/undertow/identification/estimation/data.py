@@ -14,8 +14,7 @@ from scipy.linalg import cholesky_banded
 from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run
-from undertow.identification.logs.series import noise_variance
+from undertow.identification.logs.run import Run, noise_variance
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index

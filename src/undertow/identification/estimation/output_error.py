@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run
-from undertow.identification.logs.series import robust_scale
+from undertow.identification.logs.run import Run, robust_scale
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 

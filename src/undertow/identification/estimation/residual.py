@@ -14,8 +14,7 @@ import numpy as np
 from undertow.codegen.engine import at_samples
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run
-from undertow.identification.logs.series import between
+from undertow.identification.logs.run import Run, between
 from undertow.typing import Array, Flags, Index
 
 from .data import Segment, WeakData, Whitening, overlap, residual_covariance

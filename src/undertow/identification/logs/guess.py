@@ -17,7 +17,6 @@ from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .checks import MEASURABLE, in_order
 from .conversions import angles
 from .guess_frames import (
     Axes,
@@ -43,7 +42,7 @@ from .guess_names import (
 )
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping
-from .run import FORCES, UNITS
+from .run import FORCES, MEASURABLE, UNITS, later_than_before
 from .table import file_bytes, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
 
 
@@ -299,7 +298,7 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
 def _late(times: Array) -> float:
     """Share of the times that are no later than one before; rows without one end a log that was cut off."""
     there = times[np.isfinite(times)]
-    return 1.0 - float(np.mean(in_order(there))) if len(there) > 1 else 1.0
+    return 1.0 - float(np.mean(later_than_before(there))) if len(there) > 1 else 1.0
 
 
 def _no_dates(table: pl.DataFrame, name: str, where: str) -> str:
