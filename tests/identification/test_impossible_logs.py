@@ -26,7 +26,7 @@ from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.model.hardware import Curve
+from undertow.model.effect import Curve
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 

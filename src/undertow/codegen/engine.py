@@ -13,8 +13,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
-from .cache import library_for
-from .compiler import Bound, Compiler, compiled_or_virtual, loaded, pointer
+from .compiler import Bound, Compiler, compiled_or_virtual, library_for, loaded, pointer
 from .source import INSTRUCTIONS, engine_file, engine_source
 
 # Making a map costs time in proportion to its length; one of this length serves any number of samples.

@@ -13,8 +13,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
-from .cache import library_for
-from .compiler import Compiler, loaded, pointer
+from .compiler import Compiler, library_for, loaded, pointer
 from .engine import at_samples
 from .functions import Functions
 from .plain import LANES, plain_c

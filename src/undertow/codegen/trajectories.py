@@ -16,8 +16,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array, Integers
 
-from .cache import library_for
-from .compiler import Compiler, loaded, pointer
+from .compiler import Compiler, library_for, loaded, pointer
 from .engine import Engine, Tape, TapeData
 from .functions import Functions, solve_symmetric
 from .plain import LANES, plain_c

@@ -15,9 +15,8 @@ from .catalogue import Catalogue, catalogue
 from .composition import Statement, function_of, statement_of
 from .declaration import complaints_of
 from .effect import Effect, Wrench
-from .kinematics import failing_pivot, pose_jacobian
 from .parameter import Parameter
-from .symbols import DOFS, POSE, VELOCITY, symbol
+from .symbols import DOFS, POSE, VELOCITY, failing_pivot, pose_jacobian, symbol
 from .units import require_unit
 
 Point = dict[sm.Symbol, float]

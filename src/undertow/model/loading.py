@@ -19,13 +19,11 @@ from pydantic import BaseModel, ValidationError
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 
-from .actuators import propeller_values, surface_of, surface_values, thruster_of
 from .catalogue import Catalogue, catalogue, companions, load_effects, logged_quantities, lookup, merge
-from .effect import Effect
+from .effect import Effect, Surface
 from .effects.control_surfaces import ControlSurfaces
 from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
-from .hardware import Surface
 from .parameter import Taken, printed
 from .plausibility import check_vehicle
 from .symbols import DOFS, MOTION_UNITS, POSE, VELOCITY, symbol
@@ -34,6 +32,10 @@ from .tables import (
     VehicleTable,
     as_table,
     parameter_values,
+    propeller_values,
+    surface_of,
+    surface_values,
+    thruster_of,
 )
 from .units import si_of
 from .vehicle import Value, Vehicle

@@ -1,8 +1,15 @@
-"""The tables of a vehicle file, and the values of parameters that they state."""
+"""The tables of a vehicle file, the values that they state, and the thrusters and surfaces made of them."""
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -18,10 +25,11 @@ from pydantic import (
 
 from undertow.errors import UndertowError
 
+from .effect import Curve, Law, Propeller, Surface
 from .parameter import Parameter, printed
 from .symbols import DOFS
 from .units import si_of
-from .vehicle import Value
+from .vehicle import Thruster, Value
 
 Quantity = StrictFloat | StrictInt | StrictStr
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
@@ -213,3 +221,248 @@ def positive(place: str, raw: Any, unit: str) -> float:
     if value <= 0:
         raise UndertowError(f"{place} = {value:g} is impossible: give a positive number")
     return value
+
+
+# --- thrusters and control surfaces ---------------------------------------------------------------
+def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
+    place = f"thruster '{table.name}'"
+    given = table.wrench is not None
+    if {table.position is not None, table.direction is not None} != {not given}:
+        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
+    wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
+    if not any(wrench):
+        raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
+    law, unit = _law(place, table, folder)
+    limit = _limit(place, table.limit)
+    return Thruster(table.name, wrench, _thrust_per_command(place, table), limit, law, unit)
+
+
+# Revolutions per second of one unit of the speed of a propeller, by name.
+TURNS = {"rad/s": 1 / (2 * math.pi), "rev/s": 1.0, "rpm": 1 / 60}
+PROPELLER_KEYS = ("K_T0", "K_T1", "wake_fraction", "thrust_deduction")
+
+
+def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
+    """How the command becomes thrust, and the command's unit."""
+    stated = {"curve", "propeller", "thrust_per_command"} & table.model_fields_set
+    if "propeller" in stated and len(stated) > 1:
+        raise UndertowError(
+            f"{place} states its push in several ways, {' and '.join(sorted(stated))}: keep one"
+        )
+    if table.propeller is not None:
+        unit = table.propeller.revolutions
+        return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]), unit
+    if isinstance(table.curve, str):
+        ours = bundled_curves().get(table.curve)
+        settings = replace(_CURVES, error=_CURVES.bundled) if ours else _CURVES
+        return Curve.through(_points(place, ours or folder / table.curve, settings)), "command"
+    if table.curve is not None:
+        limit = _limit(place, table.limit)
+        if limit is None or not table.curve:
+            raise UndertowError(f"{place}: a polynomial curve needs a 'limit' up to which it is valid")
+        return Curve.polynomial([float(c) for c in table.curve], limit), "command"
+    return None, "command"
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
+
+    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
+    points: int = 40  # most points
+    # The same error for curves that come with undertow: one T200 differs from the next by more, and each
+    # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
+    bundled: float = 0.0075
+
+
+_CURVES = CurveSettings()
+
+
+Point = tuple[float, float]
+
+
+@cache
+def bundled_curves() -> dict[str, Path]:
+    """Curves of thrusters that come with the program, by name; their command goes from -1 to 1."""
+    folder = Path(str(files("undertow") / "vehicles" / "curves"))
+    return {path.stem: path for path in sorted(folder.glob("*.csv"))}
+
+
+def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
+    """Commands and thrusts, N, of a file with two columns, as few as describe it."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        ours = ", ".join(bundled_curves())
+        raise UndertowError(
+            f"{place}: curve '{path}' cannot be read: {error}; bundled curves: {ours}"
+        ) from error
+    rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
+    found = [(float(r[0]), float(r[1])) for r in rows if len(r) > 1 and _is_number(r[0]) and _is_number(r[1])]
+    if len(found) < 2 or len(found) < len(rows) - 1 - sum(r[0].startswith("#") for r in rows):
+        raise UndertowError(f"{place}: curve '{path}' needs two columns of numbers, command and thrust in N")
+    if any(b[0] <= a[0] for a, b in pairwise(found)):
+        raise UndertowError(f"{place}: commands of curve '{path}' do not rise from row to row: sort them")
+    return _thinned(found, settings)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _thinned(points: list[Point], settings: CurveSettings) -> list[Point]:
+    """Points without those that the curve through the others passes anyway."""
+    span = max(y for _, y in points) - min(y for _, y in points)
+    kept = {0, len(points) - 1}
+    while len(kept) < min(settings.points, len(points)):
+        curve = Curve.through([points[k] for k in sorted(kept)])
+        errors = [abs(curve.at(x) - y) for x, y in points]
+        worst = max(range(len(points)), key=errors.__getitem__)
+        if errors[worst] <= settings.error * span:
+            break
+        kept.add(worst)
+    return [points[k] for k in sorted(kept)]
+
+
+def propeller_values(
+    table: ThrusterTable, parameters: Mapping[str, Parameter], signs: str
+) -> dict[str, Value]:
+    """Parameters that the table of a propeller states, by name."""
+    entries = {f"{key}_{table.name}": getattr(table.propeller, key, None) for key in PROPELLER_KEYS}
+    return _values(f"propeller of thruster '{table.name}'", entries, table.source, parameters, signs)
+
+
+def _values(
+    place: str, entries: Mapping[str, Any], source: str, parameters: Mapping[str, Parameter], signs: str
+) -> dict[str, Value]:
+    """Parameters that the entries of a table state, by name; `source` is that of entries without one."""
+    found: dict[str, Value] = {}
+    for name, entry in entries.items():
+        if entry is not None:
+            stated = as_table(entry)
+            stated = stated if stated.source else stated.model_copy(update={"source": source})
+            found |= parameter_values(place, parameters[name], stated, signs)
+    return found
+
+
+def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
+    place = f"{place} thrust_per_command"
+    spec = as_table(table.thrust_per_command)
+    if spec.value is None:
+        raise UndertowError(f"{place} needs a 'value'")
+    value = si_of(place, spec.value, "N/command")
+    if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
+        raise UndertowError(
+            f"{place} = {value:g} N is not a thrust: give a positive one and reverse the direction"
+        )
+    sigma = None if spec.sigma is None else positive(f"{place} sigma", spec.sigma, "N/command")
+    return Value(value, spec.estimate, sigma, spec.source, spec.assumed, spec.per_run)
+
+
+def _limit(place: str, limit: Any) -> float | None:
+    if limit is None:
+        return None
+    # Where the command is the thrust itself, its limit is naturally written in N.
+    in_newton = isinstance(limit, str) and "N" in limit
+    return positive(f"{place} limit", limit, "N" if in_newton else "command")
+
+
+def _numbers(place: str, entries: Iterable[Any] | None) -> tuple[float, ...]:
+    return tuple(si_of(place, entry, "1") for entry in entries or ())
+
+
+def _wrench_of(place: str, table: ThrusterTable) -> tuple[float, ...]:
+    assert table.position is not None
+    assert table.direction is not None
+    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+    a, b, c = _numbers(f"{place} direction", table.direction)
+    length = math.hypot(a, b, c)
+    if abs(length - 1) > 1e-3:
+        raise UndertowError(f"{place}: direction has length {length:g}; give a unit vector")
+    return (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
+
+
+# --- control surfaces -----------------------------------------------------------------------------
+# Keys of a surface's table that state a parameter, and the parameter's name without that of the surface.
+SURFACE_KEYS = {
+    "lift_coefficient": "C_N",
+    "drag_coefficient": "C_D",
+    **{
+        key: key
+        for key in ("wake", "straightening", "flow_lever", "in_slipstream", "slipstream", "a_H", "x_H", "t_R")
+    },
+    "lag": "lag",
+    "rate": "rate",
+}
+# By name: a rudder turns the bow of a vehicle that goes ahead to starboard, a stern plane brings it down.
+_AXES = {"rudder": (0.0, 0.0, -1.0), "stern_plane": (0.0, 1.0, 0.0)}
+# How far an axis may miss a unit vector across the x axis, and is then a rounded one.
+_ROUNDED = 1e-3
+
+
+def surface_of(table: SurfaceTable, thrusters: Iterable[str]) -> Surface:
+    """The hardware that a table describes."""
+    place = f"surface '{table.name}'"
+    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+    return Surface(
+        table.name,
+        (x, y, z),
+        _axis(place, table.axis),
+        positive(f"{place} area", table.area, "m^2"),
+        None if table.limit is None else positive(f"{place} limit", table.limit, "rad"),
+        *_propeller(place, table, list(thrusters)),
+    )
+
+
+def _axis(place: str, stated: Any) -> tuple[float, float, float]:
+    if isinstance(stated, str):
+        if stated not in _AXES:
+            raise UndertowError(
+                f"{place}: axis '{stated}' is not known: give {', '.join(_AXES)} or a unit vector"
+            )
+        return _AXES[stated]
+    a, b, c = _numbers(f"{place} axis", stated)
+    length = math.hypot(b, c)
+    if abs(a) > _ROUNDED or abs(length - 1) > _ROUNDED:
+        raise UndertowError(
+            f"{place}: axis is {[a, b, c]}: give a unit vector across the x axis, as [0, 0, -1]"
+        )
+    return (0.0, b / length, c / length)
+
+
+def _propeller(place: str, table: SurfaceTable, thrusters: list[str]) -> tuple[str, float]:
+    """Name and diameter of the propeller ahead of a surface."""
+    if (table.slipstream_of is None) != (table.propeller_diameter is None):
+        raise UndertowError(f"{place} needs both 'slipstream_of' and 'propeller_diameter', or neither")
+    if table.slipstream_of is None:
+        return "", 0.0
+    if table.slipstream_of not in thrusters:
+        have = ", ".join(thrusters) or "none"
+        raise UndertowError(
+            f"{place} is in the slipstream of '{table.slipstream_of}': the thrusters are {have}"
+        )
+    return table.slipstream_of, positive(f"{place} propeller_diameter", table.propeller_diameter, "m")
+
+
+def surface_values(table: SurfaceTable, parameters: Mapping[str, Parameter], signs: str) -> dict[str, Value]:
+    """Parameters that a surface's table states, by name; `parameters` are all those of surfaces, by name."""
+    place = f"surface '{table.name}'"
+    entries = {
+        f"{name}_{table.name}": _lift(place, table) if key == "lift_coefficient" else getattr(table, key)
+        for key, name in SURFACE_KEYS.items()
+    }
+    return _values(place, entries, table.source, parameters, signs)
+
+
+def _lift(place: str, table: SurfaceTable) -> Any:
+    """Coefficient of the force across the chord, as stated or by the aspect ratio."""
+    if table.lift_coefficient is not None:
+        return table.lift_coefficient
+    if table.aspect_ratio is None:
+        raise UndertowError(f"{place} needs 'lift_coefficient' or 'aspect_ratio' (span over chord)")
+    ratio = positive(f"{place} aspect_ratio", table.aspect_ratio, "1")
+    source = f"6.13 A/(A + 2.25) for the aspect ratio A = {ratio:g}, Fujii; Yasukawa and Yoshimura (2015)"
+    return ParameterTable(value=6.13 * ratio / (ratio + 2.25), source=source)

@@ -35,8 +35,8 @@ from undertow.identification.logs.formats.fieldlog import FieldLog, format_of, r
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.identification.logs.run import Run
-from undertow.model.actuators import bundled_curves
 from undertow.model.loading import load_vehicle
+from undertow.model.tables import bundled_curves
 
 SMALL = FIELD / "small.BIN"
 FLOAT32 = 2.0**-23

@@ -13,8 +13,7 @@ from scipy.optimize import minimize
 
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
-from undertow.model.kinematics import body_rates
-from undertow.model.symbols import POSE, column, symbol
+from undertow.model.symbols import POSE, body_rates, column, symbol
 from undertow.typing import Array, Flags
 
 _EPS = float(np.finfo(float).eps)

@@ -23,8 +23,7 @@ from undertow.identification.estimation.weak_form import (
 )
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
-from undertow.model.effect import Effect
-from undertow.model.hardware import Curve
+from undertow.model.effect import Curve, Effect
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array

@@ -10,10 +10,10 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
 from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
+from undertow.model.tables import TURNS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 

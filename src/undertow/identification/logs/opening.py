@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError, listed, nearest
 from undertow.files import together, write_whole
 from undertow.identification.logs.run import MEASURABLE
-from undertow.model.actuators import TURNS
+from undertow.model.tables import TURNS
 from undertow.model.units import scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array

@@ -27,9 +27,9 @@ from undertow.identification.logs.table import (
     numbers,
     taken_as_missing,
 )
-from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY
+from undertow.model.tables import TURNS
 from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
