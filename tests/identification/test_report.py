@@ -33,7 +33,15 @@ from undertow.identification.diagnosis.result import (
 )
 from undertow.identification.doctor.findings import Examination
 from undertow.identification.doctor.findings import Finding as Found
-from undertow.identification.report.data import (
+from undertow.identification.report.page import (
+    parameter_text,
+    percent,
+    quantity,
+    render_report,
+    report_data,
+    with_error,
+)
+from undertow.identification.report.pictures import (
     Budget,
     ErrorMap,
     Listing,
@@ -41,9 +49,6 @@ from undertow.identification.report.data import (
     ResidualCurve,
     RunTraces,
     Trace,
-)
-from undertow.identification.report.page import parameter_text, percent, quantity, render_report, with_error
-from undertow.identification.report.pictures import (
     error_map,
     falling_error,
     force_budget,
@@ -52,7 +57,6 @@ from undertow.identification.report.pictures import (
     residual_against,
     thinned,
 )
-from undertow.identification.report.tables import report_data
 
 EVIL = "<script>alert('1')</script>\"&$x_1$\n日本"
 SECTIONS = (

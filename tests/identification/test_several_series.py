@@ -24,7 +24,7 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.identification.report.tables import traces
+from undertow.identification.report.page import traces
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 

@@ -16,6 +16,7 @@ from undertow.typing import Progress
 
 from .compare.comparison import finite
 from .diagnose import diagnose as diagnose
+from .diagnose import known_by, roles, save_found
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
 from .diagnosis.parallel import one_thread
@@ -33,7 +34,6 @@ from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
-from .history import known_by, roles, save_found
 from .logs.chunks import long_logs
 from .logs.formats.fieldlog import format_of
 from .logs.mapping import LogMapping, read_mapping

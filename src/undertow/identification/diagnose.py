@@ -3,46 +3,43 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from undertow.files import write_whole
-from undertow.identification.diagnosis.parallel import in_background, one_thread
-from undertow.identification.diagnosis.splitting import (
-    Runs,
-    normalised,
-    training_and_validation,
-    with_velocities,
-)
-from undertow.identification.doctor.dynamics import without_refuted
-from undertow.identification.doctor.examine import examine
-from undertow.identification.doctor.findings import Examination
-from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue, catalogue
+from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
-from undertow.typing import Progress
+from undertow.typing import Array, Progress
 
 from .compare.comparison import compare
 from .diagnosis.bench import noise_ratio
-from .diagnosis.result import (
-    Diagnosis,
-    Role,
-    run_info,
-)
+from .diagnosis.parallel import in_background, one_thread
+from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
 from .diagnosis.selection import Selection, select, selected
 from .diagnosis.settings import DEFAULT, Settings
+from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.validation import SimulationValidator
-from .report.data import ReportData
+from .diagnosis.verdict import values_by_run
+from .doctor.dynamics import without_refuted
+from .doctor.examine import examine
+from .doctor.findings import Examination
+from .estimation.data import prepare
+from .estimation.fitted import Fitted
+from .estimation.weak_form import WeakFit
+from .logs.run import Run
 from .report.sentences import summarised
 from .result_builder import ResultBuilder
+
+if TYPE_CHECKING:
+    from .report.pictures import ReportData
 
 # Share of the time that the search takes: nine tenths where little is left (docs/profile.md), else less.
 _SEARCH = 0.7
@@ -131,13 +128,15 @@ class DiagnosisResult:
 
     def report(self, out: str | Path) -> None:
         """Write the report: one HTML page with all pictures."""
-        from .report.page import render_report  # brings matplotlib, which only a report needs
+        from undertow.identification.report.page import (
+            render_report,  # brings matplotlib, which only a report needs
+        )
 
         write_whole(Path(out), render_report(self.diagnosis, self.comparison()))
 
     def comparison(self, *, compiled: bool | None = None) -> ReportData:
         """The refitted model beside the validation runs, without and with what was added, for a report."""
-        from .report.tables import report_data
+        from undertow.identification.report.page import report_data
 
         before = compare(self.before, self.test, compiled=compiled)
         d, helped = self.diagnosis, bool(self.diagnosis.helps and self.helped)
@@ -262,3 +261,59 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool
             "headline": " ".join([*first, diagnosis.headline]),
         }
     )
+
+
+# --- vehicle files with what was found, and the history in them of how it came about --------------
+def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
+    """Logs with what they were for: to fit to, and to judge by."""
+    names: tuple[Role, Role] = ("train", "holdout")
+    return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
+
+
+def known_by(fit: Fitted) -> tuple[tuple[str, ...], Array, list[ValuesByRun]]:
+    """Names and covariance of what a fit found, and what has values in every run."""
+    return (*fit.vehicle_covariance, values_by_run(fit, fit.model.functions.vehicle))
+
+
+def save_found(
+    vehicle: Vehicle,
+    template: str | Path,
+    out: Path,
+    command: str,
+    logs: Sequence[tuple[str, Run | RunInfo]],
+    errors: tuple[float, float],
+    known: tuple[Sequence[str], Array, Sequence[ValuesByRun]],
+    **more: object,
+) -> None:
+    """Write a vehicle in the form of the file that it came from, with a history of its values.
+
+    `errors` are those before and after, `known` is as by `known_by`, and `more` goes into the history.
+    """
+    names, covariance, by_run = known
+    entry = {
+        "command": command,
+        "date": date.today().isoformat(),
+        **more,
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
+        "error_before": errors[0],
+        "error_after": errors[1],
+        **({"by_run": list(map(_history_of, by_run))} if by_run else {}),
+        "covariance": {"parameters": list(names), "matrix": covariance.tolist()},
+    }
+    save_vehicle(vehicle, template, out, history=entry)
+
+
+def _history_of(table: ValuesByRun) -> dict[str, object]:
+    """Values by run for a vehicle file."""
+    errors = table.standard_errors
+    runs = [{"run": run, "value": value, "sigma": errors[run]} for run, value in table.values.items()]
+    return {"parameter": table.parameter, "runs": runs, "spread": table.spread, "q": table.q}
+
+
+def save_diagnosis(
+    result: DiagnosisResult, template: str | Path, out: Path, command: str = "undertow diagnose"
+) -> None:
+    """Write the vehicle file with what a diagnosis found."""
+    d = result.diagnosis
+    logs, errors = [(r.role, r) for r in d.runs], (d.steps[0].error, d.last_step.error)
+    save_found(result.after, template, out, command, logs, errors, known_by(result.fit), added=d.effects)

@@ -17,12 +17,11 @@ from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .diagnose import DiagnosisResult
+from .diagnose import DiagnosisResult, roles, save_found
 from .diagnosis.result import Role, RunInfo
 from .estimation.data import inverse_of
 from .estimation.fitted import SURE, Fitted
 from .estimation.step import estimated, follower_errors, followers
-from .history import roles, save_found
 
 if TYPE_CHECKING:
     from .api import Refit

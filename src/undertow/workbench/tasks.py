@@ -26,12 +26,10 @@ from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, base_parameters, correlation, notes
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
-from undertow.identification.report.data import RunTraces
-from undertow.identification.report.page import estimate_text, render_report
-from undertow.identification.report.pictures import thinned
+from undertow.identification.report.page import estimate_text, render_report, report_data, simulated, telling
+from undertow.identification.report.pictures import RunTraces, thinned
 from undertow.identification.report.results import addition_sentence
 from undertow.identification.report.scaffold import check_id, effect_file, suggested
-from undertow.identification.report.tables import report_data, simulated, telling
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.describe import describe, equations_on
 from undertow.model.effect import Effect

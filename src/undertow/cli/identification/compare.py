@@ -56,7 +56,7 @@ def compare(
             write_whole(json, comparison.result.to_json())
         if plots is not None:
             from undertow.figures import save_pictures
-            from undertow.identification.report.tables import comparison_pictures
+            from undertow.identification.report.page import comparison_pictures
 
             drawn = save_pictures(comparison_pictures(comparison), plots)
     if plots is not None:

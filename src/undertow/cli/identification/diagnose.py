@@ -46,8 +46,7 @@ from .._options import (
     of_experiment,
     say_long,
 )
-from .._terminal import console, progress, say, section, table, text
-from .doctor import show_finding
+from .._terminal import console, progress, say, section, show_finding, table, text
 
 if TYPE_CHECKING:
     from undertow.identification.diagnose import DiagnosisResult
@@ -142,8 +141,8 @@ def _write(
 ) -> None:
     """Write the files of all experiments, and one vehicle file with what was found in any of them."""
     from undertow.files import together, write_whole
+    from undertow.identification.diagnose import save_diagnosis
     from undertow.identification.experiments import diagnosed
-    from undertow.identification.history import save_diagnosis
 
     outcomes = [outcome for outcome, *_ in written]
     with progress("writing", None), together():

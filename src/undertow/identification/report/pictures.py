@@ -1,8 +1,9 @@
-"""Pictures of a diagnosis and of a comparison; every function returns a matplotlib figure of its own."""
+"""What a report shows beside the diagnosis, as plain arrays and words, and the pictures of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 
 from undertow.errors import UndertowError
 from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, look, plain, with_unit
+from undertow.identification.compare.comparison import Profile
 from undertow.identification.diagnosis.result import Ranked, Step
 from undertow.identification.doctor.examine import Examined
 from undertow.identification.doctor.findings import percent
@@ -21,8 +23,96 @@ from undertow.identification.logs.run import UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
 
+# --- what is shown --------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Trace:
+    """One channel of one run, measured and simulated by two models; arrays of shape (n,).
+
+    `given` is simulated by the model before any fit. NaN breaks a line, None leaves it out.
+    """
+
+    channel: str
+    unit: str
+    t: Array
+    measured: Array
+    before: Array
+    after: Array | None = None
+    given: Array | None = None
+
+
+@dataclass(frozen=True)
+class RunTraces:
+    """All channels of one run; `how` says how they were simulated."""
+
+    run: str
+    traces: tuple[Trace, ...]
+    how: str = ""
+
+
+@dataclass(frozen=True)
+class ErrorMap:
+    """An error of two models by degree of freedom and regime, arrays of shape (n_rows, n_regimes).
+
+    NaN where there are no data. `quantity` is what the numbers are, with their unit; `floor` what noise alone
+    gives.
+    """
+
+    rows: tuple[str, ...]
+    regimes: tuple[str, ...]
+    before: Array
+    after: Array | None = None
+    quantity: str = "error / noise"
+    floor: float | None = 1.0
+
+
+@dataclass(frozen=True)
+class ResidualCurve:
+    """Mean residual force, in `unit`, of one degree of freedom in bins of one variable, by two models."""
+
+    unit: str
+    before: Profile
+    after: Profile | None = None
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Root mean square of every effect's force in one degree of freedom, by effect id, in `unit`."""
+
+    degree_of_freedom: str
+    unit: str
+    shares: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table in words: first row of `head`, then `rows`; every number in it carries its unit."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything that a report draws of two models, `before` and `after`, on the validation runs.
+
+    `headlines` say where the models fail most, `budgets` are those of the final model, `settings` and
+    `versions` record how it was worked out.
+    """
+
+    before: str = "model as given"
+    after: str = "with what is missing"
+    headlines: tuple[str, ...] = ()
+    maps: tuple[ErrorMap, ...] = ()
+    runs: tuple[RunTraces, ...] = ()
+    residuals: tuple[ResidualCurve, ...] = ()
+    budgets: tuple[Budget, ...] = ()
+    fits: Listing | None = None
+    settings: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+
+
+# --- pictures -------------------------------------------------------------------------------------
 _MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"
 _LOST = 3.0  # usual times between samples without one that break a line
