@@ -26,8 +26,8 @@ from tests.codegen.support import (
     vehicle_with,
 )
 from tests.quick import first_quick, quick_if
+from undertow.codegen.expressions import Inertia, find_inertia, kirchhoff
 from undertow.codegen.functions import Functions
-from undertow.codegen.rewriting import Inertia, find_inertia, kirchhoff
 from undertow.model.effect import Wrench
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import DOFS, Signals, coriolis
