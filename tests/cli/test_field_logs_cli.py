@@ -77,6 +77,21 @@ def test_the_doctor_says_of_the_table_what_it_says_of_the_log(folder: Path, caps
     assert Path("used.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_nothing_is_guessed_where_a_mapping_is_given(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    (folder / "log.toml").write_text(
+        'schema = "undertow/mapping/1"\n[columns]\n"XKF1.PD" = { channel = "z", unit = "m" }\n'
+    )
+
+    def guess(*_: object) -> None:
+        raise AssertionError("guessed")
+
+    monkeypatch.setattr("undertow.identification.logs.formats.by_name.first_mapping", guess)
+    assert main(["import", "dive.bin", "--map", "log.toml", "--out", "dive.csv"]) == 0
+    assert pl.read_csv(folder / "dive.csv").columns == ["t", "stretch", "XKF1.PD"]
+
+
 def _table_in(out: str) -> list[str]:
     return [line for line in out.splitlines() if line.strip().startswith(("surge", "sway", "heave", "yaw"))]
 
