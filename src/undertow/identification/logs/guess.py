@@ -17,8 +17,8 @@ from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .checks import MEASURABLE, in_order
-from .conversions import angles
+from .checks import MEASURABLE, far_from_usual, in_order
+from .conversions import SECONDS, angles
 from .guess_frames import (
     Axes,
     axes_of,
@@ -39,6 +39,7 @@ from .guess_names import (
     latitude_and_longitude,
     part_of_quaternion,
     rows_by_number,
+    unit_of_clock,
     with_axes,
 )
 from .guessed import Guess, GuessedMapping
@@ -248,11 +249,7 @@ def _times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: s
     """Times of the rows, s."""
     if time.column not in data:
         return seconds(table, time.column, where)[0]
-    return data[time.column] * _seconds(str(time.entry["unit"]))
-
-
-def _seconds(unit: str) -> float:
-    return {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit, 1.0)
+    return data[time.column] * SECONDS[str(time.entry["unit"])]
 
 
 def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
@@ -260,16 +257,11 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     dated = found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
-    stated, step = Name.of(found).unit, float(np.nanmedian(np.diff(times[sampled])))
-    known = stated if stated in ("s", "ms", "us", "ns") else _unit_of_time(times, step)
-    unit = "iso" if dated else known
-    rate = 1.0 / max(step * _seconds(unit), 1e-12)
+    stated, step = unit_of_clock(found), float(np.nanmedian(np.diff(times[sampled])))
+    unit = "iso" if dated else stated or _unit_of_time(times, step)
+    rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"
-    said = (
-        ""
-        if stated or dated
-        else f"{step:.4g} from {one} to {one}: that is {rate:.3g} {one}s a second if it is in {unit}; is it?"
-    )
+    said = "" if stated or dated else _asked_of_clock(step, unit, one)
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
     if rate > MEASURABLE.fast and np.all(sampled):
         asked.append(f"{rate:.3g} rows a second: every = {round(rate / MEASURABLE.enough)} would do at first")
@@ -337,9 +329,25 @@ def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
 def _unit_of_time(t: Array, step: float) -> str:
     """The unit in which a clock since 1970, or else the time from row to row, makes sense."""
     for unit in ("ns", "us", "ms"):
-        if 1e9 < float(t[0]) * _seconds(unit) < 1e10 and float(t[0]) > 1e11:
+        if 1e9 < float(t[0]) * SECONDS[unit] < 1e10 and float(t[0]) > 1e11:
             return unit
-    return next((unit for unit, least in (("ns", 5e6), ("us", 5e3), ("ms", 5.0)) if step >= least), "s")
+    return min(_GUESSED, key=lambda unit: far_from_usual(step * SECONDS[unit]))
+
+
+# Units that a clock counts without saying so; minutes, hours and days are asked about.
+_GUESSED = ("s", "ms", "us", "ns")
+
+
+def _asked_of_clock(step: float, unit: str, one: str) -> str:
+    """Ask for a unit that is not stated, with the steps in it, and in rarer ones if these fit better."""
+    as_guessed = far_from_usual(step * SECONDS[unit])
+    better = [u for u in SECONDS if far_from_usual(step * SECONDS[u]) < as_guessed]
+    here, *others = (f"{1.0 / (step * SECONDS[u]):.3g}" for u in (unit, *better))
+    rates = [
+        f"{here} {one}s a second if it is in {unit}",
+        *(f"{x} in {u}" for x, u in zip(others, better, strict=True)),
+    ]
+    return f"{step:.4g} from {one} to {one}: that is {', '.join(rates)}; {'which' if better else 'is it'}?"
 
 
 def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
