@@ -89,15 +89,17 @@ def guess_table(
     path: Path,
     vehicle: Vehicle | None = None,
     reading: LogMapping | None = None,
+    clock: Guess | None = None,
 ) -> GuessedMapping:
     """Guess what the columns of a table, or of its first rows, mean.
 
     The motions, commands and inputs of the vehicle are looked for; without one all motions are, and what
-    looks like a command keeps its name. `reading` says how the text of the table was written.
+    looks like a command keeps its name. `reading` says how the text of the table was written, `clock` what
+    its time is where that is known.
     """
     reading = reading or LogMapping()
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
-    time = _time(table, data, f"log {path}")
+    time = clock or _time(table, data, f"log {path}")
     t = _times(table, data, time, f"log {path}")
     names = with_axes(
         [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
