@@ -45,7 +45,7 @@ from .guess_names import (
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping
 from .run import FORCES, UNITS
-from .table import file_bytes, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
+from .table import file_bytes, has_dates, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
@@ -105,15 +105,15 @@ def guess_table(
         [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
     )
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
-    dead = {n.column for n in names if n.motion(only) in _MOVED and _is_dead(data[n.column])}
-    motion = _best([n for n in names if n.column not in dead], only)
+    dead = {n.column for n in names if _is_dead(data[n.column])}
+    motion = _best([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
     heading = _heading(motion, data, t)
     units = vehicle.input_units if vehicle else {}
-    driving = _commands([n for n in names if n not in motion.values()], vehicle)
+    driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
-    read = _rates_by_heading(read, {n: data[n.column] for n in names}, t)
+    read = _alike(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)
     turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
     attitude = angles(*(data[n] for n in turned)) if turned else {}
     globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
@@ -279,11 +279,15 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
     late = {n: _late(column) for n, column in data.items()}
     rising = [n for n, share in late.items() if share == 0.0]
     rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
-    texts = [n for n in table.columns if is_clock(n) and n not in data]
+    texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
     dated = [n for n in texts if not _no_dates(table, n, where)]
     named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
     # Of a table of several clocks only one has the time of every row.
-    found = min([*named, *rising], key=lambda n: (n not in named, table[n].null_count()), default=None)
+    found = min(
+        [*named, *rising],
+        key=lambda n: (n not in named, table[n].null_count(), not is_clock(n)),
+        default=None,
+    )
     if found is None:
         reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
         raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
@@ -364,11 +368,15 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
     return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
 
 
-def _commands(names: Sequence[Name], vehicle: Vehicle | None) -> dict[str, Name]:
-    """The column of each command and input: of those of the vehicle, or of whatever looks like a command."""
+def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
+    """The column of each command and input: of those of the vehicle, or of whatever looks like a command.
+
+    Of the `dead` ones, which stay as they are, a vehicle may have a thruster that was never used.
+    """
     if vehicle is None:
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
-        return {n.force or n.column: n for n in driving}
+        return {n.force or n.column: n for n in driving if n.column not in dead}
+    names = sorted(names, key=lambda n: n.column in dead)
     found: dict[str, Name] = {}
     axes = _axes(vehicle)
     for command, unit in vehicle.input_units.items():
@@ -492,6 +500,26 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
         kept.append(guess)
     taken = [g for g in kept if g.channel == "r"]
     return [g for g in kept if g.channel == "r" or g.column not in {one.column for one in taken}]
+
+
+def _alike(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
+    """The guesses with one unit for the angles of a vector, and one for its rates: degrees if any is.
+
+    A small roll alone may be in either unit; beside a heading in degrees from the same sensor it is in these.
+    """
+    unstated = {n.column: n.stem for n in names if not n.unit}
+    kinds = {c: 0 for c in POSE[3:]} | {c: 1 for c in VELOCITY[3:]}
+    degrees = {
+        (unstated[g.column], kinds[g.channel]): g.entry["unit"]
+        for g in read
+        if g.column in unstated and g.channel in kinds and g.entry["unit"] in ("deg", "deg/s")
+    }
+    found = []
+    for guess in read:
+        unit = degrees.get((unstated.get(guess.column, ()), kinds.get(guess.channel, -1)))
+        alike = unit is not None and guess.entry["unit"] != unit
+        found.append(replace(guess, entry={**guess.entry, "unit": unit}, doubt="") if alike else guess)
+    return found
 
 
 def _rate_in_si(unit: str) -> float:

@@ -63,8 +63,8 @@ _PLAIN = {
     "ned",
 }  # fmt: skip
 _DRIVES = {
-    "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
-    "propeller", "motor", "throttle", "esc", "tau",
+    "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
+    "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
@@ -150,6 +150,11 @@ class Name:
         """How far the name is from that of a plain measurement; the least wins."""
         known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN, *_EARTH_SPEEDS}
         return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
+
+    @property
+    def stem(self) -> tuple[str, ...]:
+        """The words without those for a direction: those that the components of one vector share."""
+        return tuple(w for w in self.words if w not in {*_TURNS, *_MOVES, *_PLACES})
 
     def motion(self, only: int | None = None) -> str:
         """The channel of pose or velocity that the name means; "" for none.

@@ -98,8 +98,8 @@ def _motors(log: FieldLog, unknown: Sequence[str]) -> list[str]:
 
 _MOVES = "? by the name a velocity that no other column is"
 _VELOCITIES = (
-    """Columns called like a velocity of the vehicle that is not `known`, as far as they change."""
-    'axes? Then give each its channel ("u", "v", "w", "p", "q", "r") under [columns]'
+    "{}: by the name velocities, which no other column is known to be: are they, in what unit and along "
+    'which axes? Then give each its channel ("u", "v", "w", "p", "q", "r") under [columns]'
 )
 
 
