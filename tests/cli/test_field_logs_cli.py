@@ -77,6 +77,31 @@ def test_the_doctor_says_of_the_table_what_it_says_of_the_log(folder: Path, caps
     assert Path("used.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_nothing_is_guessed_where_a_mapping_is_given(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    (folder / "log.toml").write_text(
+        'schema = "undertow/mapping/1"\n[columns]\n"XKF1.PD" = { channel = "z", unit = "m" }\n'
+    )
+
+    def guess(*_: object) -> None:
+        raise AssertionError("guessed")
+
+    monkeypatch.setattr("undertow.identification.logs.formats.by_name.first_mapping", guess)
+    assert main(["import", "dive.bin", "--map", "log.toml", "--out", "dive.csv"]) == 0
+    assert pl.read_csv(folder / "dive.csv").columns == ["t", "stretch", "XKF1.PD"]
+
+
+def test_motors_of_another_number_are_asked_about_and_nothing_else_is_taken_for_a_command(
+    folder: Path, capsys: Capture
+) -> None:
+    assert main(["map", "new", "dive.bin", "--vehicle", "mini-auv", "--out", "log.toml"]) == 0
+    assert "the log has 8 motors, the vehicle has 4 commands without a column" in capsys.readouterr().out
+    meaning = read_mapping("log.toml")
+    assert not {"f1", "f2", "f3", "f4"} & {column.channel for column in meaning.columns.values()}
+    assert [name.split(".")[0] for name in meaning.ignore] == ["RCOU"] * 8
+
+
 def _table_in(out: str) -> list[str]:
     return [line for line in out.splitlines() if line.strip().startswith(("surge", "sway", "heave", "yaw"))]
 

@@ -218,6 +218,20 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     assert "degrees and minutes" in reason
 
 
+@pytest.mark.parametrize(
+    ("column", "seconds", "unit"), [("Time (min)", 60, "min"), ("t_hours", 3600, "h"), ("t", 60, "s")]
+)
+def test_a_clock_has_the_unit_that_its_name_states_or_is_asked_about(
+    column: str, seconds: float, unit: str
+) -> None:
+    t = np.arange(0.0, 20.0, 0.05)
+    time = guess_table(pl.DataFrame({column: t / seconds, "u": np.sin(t)}), Path("log.csv")).time
+    assert (time.column, time.entry["unit"]) == (column, unit)
+    rates = "0.0008333 from row to row: that is 1.2e+03 rows a second if it is in s, 20 in min"
+    assert time.doubt.startswith("" if column != "t" else rates)
+    assert not time.doubt or column == "t"
+
+
 def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None:
     t = np.arange(0.0, 100.0, 0.1)
     t[500], t[-1] = t[499], np.nan

@@ -173,6 +173,13 @@ def test_a_type_has_the_motions_that_are_asked_for(capsys: Capture, tmp_path: Pa
     assert message in refusal([*words("asv"), "--dof", "surge,heave"], capsys, tmp_path)
 
 
+def test_a_rudder_is_refused_without_a_speed_that_gives_it_force(capsys: Capture, tmp_path: Path) -> None:
+    """A model in yaw alone has no speed ahead, whose square the force of a rudder grows with."""
+    said = refusal([*words("ship"), "--dof", "yaw"], capsys, tmp_path)
+    assert "without whose speed 'rudder' makes no force: give --dof surge,yaw" in said
+    assert main([*words("asv"), "--dof", "yaw", "--out", "my.toml"]) == 0, "propellers push at rest"
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

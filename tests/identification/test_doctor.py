@@ -360,6 +360,18 @@ def test_velocities_that_are_late(auv: Case) -> None:
     assert found.evidence["delay"] == pytest.approx(0.3, abs=0.02)
 
 
+def test_a_slow_sensor_that_is_late_gets_fresh_beside_its_delay(usv: Case, read: Callable[..., Run]) -> None:
+    """Half of the time between new values is no delay of the sensor, and must not be written as one."""
+    (columns,) = usv.runs.values()
+    t, late = columns["t"], 0.3
+    new = np.arange(len(t)) // 8 * 8
+    held = np.interp(t[new] - late, t, columns["psi"])
+    examined = _doctored(usv, lambda c: {**c, "psi": held}, read)
+    psi = edited(LogMapping(), examined.edits).columns["psi"]
+    assert psi.fresh == "psi"
+    assert float(str(psi.delay).split(" ")[0]) == pytest.approx(late, abs=0.03)
+
+
 def test_clocks_that_drift_apart(auv: Case) -> None:
     (columns,) = auv.runs.values()
     result = examine(vehicle_of(auv), [run_of("drifting", broken.late(0.1, drift=0.5)(columns))]).result

@@ -156,7 +156,7 @@ def test_degrees_that_jump_are_found_beside_turning_rates(tmp_path: Path, slow: 
     assert not examine(vehicle, [run], mapping=mended).result.mistakes
 
 
-@pytest.mark.parametrize(("rows", "minutes"), [(270, False), (100, True)])
+@pytest.mark.parametrize(("rows", "minutes"), [(270, False), (100, True), (1000, True)])
 def test_a_radian_has_other_degrees_than_a_minute_has_seconds(
     tmp_path: Path, rows: int, minutes: bool
 ) -> None:

@@ -96,6 +96,13 @@ def typed_vehicle(kind: str, size: MainDimensions, name: str, motions: tuple[str
     dofs = own if motions is None else motions
     if foreign := [d for d in dofs if d not in own]:
         raise UndertowError(f"--type {kind} has no {', '.join(foreign)}: choose from {', '.join(own)}")
+    surfaces = [h.name for h in hardware if not h.at_rest]
+    if surfaces and "surge" not in dofs:
+        raise UndertowError(
+            f"--dof {','.join(dofs)} leaves out surge, without whose speed '{surfaces[0]}' makes no force: "
+            f"give --dof {','.join(['surge', *dofs])}; of a log without a speed, state a constant one as u "
+            "under [channels] in the mapping file"
+        )
     extents = f"{size.length:g} x {size.beam:g} x {size.height:g} m"
     return vehicle_text(
         made_from=f"the type {kind}, {extents} and {size.mass:g} kg",

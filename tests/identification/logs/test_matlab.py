@@ -11,6 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
@@ -123,6 +124,16 @@ def test_dates_of_matlab_count_from_the_start(tmp_path: Path) -> None:
     t = 739_000.25 + np.arange(30) / 86400.0
     log = read_field_log(_written(tmp_path, {"time": t, "depth": np.linspace(0, 5, 30)}))
     assert log.series["workspace"].t == pytest.approx(np.arange(30.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["time_min", "Time_minutes"])
+def test_the_unit_of_a_converted_clock_is_not_asked_for(tmp_path: Path, name: str) -> None:
+    t = np.arange(30) * 0.5
+    log = read_field_log(_written(tmp_path, {"tank": {name: t / 60, "carriage": np.sin(t)}}))
+    assert log.series["tank"].t == pytest.approx(t)
+    guessed = first_mapping(log)
+    assert guessed.time.entry == {"column": "t", "unit": "s"}
+    assert not [question for question in guessed.asked if question.startswith("t:")]
 
 
 def test_a_clock_since_1970_counts_from_the_start(tmp_path: Path) -> None:

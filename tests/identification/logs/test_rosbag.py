@@ -183,6 +183,20 @@ def test_commands_that_no_column_is_called_like_are_asked_for(tmp_path: Path) ->
     assert found.meaning.ignore == others
 
 
+def test_velocities_in_plain_vectors_are_asked_about(tmp_path: Path) -> None:
+    """A vector says neither unit nor axes; one that no name calls a velocity, or of zeros, is none."""
+    with BagWriter(tmp_path / "boat.bag") as out:
+        for k, t in enumerate(map(float, dive().t)):
+            pose = {"x": dive().pose[k, 0], "y": dive().pose[k, 1], "theta": dive().pose[k, 5]}
+            out.write("/NED_pose", t, out.message("geometry_msgs/msg/Pose2D", **pose))
+            out.write("/local_vel", t, out.vector(*dive().velocity[k, :2], 0.0))
+            out.write("/magnetic_field", t, out.vector(0.2, 0.1 * k, 0.4))
+    found = first_mapping(read_field_log(out.path))
+    (asked,) = found.questions
+    assert asked.startswith("/local_vel.x, /local_vel.y: by the name velocities, which no other column is")
+    assert found.meaning.ignore == ("/local_vel.x", "/local_vel.y"), "an import writes them, too"
+
+
 _DVL = """
 uint8 DVL_MODE_BOTTOM=1
 uint8 DVL_MODE_WATER=2

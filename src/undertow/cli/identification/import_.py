@@ -57,7 +57,7 @@ def import_(
 ) -> None:
     from undertow.identification.logs.formats.by_name import first_mapping
     from undertow.identification.logs.formats.fieldlog import read_field_log
-    from undertow.identification.logs.mapping import mapping_text, read_mapping
+    from undertow.identification.logs.mapping import LogMapping, mapping_text, read_mapping
     from undertow.identification.logs.opening import columns_read
     from undertow.model.loading import load_vehicle
 
@@ -74,13 +74,13 @@ def import_(
     if target is None or beside is None:
         section(f"{log}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()]))
         return
-    guessed = first_mapping(found, model)
-    meaning = given or guessed.meaning
-    text = mapping_text(given) if given else guessed.text()
+    guessed = None if given else first_mapping(found, model)
+    meaning = guessed.meaning if guessed else given or LogMapping()
+    text = guessed.text() if guessed else mapping_text(meaning)
     _write(found.table([*columns_read(meaning), *meaning.ignore]), target, text, beside)
     if not _has_motion(meaning):
         say(f"no column is recognised as a motion: {target} has all of them", "yellow")
-    if not given:
+    if guessed:
         show_guesses(guessed, log)
     say(f"the meaning of the columns is in {beside}: correct it there if it is wrong")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -42,7 +42,7 @@ from .mistakes import (
     other_time_unit,
     reading_mistakes,
 )
-from .sampling import DROP, excitation, excitation_findings, sampling
+from .sampling import DROP, excitation, excitation_findings, held_channels, read_when_new, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
 from .signs import WIRING, by_signs, lost_signs, signs_of, suspected
 
@@ -221,6 +221,15 @@ class _Examiner:
             text = f"{unit.clause}: only then do pose rates and velocities have the same size"
             self._undo(Explanation(unit, text, {}), impossible=True)
         self._mend_angles([n for n in self.vehicle.pose_names if n not in self.kinematics.rows])
+        self._read_when_new(names)
+
+    def _read_when_new(self, names: Sequence[str]) -> None:
+        """Undo the repeats of sensors slower than the log: held values would look like a delay."""
+        held = held_channels(self.runs, names, self.mapping)
+        if held:
+            self.runs = [self._afresh(run, lambda r: read_when_new(r, held)) for run in self.runs]
+            self.kinematics = Kinematics(self.runs, self.vehicle)
+            self._write([edit for edits in held.values() for edit in edits])
 
     def _mend_angles(self, names: Sequence[str]) -> None:
         """Undo what angles show by themselves: degrees, of those named, and jumps."""
@@ -370,7 +379,7 @@ class _Examiner:
         self.kinematics = Kinematics(self.runs, self.vehicle)
         self._write(edits)
 
-    def _write(self, edits: Edits) -> None:
+    def _write(self, edits: Iterable[Edit]) -> None:
         self.mapping = edited(self.mapping, edits)
         self.edits += edits
 

@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 
+from undertow.identification.logs.conversions import SECONDS
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
     LogMapping,
@@ -18,7 +19,7 @@ from undertow.identification.logs.mapping import (
     velocity_to_body,
     velocity_to_earth,
 )
-from undertow.identification.logs.run import Run, unwrapped, with_reports
+from undertow.identification.logs.run import Run, far_from_usual, unwrapped, with_reports
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array
@@ -175,18 +176,12 @@ class PlausibilitySettings:
     ratio: float = 0.3
     # Factor beyond which no unit of a command is off: kN, percent, microseconds and rpm are within.
     command: float = 2e4
-    # quick, slow: usual steps, s, between which vehicles are logged: at 0.2 to 250 Hz. A log that is outside
-    # as it is read, and inside in another unit of time, is likelier in that than anything else is wrong with
-    # it.
-    quick: float = 0.004
-    slow: float = 5.0
     samples: int = 4000  # samples that are looked at, the most_active: more would only cost time
 
 
 PLAUSIBLE = PlausibilitySettings()
 
 
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 # Units that people log in, the likelier first; the unit of a velocity stands below that of its position.
 _LENGTHS = {"m": "m/s", "mm": "mm/s", "cm": "cm/s", "ft": "ft/s"}
 _SPEEDS = ("m/s", "mm/s", "cm/s", "knot", "km/h", "ft/s")
@@ -217,21 +212,18 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMap
 
 
 def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
-    """Units of the time column in which logs have a usual step, where they have none as they are read."""
+    """Units of the time column in which logs have a step that is usual, or nearer to that than as read."""
     step = float(np.median(np.concatenate([np.diff(run.t) for run in runs])))
-    if PLAUSIBLE.quick <= step <= PLAUSIBLE.slow:
-        return
-    for mistake, factor in _time_units(mapping):
-        if PLAUSIBLE.quick <= factor * step <= PLAUSIBLE.slow:
-            yield mistake, factor
+    as_read = far_from_usual(step)
+    yield from ((m, factor) for m, factor in _time_units(mapping) if far_from_usual(factor * step) < as_read)
 
 
 def _time_units(mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
     """Every other unit of the time column, and what it multiplies times by."""
     unit = mapping.time.unit
-    for other, seconds in _SECONDS.items():
-        if unit in _SECONDS and other != unit:
-            factor = seconds / _SECONDS[unit]
+    for other, seconds in SECONDS.items():
+        if unit in SECONDS and other != unit:
+            factor = seconds / SECONDS[unit]
             yield (
                 Mistake(
                     "time_unit",

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from undertow.identification.estimation.data import channel_noise, noise_by_order
 from undertow.identification.logs.mapping import LogMapping
-from undertow.identification.logs.run import FORCES, MEASURABLE, UNITS, Run
+from undertow.identification.logs.run import FORCES, MEASURABLE, UNITS, Run, with_report_noise, with_reports
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import DofExcitation, Edit, Finding, as_toml, column_edit
+from .findings import DofExcitation, Edit, Edits, Finding, as_toml, column_edit
 
 
 @dataclass(frozen=True)
@@ -206,16 +206,34 @@ def _held(runs: Sequence[Run], name: str, mapping: LogMapping) -> Finding | None
     if len(periods) < len(runs):
         return None
     rows, seconds = (float(np.median([p[i] for p in periods])) for i in (0, 1))
-    edit = column_edit(mapping, name)
-    held = () if edit.table == "channels" else (column_edit(mapping, name, fresh=edit.key),)
     return Finding(
         id="held_values",
         severity="warning",
         text=f"{name} has a new value only every {rows:.1f} rows ({seconds:.3g} s) and repeats the last one "
         f"in between: rows are up to {seconds:.2g} s late",
         evidence={"rows": rows, "seconds": seconds},
-        mapping=as_toml(held),
+        mapping=as_toml(_fresh(name, mapping)),
     )
+
+
+def _fresh(name: str, mapping: LogMapping) -> Edits:
+    """What lets a channel report when its value changes; nothing of a formula."""
+    edit = column_edit(mapping, name)
+    return () if edit.table == "channels" else (column_edit(mapping, name, fresh=edit.key),)
+
+
+def held_channels(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> dict[str, Edits]:
+    """Channels that repeat their values in between, and the changes of a mapping file that end that."""
+    held = [name for name in channels if _held(runs, name, mapping) is not None]
+    return {name: edits for name in held if (edits := _fresh(name, mapping))}
+
+
+def read_when_new(run: Run, names: Iterable[str]) -> Run:
+    """A run whose channels report only where their values change, as `fresh` in a mapping file says."""
+    repeats = {n: np.diff(run.channels[n], prepend=np.nan) == 0.0 for n in names if run.has(n)}
+    reports = {n: np.where(again, np.nan, run.channels[n]) for n, again in repeats.items()}
+    reported = {**run.reported, **{n: np.isfinite(values) for n, values in reports.items()}}
+    return with_report_noise(with_reports(replace(run, reported=reported), reports))
 
 
 def _period(run: Run, name: str) -> tuple[float, float] | None:

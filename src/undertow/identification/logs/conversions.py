@@ -11,6 +11,8 @@ from undertow.typing import Array
 from .mapping import Column
 
 ANGLES = ("phi", "theta", "psi")
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
+"""Seconds in the units that clocks count, the likelier first."""
 
 
 def angles(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from undertow.model.tables import TURNS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .conversions import angles
+from .conversions import SECONDS, angles
 from .guess_frames import (
     Axes,
     axes_of,
@@ -38,12 +38,13 @@ from .guess_names import (
     latitude_and_longitude,
     part_of_quaternion,
     rows_by_number,
+    unit_of_clock,
     with_axes,
 )
 from .guessed import Guess, GuessedMapping
 from .mapping import LogMapping
-from .run import FORCES, MEASURABLE, UNITS, later_than_before
-from .table import file_bytes, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
+from .run import FORCES, MEASURABLE, UNITS, far_from_usual, later_than_before
+from .table import file_bytes, has_dates, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
@@ -87,29 +88,31 @@ def guess_table(
     path: Path,
     vehicle: Vehicle | None = None,
     reading: LogMapping | None = None,
+    clock: Guess | None = None,
 ) -> GuessedMapping:
     """Guess what the columns of a table, or of its first rows, mean.
 
     The motions, commands and inputs of the vehicle are looked for; without one all motions are, and what
-    looks like a command keeps its name. `reading` says how the text of the table was written.
+    looks like a command keeps its name. `reading` says how the text of the table was written, `clock` what
+    its time is where that is known.
     """
     reading = reading or LogMapping()
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
-    time = _time(table, data, f"log {path}")
+    time = clock or _time(table, data, f"log {path}")
     t = _times(table, data, time, f"log {path}")
     names = with_axes(
         [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
     )
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
-    dead = {n.column for n in names if n.motion(only) in _MOVED and _is_dead(data[n.column])}
-    motion = _best([n for n in names if n.column not in dead], only)
+    dead = {n.column for n in names if _is_dead(data[n.column])}
+    motion = _best([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
     heading = _heading(motion, data, t)
     units = vehicle.input_units if vehicle else {}
-    driving = _commands([n for n in names if n not in motion.values()], vehicle)
+    driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
-    read = _rates_by_heading(read, {n: data[n.column] for n in names}, t)
+    read = _alike(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)
     turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
     attitude = angles(*(data[n] for n in turned)) if turned else {}
     globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
@@ -247,11 +250,7 @@ def _times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: s
     """Times of the rows, s."""
     if time.column not in data:
         return seconds(table, time.column, where)[0]
-    return data[time.column] * _seconds(str(time.entry["unit"]))
-
-
-def _seconds(unit: str) -> float:
-    return {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit, 1.0)
+    return data[time.column] * SECONDS[str(time.entry["unit"])]
 
 
 def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
@@ -259,16 +258,11 @@ def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
     dated = found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
-    stated, step = Name.of(found).unit, float(np.nanmedian(np.diff(times[sampled])))
-    known = stated if stated in ("s", "ms", "us", "ns") else _unit_of_time(times, step)
-    unit = "iso" if dated else known
-    rate = 1.0 / max(step * _seconds(unit), 1e-12)
+    stated, step = unit_of_clock(found), float(np.nanmedian(np.diff(times[sampled])))
+    unit = "iso" if dated else stated or _unit_of_time(times, step)
+    rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"
-    said = (
-        ""
-        if stated or dated
-        else f"{step:.4g} from {one} to {one}: that is {rate:.3g} {one}s a second if it is in {unit}; is it?"
-    )
+    said = "" if stated or dated else _asked_of_clock(step, unit, one)
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
     if rate > MEASURABLE.fast and np.all(sampled):
         asked.append(f"{rate:.3g} rows a second: every = {round(rate / MEASURABLE.enough)} would do at first")
@@ -284,11 +278,15 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
     late = {n: _late(column) for n, column in data.items()}
     rising = [n for n, share in late.items() if share == 0.0]
     rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
-    texts = [n for n in table.columns if is_clock(n) and n not in data]
+    texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
     dated = [n for n in texts if not _no_dates(table, n, where)]
     named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
     # Of a table of several clocks only one has the time of every row.
-    found = min([*named, *rising], key=lambda n: (n not in named, table[n].null_count()), default=None)
+    found = min(
+        [*named, *rising],
+        key=lambda n: (n not in named, table[n].null_count(), not is_clock(n)),
+        default=None,
+    )
     if found is None:
         reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
         raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
@@ -336,9 +334,25 @@ def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
 def _unit_of_time(t: Array, step: float) -> str:
     """The unit in which a clock since 1970, or else the time from row to row, makes sense."""
     for unit in ("ns", "us", "ms"):
-        if 1e9 < float(t[0]) * _seconds(unit) < 1e10 and float(t[0]) > 1e11:
+        if 1e9 < float(t[0]) * SECONDS[unit] < 1e10 and float(t[0]) > 1e11:
             return unit
-    return next((unit for unit, least in (("ns", 5e6), ("us", 5e3), ("ms", 5.0)) if step >= least), "s")
+    return min(_GUESSED, key=lambda unit: far_from_usual(step * SECONDS[unit]))
+
+
+# Units that a clock counts without saying so; minutes, hours and days are asked about.
+_GUESSED = ("s", "ms", "us", "ns")
+
+
+def _asked_of_clock(step: float, unit: str, one: str) -> str:
+    """Ask for a unit that is not stated, with the steps in it, and in rarer ones if these fit better."""
+    as_guessed = far_from_usual(step * SECONDS[unit])
+    better = [u for u in SECONDS if far_from_usual(step * SECONDS[u]) < as_guessed]
+    here, *others = (f"{1.0 / (step * SECONDS[u]):.3g}" for u in (unit, *better))
+    rates = [
+        f"{here} {one}s a second if it is in {unit}",
+        *(f"{x} in {u}" for x, u in zip(others, better, strict=True)),
+    ]
+    return f"{step:.4g} from {one} to {one}: that is {', '.join(rates)}; {'which' if better else 'is it'}?"
 
 
 def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
@@ -353,11 +367,15 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
     return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
 
 
-def _commands(names: Sequence[Name], vehicle: Vehicle | None) -> dict[str, Name]:
-    """The column of each command and input: of those of the vehicle, or of whatever looks like a command."""
+def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
+    """The column of each command and input: of those of the vehicle, or of whatever looks like a command.
+
+    Of the `dead` ones, which stay as they are, a vehicle may have a thruster that was never used.
+    """
     if vehicle is None:
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
-        return {n.force or n.column: n for n in driving}
+        return {n.force or n.column: n for n in driving if n.column not in dead}
+    names = sorted(names, key=lambda n: n.column in dead)
     found: dict[str, Name] = {}
     axes = _axes(vehicle)
     for command, unit in vehicle.input_units.items():
@@ -481,6 +499,26 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
         kept.append(guess)
     taken = [g for g in kept if g.channel == "r"]
     return [g for g in kept if g.channel == "r" or g.column not in {one.column for one in taken}]
+
+
+def _alike(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
+    """The guesses with one unit for the angles of a vector, and one for its rates: degrees if any is.
+
+    A small roll alone may be in either unit; beside a heading in degrees from the same sensor it is in these.
+    """
+    unstated = {n.column: n.stem for n in names if not n.unit}
+    kinds = {c: 0 for c in POSE[3:]} | {c: 1 for c in VELOCITY[3:]}
+    degrees = {
+        (unstated[g.column], kinds[g.channel]): g.entry["unit"]
+        for g in read
+        if g.column in unstated and g.channel in kinds and g.entry["unit"] in ("deg", "deg/s")
+    }
+    found = []
+    for guess in read:
+        unit = degrees.get((unstated.get(guess.column, ()), kinds.get(guess.channel, -1)))
+        alike = unit is not None and guess.entry["unit"] != unit
+        found.append(replace(guess, entry={**guess.entry, "unit": unit}, doubt="") if alike else guess)
+    return found
 
 
 def _rate_in_si(unit: str) -> float:

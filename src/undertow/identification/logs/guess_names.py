@@ -9,6 +9,7 @@ from itertools import pairwise
 
 from undertow.model.symbols import POSE, VELOCITY
 
+from .conversions import SECONDS
 from .run import FORCES
 
 _UNITS = {
@@ -62,8 +63,8 @@ _PLAIN = {
     "ned",
 }  # fmt: skip
 _DRIVES = {
-    "cmd", "command", "thruster", "thrust", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop", "rev",
-    "propeller", "motor", "throttle", "esc", "tau",
+    "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
+    "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
@@ -108,6 +109,13 @@ _COUNTS = {
 }  # fmt: skip
 _COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "n": "rev/s", "angle": "rad", "throttle": "command"}
 _BY_UNIT, NO_FIT = 2.9, 9.0
+# Units of clocks. As the last word of another name some of them mean something else: the least, a height.
+_OF_CLOCKS = {
+    "second": "s", "seconds": "s", "secs": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms",
+    "usec": "us", "micros": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "min": "min",
+    "mins": "min", "minutes": "min", "h": "h", "hr": "h", "hrs": "h", "hour": "h", "hours": "h",
+    "day": "day", "days": "day",
+}  # fmt: skip
 _GLOBE = ({"lat", "latitude"}, {"lon", "lng", "long", "longitude"})
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
@@ -142,6 +150,11 @@ class Name:
         """How far the name is from that of a plain measurement; the least wins."""
         known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN, *_EARTH_SPEEDS}
         return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
+
+    @property
+    def stem(self) -> tuple[str, ...]:
+        """The words without those for a direction: those that the components of one vector share."""
+        return tuple(w for w in self.words if w not in {*_TURNS, *_MOVES, *_PLACES})
 
     def motion(self, only: int | None = None) -> str:
         """The channel of pose or velocity that the name means; "" for none.
@@ -335,6 +348,16 @@ def is_wanted(name: str) -> bool:
 def is_clock(name: str) -> bool:
     """Whether a word in the name of a column means time."""
     return bool(set(Name.of(name).words) & _TIMES)
+
+
+def unit_of_clock(name: str) -> str:
+    """The unit that the name of a clock states, such as "Time (min)" or "t_hours"; "" for none."""
+    bracket = re.search(r"[\[(]([^\])]*)[\])]", name)
+    known, words = Name.of(name).unit, re.split(r"[^a-z]+", name.lower())
+    if known in SECONDS:
+        return known
+    stated = bracket[1].strip().lower() if bracket else words[-1] if len(words) > 1 else ""
+    return _OF_CLOCKS.get(stated, "")
 
 
 def is_time(name: str) -> bool:

@@ -577,6 +577,15 @@ class Measurable:
     # Samples a second beyond which a vehicle moves more slowly than it is logged, and as many as will do.
     fast: float = 50.0
     enough: float = 20.0
+    # quick, slow: steps, s, between which vehicles are usually logged: at 0.2 to 250 Hz. Of two units of a
+    # clock the one in which its steps are nearer to these is the likelier.
+    quick: float = 0.004
+    slow: float = 5.0
 
 
 MEASURABLE = Measurable()
+
+
+def far_from_usual(step: float) -> float:
+    """Factor, as a logarithm, by which a step, s, is shorter or longer than those of vehicles; 0 if usual."""
+    return float(max(0.0, np.log(MEASURABLE.quick) - np.log(step), np.log(step) - np.log(MEASURABLE.slow)))

@@ -587,7 +587,7 @@ def padded(stamps: pl.Series) -> pl.Series:
 
     Some loggers write 93 ms and 992 ms as ".93" and ".992".
     """
-    stamps = stamps.str.strip_chars()
+    stamps = _as_iso(stamps)
     parts = stamps.str.extract_groups(_FRACTION).struct
     digits = parts.field("2").str.len_chars()
     if digits.null_count() or digits.min() == digits.max():
@@ -597,12 +597,29 @@ def padded(stamps: pl.Series) -> pl.Series:
     return texts if whole.is_sorted() and not as_written.is_sorted() else stamps
 
 
+# A date whose year comes first means the same whatever is between its numbers.
+_DATE = r"^(\d{4})[-/._](\d{2})[-/._](\d{2})[T_ ]+(\d{2}:\d{2})"
+_AFTER_SECONDS = r"^(\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2})[,:](\d+)"
+
+
+def _as_iso(stamps: pl.Series) -> pl.Series:
+    """Texts of dates with the signs of ISO 8601 between their numbers."""
+    stamps = stamps.str.strip_chars().str.replace(_DATE, "$1-$2-${3}T$4")
+    return stamps.str.replace(_AFTER_SECONDS, "$1.$2")
+
+
+def has_dates(column: pl.Series) -> bool:
+    """Tell whether the first text of a column is a date with the time of day."""
+    first = column.drop_nulls().first() if column.dtype == pl.String else None
+    return first is not None and bool(_as_iso(pl.Series([str(first)])).str.contains(_DATE)[0])
+
+
 def lacking_zeros(table: pl.DataFrame, name: str) -> list[str]:
     """A note on fractions of a second that were read with zeros before them, none where there are none."""
     stamps = _plain(table[name])
     if stamps.dtype != pl.String:
         return []
-    changed = (padded(stamps) != stamps.str.strip_chars()).arg_true()
+    changed = (padded(stamps) != _as_iso(stamps)).arg_true()
     if not len(changed):
         return []
     return [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,12 @@ import polars as pl
 from undertow.errors import UndertowError
 from undertow.identification.logs.guess import NO_COLUMN, SETTINGS, guess_table
 from undertow.identification.logs.guess_frames import Axes
-from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number
+from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
 from undertow.identification.logs.guessed import Guess, GuessedMapping
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
 from undertow.identification.logs.run import MEASURED, UNITS
 from undertow.model.catalogue import catalogue, logged_quantities
+from undertow.model.symbols import VELOCITY
 from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 
@@ -58,14 +59,17 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     """
     meaning = log.mapping_for(vehicle.command_names if vehicle else ())
     every = [f"{one.name}.{column}" for one in log.series.values() for column in one.columns]
-    held = LogMapping(missing_commands="hold")
+    held, clock = LogMapping(missing_commands="hold"), Guess(TIME, {"column": TIME, "unit": "s"})
     known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
     if not MEASURED & {guess.channel for guess in known}:
-        return guess_table(log.table(every), log.path, vehicle, held)
+        return guess_table(log.table(every), log.path, vehicle, held, clock)
+    moving = _may_move(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]
     left = [n for n in every if lacking and n not in meaning.columns and _may_drive(n, lacking)]
-    guessed = guess_table(log.table(left), log.path, vehicle, held).columns if left else ()
+    if lacking and log.actuators:  # they are as many as the vehicle has not
+        left = [name for name, _ in log.actuators]
+    guessed = guess_table(log.table(left), log.path, vehicle, held, clock).columns if left else ()
     found = [guess for guess in guessed if guess.channel in lacking]
     unknown = [c for c in lacking if c not in {guess.channel for guess in found}]
     others = tuple(n for n in left if unknown and n not in {guess.column for guess in found})
@@ -74,10 +78,42 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
         Guess(meaning.time.column, meaning.time.model_dump(exclude_defaults=True) or {"column": TIME}),
         (*known, *found),
         Axes(meaning.frames.model_dump(exclude_none=True, exclude_defaults=True)),
-        {"? may drive the vehicle": others} if others else {},
+        {reason: left for reason, left in (("? may drive the vehicle", others), (_MOVES, moving)) if left},
         held if found else meaning,
-        tuple(NO_COLUMN.format(command) for command in unknown),
+        (
+            *(_motors(log, unknown) if log.actuators else map(NO_COLUMN.format, unknown)),
+            *([_VELOCITIES.format(", ".join(moving))] if moving else []),
+        ),
     )
+
+
+def _motors(log: FieldLog, unknown: Sequence[str]) -> list[str]:
+    """What to ask where the log is known to have motors, though not as many as the vehicle."""
+    asked = (
+        f"the log has {len(log.actuators)} motors, the vehicle has {len(unknown)} commands without a column "
+        f"({', '.join(unknown)}): is it the vehicle of this log? If so, which motor is which command?"
+    )
+    return [asked] if unknown else []
+
+
+_MOVES = "? by the name a velocity that no other column is"
+_VELOCITIES = (
+    "{}: by the name velocities, which no other column is known to be: are they, in what unit and along "
+    'which axes? Then give each its channel ("u", "v", "w", "p", "q", "r") under [columns]'
+)
+
+
+def _may_move(log: FieldLog, known: Set[str], vehicle: Vehicle | None) -> tuple[str, ...]:
+    """Columns whose names mean a velocity of the vehicle that is not `known`, and that change."""
+    wanted = {*(vehicle.velocity_names if vehicle else VELOCITY)} - known
+    every = {f"{one.name}.{column}": (one, column) for one in log.series.values() for column in one.columns}
+    names = [n for n in with_axes([*map(Name.of, every)]) if n.motion() in wanted and not n.along_earth]
+    return tuple(n.column for n in names if _changes(*every[n.column]))
+
+
+def _changes(one: Series, column: str) -> bool:
+    values = one.columns[column]
+    return bool(np.any(values[1:] != values[:1]))
 
 
 def _may_drive(column: str, commands: Sequence[str]) -> bool:

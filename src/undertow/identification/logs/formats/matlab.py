@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.guess_names import Name, is_time
+from undertow.identification.logs.conversions import SECONDS
+from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
 from undertow.identification.logs.run import FORCES
 from undertow.model.symbols import POSE
 from undertow.typing import Array
@@ -26,7 +27,6 @@ from .by_name import guessed
 from .fieldlog import FieldLog, Format, Series, library
 
 _WORKSPACE = "workspace"
-_SECONDS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 # Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
 _MOVES = ("surge", "sway", "heave", "p", "q", "r")
 _SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
@@ -175,7 +175,7 @@ def _seconds(name: str, values: Array) -> Array | None:
         return None
     if SETTINGS.dates[0] < t[0] < SETTINGS.dates[1] and t[-1] - t[0] < 366:
         return (t - t[0]) * 86400.0
-    return t * _SECONDS.get(Name.of(name).unit, 1.0)
+    return t * SECONDS.get(unit_of_clock(name), 1.0)
 
 
 def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int, dict[str, Array]]:
