@@ -539,7 +539,7 @@ def _mass_finding(mass: dict[str, float], gain: Gain, moved: dict[str, float]) -
         f"{mass['found']:.4g} ± {mass['error']:.2g} kg; {reason}",
         evidence=mass,
         vehicle=f'[effects.rigid_body] m = "{mass["found"]:.4g} kg" (the mass with the water inside)',
-        alternatives=["for for water that moves along but weighs nothing: undertow add entrained_water"],
+        alternatives=["for water that moves along but weighs nothing: undertow add entrained_water"],
     )
 
 

@@ -28,6 +28,7 @@ from .pictures import (
     ranking,
     residual_against,
 )
+from .sentences import sure_in_words
 
 
 @dataclass(frozen=True)
@@ -150,6 +151,7 @@ def _template() -> Template:
         percent,
         prior_text,
         quantity,
+        sure_in_words,
         with_error,
         unit_text,
     ]
