@@ -546,6 +546,16 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
     assert "thr_left_zero" in found.ignored["never changes: measured by nothing, or held"]
 
 
+def test_a_first_mapping_reads_a_log_whose_commands_have_gaps(case: Path) -> None:
+    table = pl.read_csv(case / "train.csv")
+    gaps = pl.when(pl.int_range(pl.len()) % 7 > 0).then(pl.col("f1"))
+    table.with_columns(f1=gaps).write_csv(case / "own.csv")
+    assert main(["map", "new", "own.csv", "--vehicle", "usv.toml", "--out", "log.toml"]) == 0
+    assert read_mapping(case / "log.toml").missing_commands == "hold"
+    assert "commands without a value in some rows (f1)" in (case / "log.toml").read_text()
+    assert np.all(np.isfinite(_read(case, "own.csv")["f1"]))
+
+
 def test_texts_among_numbers_are_asked_about(tmp_path: Path) -> None:
     c = _swinging()
     rate = [f"{r:.3f}" for r in np.gradient(c["psi"], 0.1)]
