@@ -9,9 +9,9 @@ from itertools import product
 
 import numpy as np
 
-from undertow.identification.logs.conversions import SECONDS
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
+    SECONDS,
     LogMapping,
     swap_attitude,
     swap_body,

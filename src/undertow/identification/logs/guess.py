@@ -17,7 +17,6 @@ from undertow.model.tables import TURNS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .conversions import SECONDS, angles
 from .guess_frames import (
     Axes,
     axes_of,
@@ -42,7 +41,7 @@ from .guess_names import (
     with_axes,
 )
 from .guessed import Guess, GuessedMapping
-from .mapping import LogMapping
+from .mapping import SECONDS, LogMapping, angles
 from .run import FORCES, MEASURABLE, UNITS, far_from_usual, later_than_before
 from .table import file_bytes, has_dates, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from undertow.typing import Array
 
-from .conversions import metres_per_degree
+from .mapping import metres_per_degree
 
 
 @dataclass(frozen=True)

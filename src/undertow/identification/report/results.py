@@ -9,7 +9,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from undertow.identification.compare.comparison import finite
+from undertow.identification.comparison import finite
 from undertow.identification.diagnosis.addition import Addition
 from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, ValuesByRun
 from undertow.identification.diagnosis.settings import DEFAULT

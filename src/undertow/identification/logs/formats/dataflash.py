@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from undertow.identification.logs.conversions import ANGLES
-from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.identification.logs.mapping import ANGLES, Column, Frames, LogMapping
 from undertow.typing import Array, Flags
 
 from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorter_by_pymavlink

@@ -16,9 +16,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from undertow.identification.logs.conversions import ANGLES, angles, depth
 from undertow.identification.logs.guess_names import is_wanted, rows_by_number
-from undertow.identification.logs.mapping import FLIPPED_BODY, Column, Frames, LogMapping
+from undertow.identification.logs.mapping import (
+    ANGLES,
+    FLIPPED_BODY,
+    Column,
+    Frames,
+    LogMapping,
+    angles,
+    depth,
+)
 from undertow.typing import Array
 
 from .fieldlog import Series
