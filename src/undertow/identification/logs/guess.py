@@ -19,6 +19,8 @@ from undertow.typing import Array, Flags
 
 from .guess_frames import (
     Axes,
+    Guess,
+    GuessedMapping,
     axes_of,
     formulas,
     place_of,
@@ -40,7 +42,6 @@ from .guess_names import (
     unit_of_clock,
     with_axes,
 )
-from .guessed import Guess, GuessedMapping
 from .mapping import SECONDS, LogMapping, angles
 from .run import FORCES, MEASURABLE, UNITS, far_from_usual, later_than_before
 from .table import file_bytes, has_dates, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
