@@ -2,7 +2,7 @@
 
 Every topic is a series with all its numbers by name (``pose.pose.position.x``), decoded when they are asked
 for. Its times are those of the headers of its messages, where they have any and the clock is that of the bag;
-else when they were recorded. What the usual messages mean is said in `ros_meaning`.
+else when they were recorded. What the usual messages mean is said in `meaning`.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from .fieldlog import FieldLog, Format, Series, library
 # Poses are those of the body in the frame of the header, twists along the axes of the child frame:
 # east-north-up and forward-left-up (REP 103) unless the names of the frames say ned or frd. A Doppler log
 # reports forward, starboard, down, as its messages and makers define it. Columns that are added to those of
-# a topic: phi, theta, psi beside every quaternion (rad), and bottom.x … or water.x … of a Doppler log, by what
-# it tracked.
+# a topic: phi, theta, psi beside every quaternion (rad), and bottom.x … or water.x … of a Doppler log, by
+# what it tracked.
 
 # Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
 _LEAST_PRESSURE = 50_000.0
