@@ -31,8 +31,8 @@ from undertow.identification.diagnosis.result import (
     Step,
     Verdict,
 )
-from undertow.identification.doctor.findings import Examination
-from undertow.identification.doctor.findings import Finding as Found
+from undertow.identification.findings import Examination
+from undertow.identification.findings import Finding as Found
 from undertow.identification.report.page import (
     parameter_text,
     percent,

@@ -29,9 +29,9 @@ from .estimation.predictor import Predictor, predict_each
 from .estimation.residual import SensorDelay, WeakModel, value_name, whitened
 from .estimation.weak_form import adapted, of_each_run
 from .estimation.windows import Prediction, cut, possible_horizon, prediction_error
+from .findings import LongLogs, ResultTable
 from .logs.pose_velocity import as_reported
 from .logs.run import UNITS, Run
-from .long_logs.result import LongLogs, ResultTable
 
 
 # --- what a model leaves unexplained, as a force --------------------------------------------------

@@ -34,11 +34,11 @@ from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import values_by_run
 from .doctor.dynamics import without_refuted
 from .doctor.examine import examine
-from .doctor.findings import Examination
 from .estimation.data import inverse_of, prepare
 from .estimation.fitted import SURE, Fitted
 from .estimation.step import estimated, follower_errors, followers
 from .estimation.weak_form import WeakFit
+from .findings import Examination
 from .logs.run import Run
 from .report.sentences import summarised
 from .result_builder import ResultBuilder

@@ -16,9 +16,10 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
+from ..findings import Finding
+from ..logs.mapping import Edits, as_toml, delay_edit
 from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
-from .findings import Edits, Finding, as_toml, delay_edit
 from .kinematics import Kinematics, Samples, Stretch
 from .mistakes import Undo, they_are, with_channels
 from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors

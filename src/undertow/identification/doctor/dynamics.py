@@ -28,7 +28,8 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import Edits, Examination, Finding, column_edit
+from ..findings import Examination, Finding
+from ..logs.mapping import Edits, column_edit
 from .kinematics import Kinematics, jacobian, most_active
 from .mistakes import (
     SPEEDS,

@@ -20,6 +20,8 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Progress
 from undertow.version import __version__
 
+from ..findings import SEVERITIES, Examination, Finding, percent
+from ..logs.mapping import Edit, Edits, as_toml, edited
 from . import mistakes, sensors
 from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .dynamics import (
@@ -30,7 +32,6 @@ from .dynamics import (
     rederived,
     wirings,
 )
-from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
 from .forces import impossible, suspicious
 from .kinematics import Kinematics, rms
 from .mistakes import (

@@ -24,17 +24,8 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array
 
-from .findings import (
-    Edit,
-    Edits,
-    Finding,
-    attitude_of,
-    column_edit,
-    column_of,
-    edited,
-    frames_edits,
-    reassigned,
-)
+from ..findings import Finding
+from ..logs.mapping import Edit, Edits, attitude_of, column_edit, column_of, edited, frames_edits, reassigned
 from .kinematics import Kinematics
 
 Channels = dict[str, Array]

@@ -15,7 +15,8 @@ from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import DofExcitation, Edit, Edits, Finding, as_toml, column_edit
+from ..findings import DofExcitation, Finding
+from ..logs.mapping import Edit, Edits, as_toml, column_edit
 
 
 @dataclass(frozen=True)

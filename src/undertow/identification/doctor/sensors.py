@@ -15,7 +15,8 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .findings import Edit, Edits, Finding
+from ..findings import Finding
+from ..logs.mapping import Edit, Edits
 from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch, rms
 from .mistakes import (
     PLAUSIBLE,

@@ -23,8 +23,8 @@ from undertow.model.symbols import FORCE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
+from ..findings import Finding
 from .dynamics import Dynamics, part_of, rederived
-from .findings import Finding
 from .forces import FORCES, StatedForces, without
 from .mistakes import Explanation, Mistake, Undo
 from .sensors import clustered_least_squares

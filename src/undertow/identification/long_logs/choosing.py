@@ -27,7 +27,7 @@ from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .result import ChosenStretch, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
+from ..findings import ChosenStretch, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
 from .thinning import Band, Spool, Stretch, band, joined, merged, stretches, thinned, without
 
 

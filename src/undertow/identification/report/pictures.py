@@ -16,8 +16,8 @@ from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, 
 from undertow.identification.comparison import Profile
 from undertow.identification.diagnosis.result import Ranked, Step
 from undertow.identification.doctor.examine import Examined
-from undertow.identification.doctor.findings import percent
 from undertow.identification.doctor.kinematics import Kinematics
+from undertow.identification.findings import percent
 from undertow.identification.logs.formats.fieldlog import FieldLog
 from undertow.identification.logs.run import UNITS
 from undertow.model.vehicle import Vehicle

@@ -15,7 +15,7 @@ from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, Va
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.verdict import estimates
 from undertow.identification.estimation.output_error import NO_WORSE
-from undertow.identification.long_logs.result import LongLogs, ResultTable
+from undertow.identification.findings import LongLogs, ResultTable
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
