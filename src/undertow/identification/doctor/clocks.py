@@ -10,14 +10,13 @@ import numpy as np
 
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import with_reestimated_noise
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import Finding
+from undertow.identification.logs.mapping import Edits, LogMapping, as_toml, delay_edit
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from ..findings import Finding
-from ..logs.mapping import Edits, as_toml, delay_edit
 from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
 from .kinematics import Kinematics, Samples, Stretch

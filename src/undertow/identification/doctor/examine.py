@@ -10,7 +10,8 @@ from functools import cache
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import SEVERITIES, Examination, Finding, percent
+from undertow.identification.logs.mapping import Edit, Edits, LogMapping, as_toml, edited
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect
@@ -20,8 +21,6 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Progress
 from undertow.version import __version__
 
-from ..findings import SEVERITIES, Examination, Finding, percent
-from ..logs.mapping import Edit, Edits, as_toml, edited
 from . import mistakes, sensors
 from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .dynamics import (

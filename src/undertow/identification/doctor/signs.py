@@ -17,13 +17,13 @@ from scipy.optimize import nnls
 
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import heterogeneity
+from undertow.identification.findings import Finding
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect, Wrench
 from undertow.model.symbols import FORCE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from ..findings import Finding
 from .dynamics import Dynamics, part_of, rederived
 from .forces import FORCES, StatedForces, without
 from .mistakes import Explanation, Mistake, Undo
