@@ -340,7 +340,7 @@ class Cut:
     lacking: float
 
 
-class Limits:
+class PositiveMatrices:
     """Which parameters a model can have together: matrices that have to be positive.
 
     Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a

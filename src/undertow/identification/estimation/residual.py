@@ -19,7 +19,7 @@ from undertow.typing import Array, Flags, Index
 
 from .data import Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory
-from .pointwise import Cut, Limits, Pointwise, largest_values
+from .pointwise import Cut, Pointwise, PositiveMatrices, largest_values
 from .test_functions import Entries, kink_delay, meeting, tested
 
 # --- parameters that have a value of their own in every run ---------------------------------------
@@ -153,7 +153,7 @@ class RunValues:
         return found
 
 
-class LimitsByRun(Limits):
+class PositiveMatricesByRun(PositiveMatrices):
     """What parameters can be together, for those of every run."""
 
     def __init__(self, functions: Functions, values: RunValues, *, dissipative: bool = False) -> None:
@@ -164,16 +164,16 @@ class LimitsByRun(Limits):
 
     def cuts(self, p: Array) -> list[Cut]:
         """What a step from p has to do for every matrix to be positive in every run."""
-        found = ((r, super(LimitsByRun, self).cuts(self._values.own(p, r))) for r in self._runs)
+        found = ((r, super(PositiveMatricesByRun, self).cuts(self._values.own(p, r))) for r in self._runs)
         return [Cut(self._values.spread(c.slope, r), c.lacking) for r, cuts in found for c in cuts]
 
     def broken(self, p: Array) -> bool:
         """Whether a matrix is not positive in some run."""
-        return any(super(LimitsByRun, self).broken(self._values.own(p, r)) for r in self._runs)
+        return any(super(PositiveMatricesByRun, self).broken(self._values.own(p, r)) for r in self._runs)
 
     def impossible(self, p: Array) -> list[str]:
         """Names of all matrices that are not positive in some run."""
-        found = (super(LimitsByRun, self).impossible(self._values.own(p, r)) for r in self._runs)
+        found = (super(PositiveMatricesByRun, self).impossible(self._values.own(p, r)) for r in self._runs)
         return list(dict.fromkeys(name for names in found for name in names))
 
     def moved(self, p: Array, step: Array) -> Array:
@@ -184,7 +184,7 @@ class LimitsByRun(Limits):
 
     def active(self, p: Array) -> list[str]:
         """Names of the limits that hold the parameters back in some run."""
-        found = (super(LimitsByRun, self).active(self._values.own(p, r)) for r in self._runs)
+        found = (super(PositiveMatricesByRun, self).active(self._values.own(p, r)) for r in self._runs)
         return list(dict.fromkeys(name for names in found for name in names))
 
 
@@ -384,11 +384,11 @@ class WeakModel:
         self._known: dict[int, _At] = {}
 
     @cached_property
-    def limits(self) -> Limits:
+    def limits(self) -> PositiveMatrices:
         """What the parameters can be together."""
         if self.values.split:
-            return LimitsByRun(self.functions, self.values, dissipative=self._dissipative)
-        return Limits(self.functions, self.places, dissipative=self._dissipative)
+            return PositiveMatricesByRun(self.functions, self.values, dissipative=self._dissipative)
+        return PositiveMatrices(self.functions, self.places, dissipative=self._dissipative)
 
     @cached_property
     def largest(self) -> Array:
