@@ -13,8 +13,7 @@ import numpy as np
 from undertow.codegen.engine import call
 from undertow.codegen.functions import Functions, solve_symmetric
 from undertow.model.effect import VehicleSize, Wrench
-from undertow.model.parameter import Limits as ParameterLimits
-from undertow.model.parameter import Parameter
+from undertow.model.parameter import Limits, Parameter
 from undertow.model.units import dimension
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -32,7 +31,7 @@ class ScaleSettings:
 
 
 SCALES = ScaleSettings()
-_LIMITS = ParameterLimits()
+_LIMITS = Limits()
 
 
 def largest_values(functions: Functions, names: Sequence[str]) -> Array:
