@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from undertow.figures import AFTER, BEFORE, figure, look, save_png
-from undertow.identification.compare.comparison import Comparison, compare
+from undertow.identification.comparison import Comparison, compare
 from undertow.identification.logs.run import Run
 from undertow.identification.report.page import curves, errors_by_regime, leading, traces
 from undertow.identification.report.pictures import error_map, measured_vs_simulated, residual_against

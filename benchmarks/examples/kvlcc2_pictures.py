@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from undertow.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
-from undertow.identification.compare.comparison import Comparison, compare
+from undertow.identification.comparison import Comparison, compare
 from undertow.identification.logs.run import Run
 from undertow.identification.report.page import curves, leading, traces
 from undertow.identification.report.pictures import measured_vs_simulated, residual_against

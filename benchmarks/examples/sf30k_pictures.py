@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
-from undertow.identification.compare.comparison import Comparison
+from undertow.identification.comparison import Comparison
 from undertow.identification.logs.run import Run
 from undertow.identification.report.page import errors_by_regime, traces
 from undertow.identification.report.pictures import error_map, measured_vs_simulated

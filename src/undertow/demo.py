@@ -15,8 +15,7 @@ import numpy as np
 
 from undertow.figures import save_png, unit_text
 from undertow.files import make_folder, templates, write_whole
-from undertow.identification.compare.comparison import compare
-from undertow.identification.compare.forces import Forces, residual_forces
+from undertow.identification.comparison import Forces, compare, residual_forces
 from undertow.identification.diagnose import DiagnosisResult, diagnose, save_diagnosis
 from undertow.identification.diagnosis.addition import (
     Addition,

@@ -24,7 +24,7 @@ from tests.codegen.support import functions_of
 from undertow import UndertowError
 from undertow.codegen import Simulator, compiler
 from undertow.codegen.compiler import Compiler, cache_folder, find_compiler, library_for
-from undertow.codegen.trajectories import rollout_source
+from undertow.codegen.engine import rollout_source
 
 SOURCE = "double undertow_test_answer(void);\ndouble undertow_test_answer(void) { return 42; }\n"
 SEEN = SOURCE.replace("double", '__attribute__((visibility("default"))) double', 1)
@@ -455,8 +455,8 @@ def _python(program: str, *arguments: str, **environment: str) -> subprocess.Com
 
 HASHES = """
 from tests.codegen.support import functions_of
-from undertow.codegen.trajectories import tangents_source
-from undertow.codegen.trajectories import rollout_source
+from undertow.codegen.engine import tangents_source
+from undertow.codegen.engine import rollout_source
 from undertow.codegen.source import c_source, digest
 for name in ("bluerov2", "full"):
     functions = functions_of(name)

@@ -11,19 +11,20 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
-from undertow.identification.compare.comparison import (
+from undertow.identification.comparison import (
     Cell,
     Comparison,
     ComparisonResult,
+    Forces,
     Regime,
     compare,
     correlation,
     headline,
     profiles,
     regimes,
+    residual_forces,
     whiteness,
 )
-from undertow.identification.compare.forces import Forces, residual_forces
 from undertow.identification.estimation.data import channel_noise
 from undertow.identification.report.page import budgets, curves, errors_by_regime, leading, telling, traces
 from undertow.model.vehicle import Vehicle

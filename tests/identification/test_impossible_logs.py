@@ -18,7 +18,7 @@ from tests.identification.logs_of import run_of, runs_of, vehicle_of
 from tests.quick import first_quick, quick_if
 from undertow.errors import UndertowError
 from undertow.identification.api import Estimator
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.doctor.examine import examine, refuse_impossible
 from undertow.identification.doctor.forces import Forces

@@ -15,7 +15,7 @@ from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.api import Estimator, fit
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted

@@ -11,7 +11,7 @@ import pytest
 from tests.identification.several import CURRENT, NOISE, Dive, model, truth, written
 from tests.quick import first_quick
 from undertow.errors import UndertowError
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.doctor.examine import examine
 from undertow.identification.estimation.data import prepare

@@ -26,7 +26,7 @@ import typer
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undertow.identification.doctor.findings import Finding
+    from undertow.identification.findings import Finding
 
 
 _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))

@@ -14,9 +14,9 @@ from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
-from .compare.comparison import finite
+from .comparison import finite
+from .diagnose import Together, known_by, roles, save_found
 from .diagnose import diagnose as diagnose
-from .diagnose import known_by, roles, save_found
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
 from .diagnosis.parallel import one_thread
@@ -30,7 +30,13 @@ from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
-from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
+from .estimation.step import (
+    NOTHING_SAID,
+    Constraints,
+    read_equalities,
+    require_equations,
+    written,
+)
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
@@ -540,3 +546,9 @@ def plan(
     else:
         specs = [RivalSpec(name, {}) for name in (between if len(between) > 1 else [*between, NONE])]
     return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)
+
+
+def refitted(vehicle: Vehicle, fits: Sequence[Refit]) -> Together:
+    """The whole vehicle by the fits of its experiments."""
+    logs = [pair for one in fits for pair in roles(one.train, one.test)]
+    return Together(vehicle, tuple(one.fit for one in fits), logs, [one.errors for one in fits])

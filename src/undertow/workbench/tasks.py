@@ -12,9 +12,8 @@ from typing import Any
 from undertow.codegen.library import Library
 from undertow.errors import UndertowError
 from undertow.files import check_writable, write_whole
-from undertow.identification import api
-from undertow.identification.compare import comparison
-from undertow.identification.compare.comparison import Comparison, Profile
+from undertow.identification import api, comparison
+from undertow.identification.comparison import Comparison, Profile
 from undertow.identification.diagnose import DiagnosisResult
 from undertow.identification.diagnose import diagnose as diagnosis
 from undertow.identification.diagnosis.addition import force_errors

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undertow.identification.doctor.examine import Examined
-    from undertow.identification.doctor.findings import DofExcitation, Examination
+    from undertow.identification.findings import DofExcitation, Examination
     from undertow.identification.logs.mapping import LogMapping
 
 _PLOT = typer.Option(
@@ -128,8 +128,7 @@ def mended_mapping(examined: Examined, map: Path | None, known: LogMapping | Non
     Without a file, what the format of the log is `known` to mean is written out and mended.
     """
     from undertow.files import read_text
-    from undertow.identification.doctor.findings import into_file
-    from undertow.identification.logs.mapping import LogMapping, mapping_text
+    from undertow.identification.logs.mapping import LogMapping, into_file, mapping_text
 
     given = read_text(map, "mapping file") if map else mapping_text(known or LogMapping())
     return into_file(given, examined.edits)

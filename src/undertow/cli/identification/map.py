@@ -18,7 +18,7 @@ from .._options import NewForceOption, new_file
 from .._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
-    from undertow.identification.logs.guessed import GuessedMapping
+    from undertow.identification.logs.guess_frames import GuessedMapping
 
 app = typer.Typer(add_completion=False)
 

@@ -82,7 +82,7 @@ def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
         if held := [d for d in vehicle.degrees_of_freedom if d in run.held]:
             raise UndertowError(
                 f"in run '{run.name}' a rig holds {', '.join(held)} of '{vehicle.name}': use undertow fit "
-                "or diagnose, or sort the logs with undertow.identification.experiments.experiments"
+                "or diagnose, or sort the logs with undertow.identification.diagnose.experiments"
             )
     return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
 

@@ -21,14 +21,14 @@ from undertow.identification.estimation.weak_form import (
     mean_square,
     with_reestimated_noise,
 )
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import Examination, Finding
+from undertow.identification.logs.mapping import Edits, LogMapping, column_edit
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Curve, Effect
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import Edits, Examination, Finding, column_edit
 from .kinematics import Kinematics, jacobian, most_active
 from .mistakes import (
     SPEEDS,

@@ -9,10 +9,19 @@ from itertools import product
 
 import numpy as np
 
-from undertow.identification.logs.conversions import SECONDS
+from undertow.identification.findings import Finding
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
+    SECONDS,
+    Edit,
+    Edits,
     LogMapping,
+    attitude_of,
+    column_edit,
+    column_of,
+    edited,
+    frames_edits,
+    reassigned,
     swap_attitude,
     swap_body,
     swap_position,
@@ -24,17 +33,6 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array
 
-from .findings import (
-    Edit,
-    Edits,
-    Finding,
-    attitude_of,
-    column_edit,
-    column_of,
-    edited,
-    frames_edits,
-    reassigned,
-)
 from .kinematics import Kinematics
 
 Channels = dict[str, Array]

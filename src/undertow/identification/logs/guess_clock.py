@@ -11,9 +11,9 @@ import polars as pl
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
-from .conversions import SECONDS
+from .guess_frames import Guess
 from .guess_names import is_clock, unit_of_clock
-from .guessed import Guess
+from .mapping import SECONDS
 from .run import MEASURABLE, far_from_usual, later_than_before
 from .table import has_dates, seconds
 

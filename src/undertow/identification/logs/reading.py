@@ -35,7 +35,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
 
 from .formats.fieldlog import Window
-from .mapping import Column, CommandPolicy, Held, LogMapping, mapping_beside, seconds_of
+from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,
     check_channel,
@@ -490,7 +490,7 @@ def _attitude(mapping: LogMapping) -> str:
             "attitude = "
             '"NED" (heading from north, clockwise) or attitude = "ENU" (heading from east, anticlockwise)'
         )
-    return spec.attitude or spec.position
+    return attitude_of(mapping)
 
 
 def _unwrapped(run: Run, mapping: LogMapping) -> Run:

@@ -19,6 +19,7 @@ from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import adapted, free_parameters
 from undertow.identification.estimation.windows import HORIZONS, Prediction, cut, geometric_mean
+from undertow.identification.findings import ChosenStretch, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.opening import refuse_twins, with_distinct_names
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -27,7 +28,6 @@ from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .result import ChosenStretch, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
 from .thinning import Band, Spool, Stretch, band, joined, merged, stretches, thinned, without
 
 

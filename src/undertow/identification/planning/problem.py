@@ -19,8 +19,8 @@ from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.estimation.windows import late_by
+from undertow.identification.findings import LongLogs, ResultTable
 from undertow.identification.logs.run import Run
-from undertow.identification.long_logs.result import LongLogs, ResultTable
 from undertow.model.parameter import printed
 from undertow.model.symbols import DOFS
 from undertow.model.vehicle import Vehicle

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from undertow.figures import svg, unit_text
 from undertow.files import templates
-from undertow.identification.compare.comparison import Comparison, Profile
+from undertow.identification.comparison import Comparison, Profile
 from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked
 from undertow.identification.estimation.predictor import Predictor, predict, predict_each
 from undertow.identification.estimation.weak_form import adapted

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 from undertow.errors import UndertowError
 from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, look, plain, with_unit
-from undertow.identification.compare.comparison import Profile
+from undertow.identification.comparison import Profile
 from undertow.identification.diagnosis.result import Ranked, Step
 from undertow.identification.doctor.examine import Examined
-from undertow.identification.doctor.findings import percent
 from undertow.identification.doctor.kinematics import Kinematics
+from undertow.identification.findings import percent
 from undertow.identification.logs.formats.fieldlog import FieldLog
 from undertow.identification.logs.run import UNITS
 from undertow.model.vehicle import Vehicle
