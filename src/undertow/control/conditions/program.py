@@ -48,7 +48,10 @@ class QuadraticSettings:
     looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     starts: int = 3  # eigenvectors from which that corner is looked for, and
     steps: int = 4  # turns between the corner and its eigenvector
-    most_forms: int = 3000  # matrix inequalities that the solver is given in one search: seconds
+    # Matrix inequalities of 12 rows that the solver is given in one search: seconds. Of larger ones there are
+    # fewer, as this power of the number of rows.
+    most_forms: int = 3000
+    form_power: float = 7.0
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
@@ -70,6 +73,10 @@ class QuadraticSettings:
     # Degrees of freedom up to which P may be a full matrix. Beyond, it has a block for each axis, as gains
     # have: the search takes seconds then instead of minutes.
     most_full: int = 4
+
+    def share(self, size: int, power: float) -> float:
+        """Which part of the work for matrices of 12 rows is for those of so many."""
+        return float(min(12 / size, 1.0) ** power)
 
 
 SETTINGS = QuadraticSettings()

@@ -112,7 +112,7 @@ class Search:
         bounds, proofs = self._first(), []
         for centre in self.centres:
             self.centre, self.forms = centre, 0
-            self.work = Work(int(SETTINGS.most * min(12 / self.loop.size, 1.0) ** SETTINGS.work_power))
+            self.work = Work(int(SETTINGS.most * SETTINGS.share(self.loop.size, SETTINGS.work_power)))
             self.chosen.clear()
             proof = self._in_sector(bounds)
             if proof is None:
@@ -163,7 +163,7 @@ class Search:
     def spend(self, forms: int) -> None:
         """Count what the solver is given."""
         self.forms += forms
-        if self.forms > SETTINGS.most_forms:
+        if self.forms > SETTINGS.most_forms * SETTINGS.share(self.loop.size, SETTINGS.form_power):
             raise UndertowError(_TOO_LONG)
 
     def _smaller(self, bounds: Bounds) -> Bounds:
