@@ -1,4 +1,4 @@
-"""The mapping file: how columns of a log become channels of a run, and its frames ours."""
+"""The mapping file: how columns of a log become channels of a run, and its frames ours; changes of it."""
 
 from __future__ import annotations
 
