@@ -502,6 +502,60 @@ def test_a_log_with_dates_has_axes_like_any_other(tmp_path: Path) -> None:
         guess_table(odd.drop("pose_position_x"), tmp_path / "own.csv")
 
 
+def test_a_command_without_a_column_may_be_a_constant(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = pl.read_csv(case / "train.csv")
+    table.drop("f1").write_csv(case / "own.csv")
+    assert main(["doctor", "usv.toml", "own.csv"]) == 2
+    assert 'or a constant under [channels], such as f1 = "0"' in capsys.readouterr().err
+    (case / "log.toml").write_text('schema = "undertow/mapping/1"\n[channels]\nf1 = "0"\n')
+    assert np.all(_read(case, "own.csv")["f1"] == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "second"),
+    [
+        ("2024-03-07_15:26:15:129472", "2024-03-07_15:26:15:229472"),
+        ("2024/03/07 15:26:15", "2024/03/07 15:26:16"),
+    ],
+)
+def test_dates_with_the_year_first_are_times_whatever_their_column_is_called(
+    stamp: str, second: str, tmp_path: Path
+) -> None:
+    """As loggers write them: a column without a name, other signs between the numbers."""
+    (tmp_path / "log.csv").write_text(f"n;u\n{stamp};0.1\n{second};0.3\n".replace("n;u", ";u"))
+    guessed = guess_mapping(tmp_path / "log.csv")
+    assert guessed.time.entry == {"column": "", "unit": "iso"}
+    run = read_log(tmp_path / "log.csv", guessed.meaning)
+    assert run.t == pytest.approx([0.0, 0.1 if "_" in stamp else 1.0])
+
+
+def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
+    t = np.arange(0.0, 30.0, 0.1)
+    columns = {
+        "t": t,
+        "imu_angle_1": 3 * np.sin(t),
+        "imu_angle_2": np.cos(t),
+        "imu_angle_3": 100 * np.sin(0.1 * t),
+        "thr_left": 1500 + 300 * np.sin(t),
+        "thr_left_zero": np.full_like(t, 1511.0),
+    }
+    names = {f"imu_angle_{k}": f"attitude_{k}" for k in (1, 2, 3)}
+    found = guess_table(pl.DataFrame(columns).rename(names), Path("log.csv"))
+    units = {g.channel: g.entry.get("unit") for g in found.columns}
+    assert units == {"phi": "deg", "theta": "deg", "psi": "deg", "thr_left": None}
+    assert "thr_left_zero" in found.ignored["never changes: measured by nothing, or held"]
+
+
+def test_a_first_mapping_reads_a_log_whose_commands_have_gaps(case: Path) -> None:
+    table = pl.read_csv(case / "train.csv")
+    gaps = pl.when(pl.int_range(pl.len()) % 7 > 0).then(pl.col("f1"))
+    table.with_columns(f1=gaps).write_csv(case / "own.csv")
+    assert main(["map", "new", "own.csv", "--vehicle", "usv.toml", "--out", "log.toml"]) == 0
+    assert read_mapping(case / "log.toml").missing_commands == "hold"
+    assert "commands without a value in some rows (f1)" in (case / "log.toml").read_text()
+    assert np.all(np.isfinite(_read(case, "own.csv")["f1"]))
+
+
 def test_texts_among_numbers_are_asked_about(tmp_path: Path) -> None:
     c = _swinging()
     rate = [f"{r:.3f}" for r in np.gradient(c["psi"], 0.1)]

@@ -169,8 +169,18 @@ def test_azimuth_thrusters_push_sideways_and_turn() -> None:
 def test_a_type_has_the_motions_that_are_asked_for(capsys: Capture, tmp_path: Path) -> None:
     assert main([*words("asv"), "--dof", "yaw,surge", "--out", "my.toml"]) == 0
     assert load_vehicle("my.toml").degrees_of_freedom == ("surge", "yaw")
+    assert load_vehicle("my.toml").name == "my"
     message = "--type asv has no heave: choose from surge, sway, yaw"
     assert message in refusal([*words("asv"), "--dof", "surge,heave"], capsys, tmp_path)
+
+
+@pytest.mark.parametrize(("mass", "what"), [(5, "rises"), (70, "sinks")])
+def test_a_mass_that_no_hull_of_the_dimensions_has_is_refused(
+    mass: float, what: str, capsys: Capture, tmp_path: Path
+) -> None:
+    size = ["--length", 1.5, "--beam", 0.22, "--height", 0.22, "--mass", mass]
+    said = refusal(["vehicle", "new", "--type", "glider", *size], capsys, tmp_path)
+    assert f"mass = {mass} kg {what}: a hull of these dimensions, without wings, displaces" in said
 
 
 def test_a_rudder_is_refused_without_a_speed_that_gives_it_force(capsys: Capture, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_
 from tests.identification.surge import surge_run, surge_vehicle
 from tests.quick import first_quick, quick_if
 from undertow.errors import UndertowError
+from undertow.identification.doctor import dynamics
 from undertow.identification.doctor.examine import Examined, examine, refuse_impossible
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import angles_across_jumps, wrapped_angles
@@ -350,6 +351,24 @@ def test_a_misaligned_sensor_is_a_warning_and_no_frame() -> None:
     true = case.truth["values"]["velocity_misalignment"]["alpha"]
     assert warning.evidence["alpha"] == pytest.approx(true, rel=0.1)
     assert "undertow add velocity_misalignment" in warning.text
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_a_motion_without_a_force_says_nothing_of_units(
+    usv: Case, driven: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drifting glider: what makes the motion smaller needs less of the forces that are not there."""
+    asked: list[int] = []
+    monkeypatch.setattr(dynamics, "best_of", lambda at, known: asked.append(len(known)))
+    t, vehicle = np.arange(0.0, 60.0, 0.1), vehicle_of(usv)
+    forces = {n: driven * np.sin(0.7 * t) for n in vehicle.command_names}
+    pose = {"x": 10 * np.sin(0.2 * t), "y": 8 * np.cos(0.3 * t), "psi": 2.5 * np.sin(0.1 * t)}
+    noise = np.random.default_rng(3).standard_normal((3, len(t)))
+    noisy = {n: pose[n] + 0.01 * e for n, e in zip(pose, noise, strict=True)}
+    run = velocities_from_pose(Run("drift", t, {**noisy, **forces}), vehicle.degrees_of_freedom)
+    mistakes = examine(vehicle, [run]).result.mistakes
+    assert bool(asked) is driven
+    assert driven or not mistakes
 
 
 # --- clocks ----------------------------------------------------------------------------------------------

@@ -520,6 +520,22 @@ def test_an_error_that_rises_is_no_plain_yes() -> None:
     assert ">in part" not in render_report(_diagnosis())
 
 
+@pytest.mark.parametrize(
+    ("interval", "chance", "words"),
+    [
+        ((0.5, 1.5), 0.001, "yes"),
+        ((-0.5, 2.5), 0.001, "yes: in most blocks of the data, though their mean is uncertain"),
+        ((-0.5, 2.5), 0.2, "yes: by simulation"),
+    ],
+)
+def test_more_than_chance_agrees_with_the_interval_beside_it(
+    interval: tuple[float, float], chance: float, words: str
+) -> None:
+    lift = _ranked("lift", 1.0, interval=interval, p_value=chance)
+    page = render_report(_diagnosis().model_copy(update={"ranking": [lift]}))
+    assert f'<td data-head="more than chance">{words}<br>' in page
+
+
 def test_what_does_nothing_is_folded_away_and_what_to_run_stands_on_top() -> None:
     idle = _ranked("wind", 0.0).model_copy(update={"parameters": [], "significant": False})
     found = _diagnosis().model_copy(

@@ -227,6 +227,15 @@ def test_a_model_worse_than_none_is_called_so() -> None:
     assert useless({"w": None}).startswith("Worse than no model at all in heave (diverging):")
 
 
+def test_what_the_doctor_doubts_is_not_called_free_of_mistakes() -> None:
+    doubt = Finding(id="swapped", severity="warning", text="perhaps f1 and f2 are swapped: yaw shows it")
+    note = Finding(id="gaps", severity="note", text="2 gaps")
+    assert "undertow doctor finds no mistake in the logs" in useless({"r": 1.1}, [note])
+    assert useless({"r": 1.1}, [note, doubt]).endswith(
+        "undertow doctor is not sure of the logs (perhaps f1 and f2 are swapped): try that first."
+    )
+
+
 def test_a_refit_that_predicts_worse_than_the_file_is_said_to() -> None:
     stated, refitted = {"5 s": 0.48, "20 s": 0.6}, {"5 s": 0.55, "20 s": 0.7}
     words = refit_is_worse(stated, refitted, 1.025)

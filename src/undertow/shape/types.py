@@ -151,7 +151,7 @@ def _submerged(size: MainDimensions, mesh: Mesh, added: AddedMass) -> list[Effec
 def _rov(size: MainDimensions, upright: list[tuple[float, float]]) -> Made:
     if size.displaced > size.length * size.beam * size.height:
         raise UndertowError(
-            f"mass = {size.mass:g} kg does not float: a box of these dimensions displaces "
+            f"mass = {size.mass:g} kg sinks: a box of these dimensions displaces "
             f"{size.density * size.length * size.beam * size.height:.4g} kg at most; correct one of them"
         )
     tables = _submerged(size, _box(size), _frame(size))
@@ -258,8 +258,8 @@ def _spindle(size: MainDimensions, stations: int = 37, around: int = 32) -> Mesh
     if not fullness[0] <= share <= fullness[-1]:
         low, high = (size.mass / share * f for f in (fullness[0], fullness[-1]))
         raise UndertowError(
-            f"mass = {size.mass:g} kg does not float: a hull of these dimensions displaces "
-            f"{low:.3g} to {high:.3g} kg; correct one of them"
+            f"mass = {size.mass:g} kg {'rises' if size.mass < low else 'sinks'}: a hull of these dimensions, "
+            f"without wings, displaces {low:.3g} to {high:.3g} kg; correct one of them"
         )
     radius = _profile(places, float(np.interp(share, fullness, grid)))[1:-1]
     angle = 2 * pi * np.arange(around) / around

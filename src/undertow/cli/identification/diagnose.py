@@ -222,7 +222,7 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     heads = ("effect", *([f"{longest} error"] if longest else []), "error", "explains", "chance", "sure")
     numbers = (
         [r.effect]
-        + ([f"{-r.falls[longest]:+.0%}" if r.falls else ""] if longest else [])
+        + ([_change(-r.falls[longest]) if r.falls else ""] if longest else [])
         + [f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), r.sure]
         for r in helping
     )
@@ -244,6 +244,13 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
 
 def _values(parameters: Sequence[Estimate], most: int) -> str:
     return ", ".join(_value(p) for p in parameters[:most]) + (" ..." if len(parameters) > most else "")
+
+
+_WILD = 10.0  # a model whose error rises by ten times runs away: its digits mean nothing
+
+
+def _change(share: float) -> str:
+    return f"> +{_WILD:.0%}" if share > _WILD else f"{share:+.0%}"
 
 
 def _chance(p: float | None) -> str:

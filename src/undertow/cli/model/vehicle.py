@@ -81,7 +81,9 @@ _TANK = typer.Option(
     help="Virtual towing tank that has been run (undertow tank), alone or with the --mesh of the same hull.",
 )
 _LENGTH = typer.Option(metavar="M", help="With --type: overall length, for ships that of the waterline.")
-_BEAM = typer.Option(metavar="M", help="With --type: overall width, for catamarans across both hulls.")
+_BEAM = typer.Option(
+    metavar="M", help="With --type: overall width; of catamarans across both hulls, of gliders without wings."
+)
 _HEIGHT = typer.Option(
     metavar="M", help="With --type: overall height; for ship, asv and azimuth the draught."
 )
@@ -113,7 +115,9 @@ _WAVE = typer.Option(
     help="With --floating: add the forces of a regular wave of this frequency, amplitude and direction of "
     "travel.",
 )
-_NAME = typer.Option(metavar="NAME", help="Name of the vehicle.", show_default="name of the mesh file")
+_NAME = typer.Option(
+    metavar="NAME", help="Name of the vehicle.", show_default="name of the mesh; with --type of the new file"
+)
 _OUT = typer.Option(metavar="NEW.toml", help="Output file.", show_default="NAME.toml")
 
 
@@ -339,7 +343,7 @@ def _of_type(
         raise UndertowError(f"--type {kind} lacks dimensions: give --length, --beam and --height in m")
     target = new_file(out or Path(f"{name or kind}.toml"), force, [])
     size = MainDimensions(length, beam, height, mass, density)
-    write_whole(target, typed_vehicle(kind, size, name or kind, chosen))
+    write_whole(target, typed_vehicle(kind, size, name or target.stem, chosen))
     say(f"wrote {target}; check what is assumed: undertow vehicles show {target}")
 
 

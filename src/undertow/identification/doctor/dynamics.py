@@ -423,8 +423,11 @@ def dynamic_mistakes(
     """The mistake in frames that kinematics cannot see, or in commands, that explains the motion decisively.
 
     None where pose rates and velocities hardly have anything in common: whatever fits such a log better is
-    no evidence of anything.
+    no evidence of anything. Nor is it where none of the commands ever changes: a motion without a force is
+    explained by any unit that makes it smaller.
     """
+    if vehicle.command_names and not any(_is_driven(vehicle, run) for run in runs):
+        return None
     given = kinematics.mismatch(runs) if kinematics else None
     if given is not None and np.any((given.excess > SETTINGS.unreadable) & given.moves.astype(bool)):
         return None
@@ -437,6 +440,11 @@ def dynamic_mistakes(
     unseen = allowed(kinematics, runs, at, known)
     found = best_of(at, [*unseen, *signs, *commands])
     return found or _two_reversed(vehicle, at, signs)
+
+
+def _is_driven(vehicle: Vehicle, run: Run) -> bool:
+    """Whether any command changes."""
+    return bool(np.any(np.nanstd(run.known(vehicle.command_names), axis=0) > 0.0))
 
 
 def _two_reversed(vehicle: Vehicle, at: Dynamics, signs: list[Mistake]) -> Explanation | None:
@@ -537,7 +545,7 @@ def _mass_finding(mass: dict[str, float], gain: Gain, moved: dict[str, float]) -
         f"{mass['found']:.4g} ± {mass['error']:.2g} kg; {reason}",
         evidence=mass,
         vehicle=f'[effects.rigid_body] m = "{mass["found"]:.4g} kg" (the mass with the water inside)',
-        alternatives=["for for water that moves along but weighs nothing: undertow add entrained_water"],
+        alternatives=["for water that moves along but weighs nothing: undertow add entrained_water"],
     )
 
 

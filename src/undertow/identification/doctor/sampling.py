@@ -144,7 +144,7 @@ def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     if not len(gaps) and share < SETTINGS.missing:
         return
     longest = (
-        f", the longest of {gaps.max():.3g} s at t = {run.clock[int(np.argmax(step))]:.5g} s"
+        f", the longest of {gaps.max():.4g} s at t = {run.clock[int(np.argmax(step))]:.5g} s"
         if len(gaps)
         else ""
     )

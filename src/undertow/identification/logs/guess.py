@@ -15,8 +15,9 @@ from undertow.model.parameter import logged
 from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
 from undertow.model.tables import TURNS
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Flags
+from undertow.typing import Array
 
+from .guess_clock import clock_of, times_of_rows
 from .guess_frames import (
     Axes,
     Guess,
@@ -33,18 +34,16 @@ from .guess_names import (
     RATES,
     WANTED,
     Name,
-    is_clock,
     is_force,
     known_unit,
     latitude_and_longitude,
     part_of_quaternion,
     rows_by_number,
-    unit_of_clock,
     with_axes,
 )
-from .mapping import SECONDS, LogMapping, angles
-from .run import FORCES, MEASURABLE, UNITS, far_from_usual, later_than_before
-from .table import file_bytes, has_dates, is_dates, numbers, read_table, seconds, texts_in, unit_of_cells
+from .mapping import LogMapping, angles
+from .run import FORCES, UNITS
+from .table import file_bytes, is_dates, numbers, read_table, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
@@ -68,9 +67,6 @@ class GuessSettings:
         2100.0,
     )  # width of the pulses that servos and speed controllers take, us
     full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
-    late: float = (
-        0.05  # share of rows that may be no later than one before, of a clock that rises all the same
-    )
 
 
 SETTINGS = GuessSettings()
@@ -98,21 +94,18 @@ def guess_table(
     """
     reading = reading or LogMapping()
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
-    time = clock or _time(table, data, f"log {path}")
-    t = _times(table, data, time, f"log {path}")
+    time = clock or clock_of(table, data, f"log {path}")
+    t = times_of_rows(table, data, time, f"log {path}")
     names = with_axes(
         [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
     )
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
     motion = _best([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
-    heading = _heading(motion, data, t)
     units = vehicle.input_units if vehicle else {}
     driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
-    read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
-    read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
-    read = _alike(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)
+    read = _motions(motion, names, data, flags, t)
     turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
     attitude = angles(*(data[n] for n in turned)) if turned else {}
     globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
@@ -131,10 +124,11 @@ def guess_table(
     ]
     used = {time.column, *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
-    lost = {c: texts for c in data if c in used and (texts := texts_in(table, c, reading))}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
     questions += [_FLAG.format(f) for f, c in flags.items() if f not in used and len(np.unique(c)) > 1]
-    questions += [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in lost.items()]
+    reading, gaps = _with_gaps(
+        reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
+    )
     return GuessedMapping(
         path.name,
         time,
@@ -143,9 +137,23 @@ def guess_table(
         _ignored(
             table.columns, used, names, dead, only, {*motion} - {g.channel for g in read}, _no_degrees(data)
         ),
-        reading.model_copy(update={"not_numbers": "missing"}) if lost else reading,
-        tuple(questions),
+        reading,
+        (*questions, *gaps),
     )
+
+
+def _with_gaps(
+    reading: LogMapping, table: pl.DataFrame, used: set[str], commands: Mapping[str, Array]
+) -> tuple[LogMapping, list[str]]:
+    """How a table is read whose columns have cells without a number, and what to ask of these."""
+    lost = {c: texts for c in table.columns if c in used and (texts := texts_in(table, c, reading))}
+    asked = [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in lost.items()]
+    blank = [name for name, values in commands.items() if np.isnan(values).any()]
+    changes: dict[str, str] = {"not_numbers": "missing"} if lost else {}
+    if blank and reading.missing_commands == "refuse":
+        changes["missing_commands"] = "hold"
+        asked.append(_BLANK.format(", ".join(blank)))
+    return reading.model_copy(update=changes), asked
 
 
 def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Name]) -> list[str]:
@@ -165,6 +173,10 @@ _WRENCH = (
 )
 _TEXTS = (
     "'{}' has cells that are not numbers, such as '{}' ({} of them): is it right to take them as missing?"
+)
+_BLANK = (
+    "commands without a value in some rows ({}) keep the one before, by missing_commands = "
+    '"hold" above: do they?'
 )
 _FLAG = (
     "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
@@ -246,115 +258,6 @@ def _is_dead(values: Array) -> bool:
     return len(values) > 1 and (len(there) == 0 or float(np.ptp(there)) == 0.0)
 
 
-def _times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
-    """Times of the rows, s."""
-    if time.column not in data:
-        return seconds(table, time.column, where)[0]
-    return data[time.column] * SECONDS[str(time.entry["unit"])]
-
-
-def _time(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
-    found = _clock(table, data, where)
-    dated = found not in data
-    times = seconds(table, found, where)[0] if dated else data[found]
-    sampled = _sampled(data, found, len(times))
-    stated, step = unit_of_clock(found), float(np.nanmedian(np.diff(times[sampled])))
-    unit = "iso" if dated else stated or _unit_of_time(times, step)
-    rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
-    one = "row" if np.all(sampled) else "sample"
-    said = "" if stated or dated else _asked_of_clock(step, unit, one)
-    entry, asked = {"column": found, "unit": unit}, [said] if said else []
-    if rate > MEASURABLE.fast and np.all(sampled):
-        asked.append(f"{rate:.3g} rows a second: every = {round(rate / MEASURABLE.enough)} would do at first")
-    late = _late(times)
-    if late:
-        entry["disorder"] = "drop"
-        asked.append(f"{late:.2%} of the rows are not later than an earlier one: leave them out?")
-    return Guess(found, entry, " ".join(asked))
-
-
-def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
-    """The column that counts the time: one of that name that rises or has dates, else one that rises."""
-    late = {n: _late(column) for n, column in data.items()}
-    rising = [n for n, share in late.items() if share == 0.0]
-    rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
-    texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
-    dated = [n for n in texts if not _no_dates(table, n, where)]
-    named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
-    # Of a table of several clocks only one has the time of every row.
-    found = min(
-        [*named, *rising],
-        key=lambda n: (n not in named, table[n].null_count(), not is_clock(n)),
-        default=None,
-    )
-    if found is None:
-        reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
-        raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
-    return found
-
-
-def _late(times: Array) -> float:
-    """Share of the times that are no later than one before; rows without one end a log that was cut off."""
-    there = times[np.isfinite(times)]
-    return 1.0 - float(np.mean(later_than_before(there))) if len(there) > 1 else 1.0
-
-
-def _no_dates(table: pl.DataFrame, name: str, where: str) -> str:
-    """Why a column of texts has no dates; empty where it has."""
-    try:
-        return "" if np.isfinite(seconds(table, name, where)[0]).any() else f"{where}: {name!r} is empty"
-    except UndertowError as error:
-        return str(error)
-
-
-def _no_time(data: Mapping[str, Array]) -> str:
-    """Why no column is the time, and what to do where one of its name is too coarse, or jumps back."""
-    for name, column in data.items():
-        still = np.flatnonzero(np.diff(column) <= 0.0)
-        if is_clock(name) and len(still):
-            row = int(still[0])
-            return (
-                f"column {name!r} does not increase in {len(still)} of {len(column)} rows, first from "
-                f"{column[row]:.15g} to {column[row + 1]:.15g} in row {row + 2}: write the times with more "
-                "digits, or row number times sampling interval, into a column that rises"
-            )
-    return (
-        "no column contains the time, since none increases from row to row; write the log with the time of "
-        "each row (row number times sampling interval, if that is constant)"
-    )
-
-
-def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
-    """Rows of the column with most samples: in a table of several clocks none has one in every row."""
-    there = [np.isfinite(column) for name, column in data.items() if name != time]
-    most = max(there, key=np.count_nonzero, default=np.ones(rows, dtype=bool))
-    return most if np.count_nonzero(most) > 1 else np.ones_like(most)
-
-
-def _unit_of_time(t: Array, step: float) -> str:
-    """The unit in which a clock since 1970, or else the time from row to row, makes sense."""
-    for unit in ("ns", "us", "ms"):
-        if 1e9 < float(t[0]) * SECONDS[unit] < 1e10 and float(t[0]) > 1e11:
-            return unit
-    return min(_GUESSED, key=lambda unit: far_from_usual(step * SECONDS[unit]))
-
-
-# Units that a clock counts without saying so; minutes, hours and days are asked about.
-_GUESSED = ("s", "ms", "us", "ns")
-
-
-def _asked_of_clock(step: float, unit: str, one: str) -> str:
-    """Ask for a unit that is not stated, with the steps in it, and in rarer ones if these fit better."""
-    as_guessed = far_from_usual(step * SECONDS[unit])
-    better = [u for u in SECONDS if far_from_usual(step * SECONDS[u]) < as_guessed]
-    here, *others = (f"{1.0 / (step * SECONDS[u]):.3g}" for u in (unit, *better))
-    rates = [
-        f"{here} {one}s a second if it is in {unit}",
-        *(f"{x} in {u}" for x, u in zip(others, better, strict=True)),
-    ]
-    return f"{step:.4g} from {one} to {one}: that is {', '.join(rates)}; {'which' if better else 'is it'}?"
-
-
 def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
     """The column of each channel: the plainest of those whose names mean it."""
     found: dict[str, Name] = {}
@@ -402,6 +305,20 @@ def _in_order(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]
     known = {name.column: name for name in names if name.is_command}
     fitting = (row for row in rows_by_number(known) if len(row) == len(commands) > 1)
     return {command: known[name] for command, name in zip(commands, next(fitting, []), strict=False)}
+
+
+def _motions(
+    motion: Mapping[str, Name],
+    names: Sequence[Name],
+    data: Mapping[str, Array],
+    flags: Mapping[str, Array],
+    t: Array,
+) -> list[Guess]:
+    """Entries of pose and velocity, by the columns that mean them."""
+    heading = _heading(motion, data, t)
+    read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
+    read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
+    return _alike(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)
 
 
 def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:
@@ -563,8 +480,8 @@ def _command(
         entry["unit"] = name.unit
     elif name.counts == "rev/s":
         entry["power"] = 2
-        turn = name.unit if name.unit in TURNS else "the unit"
-        doubt = f"revolutions: thrust rises with n |n|; what is the force of one ({turn}) squared (scale, N)?"
+        turn = f"1 {name.unit}" if name.unit in TURNS else "n = 1"
+        doubt = f"revolutions, read as n |n|: what thrust in N does {turn} give? Write it as scale"
     elif len(pulses) and low <= np.min(pulses) and most <= high:
         entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})
         doubt = (

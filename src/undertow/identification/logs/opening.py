@@ -371,7 +371,12 @@ def columns_read(mapping: LogMapping) -> list[str]:
 
 
 def must_have(
-    name: str, names: Iterable[str], where: str, what: str, columns: Sequence[str] | None = None
+    name: str,
+    names: Iterable[str],
+    where: str,
+    what: str,
+    columns: Sequence[str] | None = None,
+    instead: str = "",
 ) -> None:
     """Refuse a table without a column, with those that it has."""
     names = list(names)
@@ -379,7 +384,9 @@ def must_have(
         have = list(names if columns is None else columns)
         hint = nearest(name, have)
         more = _delimiter_hint(have)
-        raise UndertowError(f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}")
+        raise UndertowError(
+            f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}{instead}"
+        )
 
 
 def _delimiter_hint(columns: Sequence[str]) -> str:

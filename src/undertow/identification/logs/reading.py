@@ -341,7 +341,14 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
             found[name] = Column(channel=name)
     known = [*(column.channel for column in found.values()), *mapping.channels]
     for name in commands:
-        must_have(name, known, where, "command channel", names)
+        must_have(
+            name,
+            known,
+            where,
+            "command channel",
+            names,
+            f', or a constant under [channels], such as {name} = "0", for one that was never used',
+        )
     return found
 
 

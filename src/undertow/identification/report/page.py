@@ -44,6 +44,7 @@ from .pictures import (
     ranking,
     residual_against,
 )
+from .sentences import sure_in_words
 
 # --- what a report shows of a model ---------------------------------------------------------------
 # Bins in which the mean residual force may leave the noise by chance do not make a variable telling.
@@ -382,6 +383,7 @@ def _template() -> Template:
         percent,
         prior_text,
         quantity,
+        sure_in_words,
         with_error,
         unit_text,
     ]

@@ -10,7 +10,7 @@ from math import floor, inf, isfinite, log10
 from pathlib import PurePath
 
 from undertow.errors import listed
-from undertow.identification.diagnosis.result import Diagnosis, Step
+from undertow.identification.diagnosis.result import Diagnosis, Ranked, Step
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.findings import Finding
 from undertow.model.symbols import DOFS, VELOCITY
@@ -123,7 +123,22 @@ def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = 
             "undertow doctor finds no mistake in the logs, so check the vehicle file: thrust per command, "
             "places and directions of the thrusters, inertia"
         )
+        if doubts := [f.text.partition(":")[0] for f in examined if f.text.startswith("perhaps ")]:
+            advice = f"undertow doctor is not sure of the logs ({'; '.join(doubts)}): try that first"
     return f"Worse than no model at all in {motions} ({sizes}): {advice}."
+
+
+def sure_in_words(candidate: Ranked, false_alarms: float) -> str:
+    """Whether a candidate helps by more than chance, and what says so where its mean fall does not.
+
+    Chance is judged by the signs of the fall in blocks of data, and by simulation; the interval beside it is
+    of the mean, which a few blocks may dominate. `false_alarms`: the chance below which the blocks decide.
+    """
+    if not candidate.significant or candidate.interval[0] > 0.0:
+        return candidate.sure
+    by_blocks = candidate.p_value is not None and candidate.p_value < false_alarms
+    why = "in most blocks of the data, though their mean is uncertain" if by_blocks else "by simulation"
+    return f"{candidate.sure}: {why}"
 
 
 def errors(ahead: Mapping[str, float]) -> str:

@@ -1,0 +1,138 @@
+"""Which column of a log counts its time, and in what unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from undertow.errors import UndertowError
+from undertow.typing import Array, Flags
+
+from .guess_frames import Guess
+from .guess_names import is_clock, unit_of_clock
+from .mapping import SECONDS
+from .run import MEASURABLE, far_from_usual, later_than_before
+from .table import has_dates, seconds
+
+
+@dataclass(frozen=True)
+class ClockSettings:
+    """Numbers that decide which column is a clock."""
+
+    # Share of rows that may be no later than one before, of a clock that rises all the same.
+    late: float = 0.05
+
+
+SETTINGS = ClockSettings()
+
+
+def times_of_rows(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
+    """Times of the rows, s."""
+    if time.column not in data:
+        return seconds(table, time.column, where)[0]
+    return data[time.column] * SECONDS[str(time.entry["unit"])]
+
+
+def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
+    found = _clock(table, data, where)
+    dated = found not in data
+    times = seconds(table, found, where)[0] if dated else data[found]
+    sampled = _sampled(data, found, len(times))
+    stated, step = unit_of_clock(found), float(np.nanmedian(np.diff(times[sampled])))
+    unit = "iso" if dated else stated or _unit_of_time(times, step)
+    rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
+    one = "row" if np.all(sampled) else "sample"
+    said = "" if stated or dated else _asked_of_clock(step, unit, one)
+    entry, asked = {"column": found, "unit": unit}, [said] if said else []
+    if rate > MEASURABLE.fast and np.all(sampled):
+        asked.append(f"{rate:.3g} rows a second: every = {round(rate / MEASURABLE.enough)} would do at first")
+    late = _late(times)
+    if late:
+        entry["disorder"] = "drop"
+        asked.append(f"{late:.2%} of the rows are not later than an earlier one: leave them out?")
+    return Guess(found, entry, " ".join(asked))
+
+
+def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
+    """The column that counts the time: one of that name that rises or has dates, else one that rises."""
+    late = {n: _late(column) for n, column in data.items()}
+    rising = [n for n, share in late.items() if share == 0.0]
+    rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
+    texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
+    dated = [n for n in texts if not _no_dates(table, n, where)]
+    named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
+    # Of a table of several clocks only one has the time of every row.
+    found = min(
+        [*named, *rising],
+        key=lambda n: (n not in named, table[n].null_count(), not is_clock(n)),
+        default=None,
+    )
+    if found is None:
+        reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
+        raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
+    return found
+
+
+def _late(times: Array) -> float:
+    """Share of the times that are no later than one before; rows without one end a log that was cut off."""
+    there = times[np.isfinite(times)]
+    return 1.0 - float(np.mean(later_than_before(there))) if len(there) > 1 else 1.0
+
+
+def _no_dates(table: pl.DataFrame, name: str, where: str) -> str:
+    """Why a column of texts has no dates; empty where it has."""
+    try:
+        return "" if np.isfinite(seconds(table, name, where)[0]).any() else f"{where}: {name!r} is empty"
+    except UndertowError as error:
+        return str(error)
+
+
+def _no_time(data: Mapping[str, Array]) -> str:
+    """Why no column is the time, and what to do where one of its name is too coarse, or jumps back."""
+    for name, column in data.items():
+        still = np.flatnonzero(np.diff(column) <= 0.0)
+        if is_clock(name) and len(still):
+            row = int(still[0])
+            return (
+                f"column {name!r} does not increase in {len(still)} of {len(column)} rows, first from "
+                f"{column[row]:.15g} to {column[row + 1]:.15g} in row {row + 2}: write the times with more "
+                "digits, or row number times sampling interval, into a column that rises"
+            )
+    return (
+        "no column contains the time, since none increases from row to row; write the log with the time of "
+        "each row (row number times sampling interval, if that is constant)"
+    )
+
+
+def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
+    """Rows of the column with most samples: in a table of several clocks none has one in every row."""
+    there = [np.isfinite(column) for name, column in data.items() if name != time]
+    most = max(there, key=np.count_nonzero, default=np.ones(rows, dtype=bool))
+    return most if np.count_nonzero(most) > 1 else np.ones_like(most)
+
+
+def _unit_of_time(t: Array, step: float) -> str:
+    """The unit in which a clock since 1970, or else the time from row to row, makes sense."""
+    for unit in ("ns", "us", "ms"):
+        if 1e9 < float(t[0]) * SECONDS[unit] < 1e10 and float(t[0]) > 1e11:
+            return unit
+    return min(_GUESSED, key=lambda unit: far_from_usual(step * SECONDS[unit]))
+
+
+# Units that a clock counts without saying so; minutes, hours and days are asked about.
+_GUESSED = ("s", "ms", "us", "ns")
+
+
+def _asked_of_clock(step: float, unit: str, one: str) -> str:
+    """Ask for a unit that is not stated, with the steps in it, and in rarer ones if these fit better."""
+    as_guessed = far_from_usual(step * SECONDS[unit])
+    better = [u for u in SECONDS if far_from_usual(step * SECONDS[u]) < as_guessed]
+    here, *others = (f"{1.0 / (step * SECONDS[u]):.3g}" for u in (unit, *better))
+    rates = [
+        f"{here} {one}s a second if it is in {unit}",
+        *(f"{x} in {u}" for x, u in zip(others, better, strict=True)),
+    ]
+    return f"{step:.4g} from {one} to {one}: that is {', '.join(rates)}; {'which' if better else 'is it'}?"
