@@ -1,4 +1,4 @@
-"""The terminal: streams, warnings, progress, tables and JSON, Ctrl-C."""
+"""The terminal: streams, warnings, progress, tables, findings and JSON, Ctrl-C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model beside logs: where it fails, in which regime, and how much of that is noise."""
+"""A model beside logs: the force it lacks, where it fails, in which regime, how much of that is noise."""
 
 from __future__ import annotations
 

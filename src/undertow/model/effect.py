@@ -1,4 +1,4 @@
-"""The contract of a physical effect: its parameters and one symbolic statement of its physics."""
+"""A physical effect: its parameters and one symbolic statement of its physics, and hardware as it sees it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fitting the weak residual: Gauss-Newton, generalised least squares, instrumental variables."""
+"""Fitting the weak residual: Gauss-Newton, generalised least squares, instruments; and to a new run."""
 
 from __future__ import annotations
 

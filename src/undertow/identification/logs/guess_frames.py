@@ -1,4 +1,4 @@
-"""Which axes a log may have, as far as its motion says, and which of its columns are a quaternion."""
+"""Which axes a log may have, as far as its motion says, which columns are a quaternion; a guessed mapping."""
 
 from __future__ import annotations
 

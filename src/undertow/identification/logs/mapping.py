@@ -1,4 +1,4 @@
-"""The mapping file: how columns of a log become channels of a run, and its frames ours."""
+"""The mapping file: how columns of a log become channels of a run, and its frames ours; changes of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
-from undertow.model.loading import validated
+from undertow.model.tables import validated
 from undertow.model.units import to_si
 from undertow.typing import Array
 

@@ -1,4 +1,4 @@
-"""A log as it lies on the disk: its table, a vehicle's own or not, with what the columns mean."""
+"""A log as it lies on the disk: its table and what the columns mean, and what it must be to be used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run: one stretch of measurement on one clock, in SI, with its gaps left open."""
+"""A run: one stretch of measurement on one clock, in SI, with its gaps left open; series of other clocks."""
 
 from __future__ import annotations
 

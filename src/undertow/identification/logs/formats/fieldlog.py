@@ -1,4 +1,4 @@
-"""What a vehicle's own log holds: series, each on a clock of its own, and what they are known to mean."""
+"""A vehicle's own log: series, each on a clock of its own, what they mean, and which format it is of."""
 
 from __future__ import annotations
 
