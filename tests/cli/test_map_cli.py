@@ -546,6 +546,17 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
     assert "thr_left_zero" in found.ignored["never changes: measured by nothing, or held"]
 
 
+def test_motions_without_a_column_are_asked_for_and_the_unit_of_commands_counted_in_newtons(
+    case: Path,
+) -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    table = pl.DataFrame({"t": t, "kfspd": np.sin(t), **{f"f{k}": 0.5 * np.sin(k * t) for k in (1, 2, 3)}})
+    found = guess_table(table, Path("log.csv"), load_vehicle(case / "usv.toml"))
+    asked = "no column looks like surge (u or x), sway (v or y), yaw (r or psi) of the vehicle"
+    assert any(question.startswith(asked) for question in found.questions)
+    assert all("newtons, per cent or something else?" in g.doubt for g in found.columns)
+
+
 def test_a_first_mapping_reads_a_log_whose_commands_have_gaps(case: Path) -> None:
     table = pl.read_csv(case / "train.csv")
     gaps = pl.when(pl.int_range(pl.len()) % 7 > 0).then(pl.col("f1"))
@@ -597,4 +608,4 @@ def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Pa
     assert {n: guesses[n].column for n in wrench} == dict(zip(wrench, reversed(columns), strict=True))
     assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
     assert [guesses[n].entry["unit"] for n in wrench] == ["N", "N", "N m"]
-    assert not any("looks like" in question for question in found.questions)
+    assert not any("looks like '" in question for question in found.questions)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
-from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
+from undertow.model.symbols import DOFS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -156,12 +156,22 @@ def _with_gaps(
     return reading.model_copy(update=changes), asked
 
 
+def without_motion(vehicle: Vehicle | None, channels: Container[str]) -> list[str]:
+    """Ask for the motions of a vehicle of which no channel is known."""
+    dofs = vehicle.dof_indices if vehicle else ()
+    lacking = [i for i in dofs if POSE[i] not in channels and VELOCITY[i] not in channels]
+    if not lacking:
+        return []
+    wanted = ", ".join(f"{DOFS[i]} ({VELOCITY[i]} or {POSE[i]})" for i in lacking)
+    return [f"no column looks like {wanted} of the vehicle: which ones are they, in what unit?"]
+
+
 def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Name]) -> list[str]:
-    """What to ask of commands without a column, and of forces among the columns that are `left`."""
+    """What to ask of what has no column, and of forces among the columns that are `left`."""
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in left if n.force]
-    asked = [NO_COLUMN.format(c) for c in lacking]
+    asked = without_motion(vehicle, {g.channel for g in read}) + [NO_COLUMN.format(c) for c in lacking]
     return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
@@ -493,8 +503,13 @@ def _command(
             )
     elif unit == "rad":
         entry["unit"], doubt = _unit("phi", values)
-    elif max(most, -least) > SETTINGS.full:
+    elif unit == "N" or max(most, -least) > SETTINGS.full:
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
+        doubt += (
+            " The vehicle counts it in N: else give the force of a command of 1 as scale"
+            if unit == "N"
+            else ""
+        )
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
 
 

@@ -62,15 +62,24 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     ]
     found = list(_series(_WORKSPACE, content, {}))
     if not found:
+        cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and hasattr(v[0], "size")}
+        if cells:
+            name = max(cells, key=lambda n: cells[n])
+            notes = [f"{name} is a cell array: save each run in a file of its own, such as {name}{{1}}"]
         what = f" {notes[0]}" if notes else ""
         names = ", ".join(content) or "nothing"
         raise UndertowError(
             f"log {path} has no time vector with other vectors of the same length (it has {names}): call "
             f"one of them time or t.{what}"
         )
-    begin = min(float(one.t[0]) for one in found)
-    if abs(begin) > SETTINGS.since:
-        found = [Series(one.name, one.t - begin, one.columns, one.units) for one in found]
+    # Clocks since 1970 begin with the first of them; others beside them begin with the log.
+    late = [float(one.t[0]) for one in found if abs(one.t[0]) > SETTINGS.since]
+    if late:
+        begins = (min(late) if abs(one.t[0]) > SETTINGS.since else 0.0 for one in found)
+        found = [
+            Series(one.name, one.t - begin, one.columns, one.units)
+            for one, begin in zip(found, begins, strict=True)
+        ]
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
     about, asked = tuple(notes), tuple(questions)
