@@ -50,6 +50,7 @@ from .table import file_bytes, is_dates, numbers, read_table, texts_in, unit_of_
 class GuessSettings:
     """Numbers that decide a guess."""
 
+    lines: int = 50  # lines by which the sign between cells is known
     rows: int = 20_000  # rows that are looked at; more change no guess
     turn: float = 7.0  # an angle beyond this is in degrees: a turn and what noise adds to it
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
@@ -235,11 +236,18 @@ def _table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
     """The first rows of a log, and how its text is written."""
     reading, data, where = LogMapping(), file_bytes(path), f"log {path}"
     table = read_table(data, reading, where, path)
-    sign = next((s for s in ";\t|" if len(table.columns) == 1 and s in table.columns[0]), None)
+    sign = _delimiter(table) if len(table.columns) == 1 else None
     if sign is not None:
         reading = LogMapping(delimiter=sign)
         table = read_table(data, reading, where, path)
     return table.head(SETTINGS.rows), reading
+
+
+def _delimiter(table: pl.DataFrame) -> str | None:
+    """What separates the cells of a table read as one column: the sign that most of its lines have."""
+    (name,) = table.columns
+    lines = [line.strip() for line in (name, *table[name].head(SETTINGS.lines).drop_nulls().cast(pl.String))]
+    return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
 
 
 def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
@@ -256,7 +264,9 @@ def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None
 def _name(table: pl.DataFrame, column: str, reading: LogMapping) -> Name:
     """The name of a column, with the unit that its cells state if it states none itself."""
     name = Name.of(column)
-    return name if name.unit else replace(name, unit=known_unit(unit_of_cells(table, column, reading)))
+    below = texts_in(table, column, reading)[:1]  # a line of units below the names
+    stated = (unit_of_cells(table, column, reading), *(text.strip().strip("[]()") for text in below))
+    return name if name.unit else replace(name, unit=next(filter(None, map(known_unit, stated)), ""))
 
 
 # Of attitude and depth a vehicle may keep one value; another motion that stays was not measured.
