@@ -38,6 +38,11 @@ class Finding(ResultTable):
     vehicle: str = ""
     alternatives: list[str] = Field(default_factory=list)  # other explanations that these logs do not exclude
 
+    def clause(self, runs: Iterable[str] = ()) -> str:
+        """What is wrong, without the evidence and the name of the run in front of it."""
+        parts = [part for part in self.text.split(": ") if part not in runs]
+        return parts[0].partition(":")[0]
+
 
 class DofExcitation(ResultTable):
     """What happened in one degree of freedom."""

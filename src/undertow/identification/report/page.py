@@ -28,7 +28,7 @@ from .pictures import (
     ranking,
     residual_against,
 )
-from .sentences import sure_in_words
+from .sentences import chance, sure_in_words
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,7 @@ def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
 def _template() -> Template:
     environment = templates("undertow.identification.report", html=True)
     tools: list[Callable[..., str]] = [
+        chance,
         estimate_text,
         parameter_text,
         percent,
