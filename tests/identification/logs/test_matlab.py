@@ -160,6 +160,14 @@ def test_commands_are_taken_by_their_names_where_these_are_those_of_the_vehicle(
     assert drives == {"log.port": "port", "log.starboard": "starboard"}
 
 
+def test_a_clock_without_its_first_times_and_in_microseconds_is_one(tmp_path: Path) -> None:
+    t = np.arange(40) * 0.1
+    clock = np.where(t < 0.2, np.nan, 1e6 * t)
+    log = read_field_log(_written(tmp_path, {"time_gps": clock, "depth": t / 10}))
+    assert log.series["workspace"].t[2:] == pytest.approx(t[2:])
+    assert read_log(log.path).t == pytest.approx(t[2:])
+
+
 def test_clocks_since_1970_and_from_the_start_begin_together(tmp_path: Path) -> None:
     t = np.arange(30) * 0.5
     log = read_field_log(_written(tmp_path, {"a": {"t": t + 1.7e9, "x": t}, "b": {"t": t, "y": t}}))

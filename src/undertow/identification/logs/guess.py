@@ -293,11 +293,14 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
 def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
     """The column of each command and input: of those of the vehicle, or of whatever looks like a command.
 
-    Of the `dead` ones, which stay as they are, a vehicle may have a thruster that was never used.
+    Of the `dead` ones, which stay as they are, a vehicle may have a thruster that was never used, and so may
+    a row of columns that differ in a number.
     """
     if vehicle is None:
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
-        return {n.force or n.column: n for n in driving if n.column not in dead}
+        rows = rows_by_number(n.column for n in driving)
+        beside = {column for row in rows if not dead.issuperset(row) for column in row}
+        return {n.force or n.column: n for n in driving if n.column not in dead or n.column in beside}
     names = sorted(names, key=lambda n: n.column in dead)
     found: dict[str, Name] = {}
     axes = _axes(vehicle)

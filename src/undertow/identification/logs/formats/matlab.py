@@ -18,6 +18,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.conversions import SECONDS
+from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
 from undertow.identification.logs.run import FORCES
 from undertow.model.symbols import POSE
@@ -73,9 +74,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             f"one of them time or t.{what}"
         )
     # Clocks since 1970 begin with the first of them; others beside them begin with the log.
-    late = [float(one.t[0]) for one in found if abs(one.t[0]) > SETTINGS.since]
+    firsts = [float(np.nanmin(one.t)) for one in found]
+    late = [first for first in firsts if abs(first) > SETTINGS.since]
     if late:
-        begins = (min(late) if abs(one.t[0]) > SETTINGS.since else 0.0 for one in found)
+        begins = (min(late) if abs(first) > SETTINGS.since else 0.0 for first in firsts)
         found = [
             Series(one.name, one.t - begin, one.columns, one.units)
             for one, begin in zip(found, begins, strict=True)
@@ -180,11 +182,12 @@ def _numbers(value: Any) -> Array | None:
 def _seconds(name: str, values: Array) -> Array | None:
     """A vector of time, s; None for what does not rise."""
     t = np.squeeze(values)
-    if t.ndim != 1 or len(t) < 2 or not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0) or t[-1] <= t[0]:
+    there = t[np.isfinite(t)] if t.ndim == 1 else t[:0]  # a sample without a time is left out later
+    if len(there) < 2 or np.any(np.diff(there) < 0) or there[-1] <= there[0]:
         return None
-    if SETTINGS.dates[0] < t[0] < SETTINGS.dates[1] and t[-1] - t[0] < 366:
-        return (t - t[0]) * 86400.0
-    return t * SECONDS.get(unit_of_clock(name), 1.0)
+    if SETTINGS.dates[0] < there[0] < SETTINGS.dates[1] and there[-1] - there[0] < 366:
+        return (t - there[0]) * 86400.0
+    return t * SECONDS[unit_of_clock(name) or unit_by_steps(there, float(np.median(np.diff(there))))]
 
 
 def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int, dict[str, Array]]:
