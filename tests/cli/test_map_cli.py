@@ -546,6 +546,46 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
     assert "thr_left_zero" in found.ignored["never changes: measured by nothing, or held"]
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "0,1,0\n0.1,1.1,0.01\n0.2,1.2,0.02\n",
+            "begins with numbers (0, 1, 0 …): write a line with the names",
+        ),
+        ("A tank\n1.2 m/s\n" + "0\t1\t2\n1\t2\t3\n" * 9, "line 3 has 3 cells, the header 1: delete what is"),
+    ],
+)
+def test_a_table_without_a_line_of_names_is_refused_for_that(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "log.dat").write_text(text)
+    with pytest.raises(UndertowError) as refused:
+        guess_mapping(tmp_path / "log.dat")
+    assert words in str(refused.value)
+
+
+def test_columns_below_each_other_and_a_line_of_units_are_read(tmp_path: Path) -> None:
+    """As towing tanks write them: several blanks between the cells, units below the names."""
+    rows = "".join(f"  {0.1 * k:.1f}    {k}   {2 * k}\r\n" for k in range(20))
+    (tmp_path / "log.txt").write_text(f" t     u     r\r\n[s]   [mm/s]   [deg/s]\r\n{rows}")
+    guessed = guess_mapping(tmp_path / "log.txt")
+    assert guessed.reading.delimiter == " "
+    assert {g.channel: g.entry["unit"] for g in guessed.columns} == {"u": "mm/s", "r": "deg/s"}
+    (tmp_path / "log.txt").write_text(f" t     u     r\r\n{rows}")
+    run = read_log(tmp_path / "log.txt", guessed.meaning)
+    assert run.channels["u"] == pytest.approx(1e-3 * np.arange(20))
+
+
+def test_motions_without_a_column_are_asked_for_and_the_unit_of_commands_counted_in_newtons(
+    case: Path,
+) -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    table = pl.DataFrame({"t": t, "kfspd": np.sin(t), **{f"f{k}": 0.5 * np.sin(k * t) for k in (1, 2, 3)}})
+    found = guess_table(table, Path("log.csv"), load_vehicle(case / "usv.toml"))
+    asked = "no column looks like surge (u or x), sway (v or y), yaw (r or psi) of the vehicle"
+    assert any(question.startswith(asked) for question in found.questions)
+    assert all("newtons, per cent or something else?" in g.doubt for g in found.columns)
+
+
 def test_a_first_mapping_reads_a_log_whose_commands_have_gaps(case: Path) -> None:
     table = pl.read_csv(case / "train.csv")
     gaps = pl.when(pl.int_range(pl.len()) % 7 > 0).then(pl.col("f1"))
@@ -597,4 +637,4 @@ def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Pa
     assert {n: guesses[n].column for n in wrench} == dict(zip(wrench, reversed(columns), strict=True))
     assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
     assert [guesses[n].entry["unit"] for n in wrench] == ["N", "N", "N m"]
-    assert not any("looks like" in question for question in found.questions)
+    assert not any("looks like '" in question for question in found.questions)

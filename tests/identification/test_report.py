@@ -492,12 +492,14 @@ def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
         )
         return _with_doctor(_diagnosis(), examined, explained=False)
 
-    mistake = Found(id="reversed_thruster", severity="mistake", text="thruster 'f1' pushes backwards")
+    mistake = Found(
+        id="reversed_thruster", severity="mistake", text="a: thruster 'f1' pushes backwards: yaw shows it"
+    )
     late = Found(id="late_velocity", severity="warning", text="velocity 0.2 s late")
-    first = "First correct the mistakes in the logs or the vehicle file: reversed_thruster."
+    first = "First correct the mistakes in the logs or the vehicle file: thruster 'f1' pushes backwards."
     said = "Adding mini-auv brings the error from 6.25 to 1.02 times the noise on validation runs."
     assert reported(late, mistake).headline == f"{first} {said} headline of mini-auv"
-    assert reported(mistake).warnings[0] == "mistake: thruster 'f1' pushes backwards"
+    assert reported(mistake).warnings[0] == "mistake: a: thruster 'f1' pushes backwards: yaw shows it"
     assert reported(late).headline == f"{said} headline of mini-auv"
 
 
@@ -524,6 +526,7 @@ def test_an_error_that_rises_is_no_plain_yes() -> None:
     ("interval", "chance", "words"),
     [
         ((0.5, 1.5), 0.001, "yes"),
+        ((0.5, 1.5), 0.0000181, "yes"),
         ((-0.5, 2.5), 0.001, "yes: in most blocks of the data, though their mean is uncertain"),
         ((-0.5, 2.5), 0.2, "yes: by simulation"),
     ],
@@ -534,6 +537,7 @@ def test_more_than_chance_agrees_with_the_interval_beside_it(
     lift = _ranked("lift", 1.0, interval=interval, p_value=chance)
     page = render_report(_diagnosis().model_copy(update={"ranking": [lift]}))
     assert f'<td data-head="more than chance">{words}<br>' in page
+    assert f"chance {'20.0 %' if chance == 0.2 else '&lt; 0.2 %'}<" in page
 
 
 def test_what_does_nothing_is_folded_away_and_what_to_run_stands_on_top() -> None:

@@ -259,8 +259,8 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool
         examined = without_refuted(examined)
     diagnosis = summarised(diagnosis.model_copy(update={"doctor": examined.findings}))
     mistakes = [f"{f.severity}: {f.text}" for f in examined.mistakes]
-    ids = ", ".join(f.id for f in examined.mistakes)
-    first = [f"First correct the mistakes in the logs or the vehicle file: {ids}."] if mistakes else []
+    wrong = "; ".join(f.clause(examined.runs) for f in examined.mistakes)
+    first = [f"First correct the mistakes in the logs or the vehicle file: {wrong}."] if mistakes else []
     return diagnosis.model_copy(
         update={
             "warnings": [*mistakes, *diagnosis.warnings],

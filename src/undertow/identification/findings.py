@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -178,6 +179,11 @@ class Finding(ResultTable):
     # Alternative correction in the vehicle file; empty if there is none.
     vehicle: str = ""
     alternatives: list[str] = Field(default_factory=list)  # other explanations that these logs do not exclude
+
+    def clause(self, runs: Iterable[str] = ()) -> str:
+        """What is wrong, without the evidence and the name of the run in front of it."""
+        parts = [part for part in self.text.split(": ") if part not in runs]
+        return parts[0].partition(":")[0]
 
 
 class DofExcitation(ResultTable):

@@ -160,6 +160,28 @@ def test_commands_are_taken_by_their_names_where_these_are_those_of_the_vehicle(
     assert drives == {"log.port": "port", "log.starboard": "starboard"}
 
 
+def test_a_clock_without_its_first_times_and_in_microseconds_is_one(tmp_path: Path) -> None:
+    t = np.arange(40) * 0.1
+    clock = np.where(t < 0.2, np.nan, 1e6 * t)
+    log = read_field_log(_written(tmp_path, {"time_gps": clock, "depth": t / 10}))
+    assert log.series["workspace"].t[2:] == pytest.approx(t[2:])
+    assert read_log(log.path).t == pytest.approx(t[2:])
+
+
+def test_clocks_since_1970_and_from_the_start_begin_together(tmp_path: Path) -> None:
+    t = np.arange(30) * 0.5
+    log = read_field_log(_written(tmp_path, {"a": {"t": t + 1.7e9, "x": t}, "b": {"t": t, "y": t}}))
+    assert log.series["a"].t == pytest.approx(t)
+    assert log.series["b"].t == pytest.approx(t)
+
+
+def test_runs_in_cells_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    cells = np.empty((1, 2), dtype=object)
+    cells[0, 0], cells[0, 1] = np.arange(50.0), np.arange(40.0)
+    with pytest.raises(UndertowError, match=r"tc is a cell array: save each run in a file .* tc\{1\}"):
+        read_field_log(_written(tmp_path, {"tc": cells, "heading": cells}))
+
+
 def test_a_file_without_time_is_refused_with_its_names(tmp_path: Path) -> None:
     path = _written(tmp_path, {"speed": np.ones(20), "depth": np.ones(20)})
     with pytest.raises(UndertowError, match=r"no time vector .*it has speed, depth.*call one of them"):

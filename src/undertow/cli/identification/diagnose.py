@@ -100,7 +100,7 @@ def diagnose(
         outcome = _diagnosed(part, loaded, line, settings, options)
         if rig:
             say(str(part), "bold")
-        show(outcome, own(json))
+        show(outcome, own(json), options.map)
         say_long(outcome.diagnosis.long_logs)
         written.append((outcome, own(json), own(report)))
     _write(written, loaded.vehicle, vehicle, apply, rig)
@@ -171,14 +171,17 @@ def _models(outcome: DiagnosisResult, given: Vehicle) -> dict[str, Vehicle]:
 _SHOWN = 6
 
 
-def show(outcome: DiagnosisResult, written: Path | None = None) -> None:
-    """Print verdict, ranking, the falling error and warnings; `written` is the file of --json."""
+def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None = None) -> None:
+    """Print verdict, ranking, the falling error and warnings.
+
+    `written` is the file of --json, `map` the mapping file in use.
+    """
     from undertow.identification.diagnosis.floors import in_words
 
     diagnosis = outcome.diagnosis
     for finding in diagnosis.doctor:
         if finding.severity == "mistake":
-            show_finding(finding, None)
+            show_finding(finding, map)
     say(f"{diagnosis.verdict}: {diagnosis.headline}", "bold")
     if diagnosis.command:
         say(f"run: {diagnosis.command}", "bold")
@@ -210,6 +213,7 @@ def show(outcome: DiagnosisResult, written: Path | None = None) -> None:
 
 def _show_ranking(diagnosis: Diagnosis) -> None:
     from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
+    from undertow.identification.report.sentences import chance
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
     model = "model with fitted values" if diagnosis.freed else "model as it is"
@@ -223,7 +227,7 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     numbers = (
         [r.effect]
         + ([_change(-r.falls[longest]) if r.falls else ""] if longest else [])
-        + [f"{r.error_after:.3g}", f"{r.explained:.0%}", _chance(r.p_value), r.sure]
+        + [f"{r.error_after:.3g}", f"{r.explained:.0%}", chance(r.p_value).replace(" %", "%"), r.sure]
         for r in helping
     )
     section(
@@ -251,12 +255,6 @@ _WILD = 10.0  # a model whose error rises by ten times runs away: its digits mea
 
 def _change(share: float) -> str:
     return f"> +{_WILD:.0%}" if share > _WILD else f"{share:+.0%}"
-
-
-def _chance(p: float | None) -> str:
-    if p is None:
-        return ""
-    return "< 0.2%" if p < 0.002 else f"{p:.1%}"
 
 
 def _value(p: Estimate) -> str:

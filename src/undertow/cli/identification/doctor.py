@@ -108,8 +108,7 @@ def verdict(result: Examination) -> str:
     others = f", {warned} warning{'s' * (warned != 1)}" if warned else ""
     if not count:
         return f"no mistake found in how the logs are read{others} ({result.seconds:.1f} s)"
-    of_run = [part for part in result.mistakes[0].text.split(": ") if part not in result.runs]
-    first = of_run[0].partition(":")[0]
+    first = result.mistakes[0].clause(result.runs)
     return f"{count} mistake{'s' * (count != 1)}{others}; first of all: {first} ({result.seconds:.1f} s)"
 
 

@@ -48,6 +48,8 @@ def new(
         guessed = first_mapping(own, model) if own else guess_mapping(log, model)
     write_whole(out, guessed.text())
     show_guesses(guessed, log)
+    if not guessed.columns:
+        say(f"no column looks like a motion or a command: give theirs a channel in {out}", "yellow")
     left = sum(len(names) for names in guessed.ignored.values())
     say(f"wrote {out}: {len(guessed.columns)} columns read, {left} left out; look at every line with '# ?'")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {log} --map {out}")
@@ -56,6 +58,7 @@ def new(
 def show_guesses(guessed: GuessedMapping, log: Path) -> None:
     """The columns of a log that were understood, and what is asked of them and of the others."""
     rows = [(g.column, g.channel, str(g.entry.get("unit", ""))) for g in guessed.columns]
-    section(f"{log}: guesses", table(("column", "channel", "unit"), rows))
+    if rows:
+        section(f"{log}: guesses", table(("column", "channel", "unit"), rows))
     if guessed.asked:
         section("Questions", table(("",), ((question,) for question in guessed.asked)))

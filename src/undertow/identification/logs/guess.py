@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import polars as pl
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
-from undertow.model.symbols import MOTION_UNITS, POSE, VELOCITY
+from undertow.model.symbols import DOFS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.tables import TURNS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -50,6 +50,7 @@ from .table import file_bytes, is_dates, numbers, read_table, texts_in, unit_of_
 class GuessSettings:
     """Numbers that decide a guess."""
 
+    lines: int = 50  # lines by which the sign between cells is known
     rows: int = 20_000  # rows that are looked at; more change no guess
     turn: float = 7.0  # an angle beyond this is in degrees: a turn and what noise adds to it
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
@@ -156,12 +157,22 @@ def _with_gaps(
     return reading.model_copy(update=changes), asked
 
 
+def without_motion(vehicle: Vehicle | None, channels: Container[str]) -> list[str]:
+    """Ask for the motions of a vehicle of which no channel is known."""
+    dofs = vehicle.dof_indices if vehicle else ()
+    lacking = [i for i in dofs if POSE[i] not in channels and VELOCITY[i] not in channels]
+    if not lacking:
+        return []
+    wanted = ", ".join(f"{DOFS[i]} ({VELOCITY[i]} or {POSE[i]})" for i in lacking)
+    return [f"no column looks like {wanted} of the vehicle: which ones are they, in what unit?"]
+
+
 def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Name]) -> list[str]:
-    """What to ask of commands without a column, and of forces among the columns that are `left`."""
+    """What to ask of what has no column, and of forces among the columns that are `left`."""
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in left if n.force]
-    asked = [NO_COLUMN.format(c) for c in lacking]
+    asked = without_motion(vehicle, {g.channel for g in read}) + [NO_COLUMN.format(c) for c in lacking]
     return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
@@ -225,11 +236,18 @@ def _table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
     """The first rows of a log, and how its text is written."""
     reading, data, where = LogMapping(), file_bytes(path), f"log {path}"
     table = read_table(data, reading, where, path)
-    sign = next((s for s in ";\t|" if len(table.columns) == 1 and s in table.columns[0]), None)
+    sign = _delimiter(table) if len(table.columns) == 1 else None
     if sign is not None:
         reading = LogMapping(delimiter=sign)
         table = read_table(data, reading, where, path)
     return table.head(SETTINGS.rows), reading
+
+
+def _delimiter(table: pl.DataFrame) -> str | None:
+    """What separates the cells of a table read as one column: the sign that most of its lines have."""
+    (name,) = table.columns
+    lines = [line.strip() for line in (name, *table[name].head(SETTINGS.lines).drop_nulls().cast(pl.String))]
+    return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
 
 
 def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
@@ -246,7 +264,9 @@ def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None
 def _name(table: pl.DataFrame, column: str, reading: LogMapping) -> Name:
     """The name of a column, with the unit that its cells state if it states none itself."""
     name = Name.of(column)
-    return name if name.unit else replace(name, unit=known_unit(unit_of_cells(table, column, reading)))
+    below = texts_in(table, column, reading)[:1]  # a line of units below the names
+    stated = (unit_of_cells(table, column, reading), *(text.strip().strip("[]()") for text in below))
+    return name if name.unit else replace(name, unit=next(filter(None, map(known_unit, stated)), ""))
 
 
 # Of attitude and depth a vehicle may keep one value; another motion that stays was not measured.
@@ -273,11 +293,14 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
 def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
     """The column of each command and input: of those of the vehicle, or of whatever looks like a command.
 
-    Of the `dead` ones, which stay as they are, a vehicle may have a thruster that was never used.
+    Of the `dead` ones, which stay as they are, a vehicle may have a thruster that was never used, and so may
+    a row of columns that differ in a number.
     """
     if vehicle is None:
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
-        return {n.force or n.column: n for n in driving if n.column not in dead}
+        rows = rows_by_number(n.column for n in driving)
+        beside = {column for row in rows if not dead.issuperset(row) for column in row}
+        return {n.force or n.column: n for n in driving if n.column not in dead or n.column in beside}
     names = sorted(names, key=lambda n: n.column in dead)
     found: dict[str, Name] = {}
     axes = _axes(vehicle)
@@ -493,8 +516,13 @@ def _command(
             )
     elif unit == "rad":
         entry["unit"], doubt = _unit("phi", values)
-    elif max(most, -least) > SETTINGS.full:
+    elif unit == "N" or max(most, -least) > SETTINGS.full:
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
+        doubt += (
+            " The vehicle counts it in N: else give the force of a command of 1 as scale"
+            if unit == "N"
+            else ""
+        )
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
 
 

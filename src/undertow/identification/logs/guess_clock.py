@@ -42,7 +42,7 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
     stated, step = unit_of_clock(found), float(np.nanmedian(np.diff(times[sampled])))
-    unit = "iso" if dated else stated or _unit_of_time(times, step)
+    unit = "iso" if dated else stated or unit_by_steps(times, step)
     rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"
     said = "" if stated or dated else _asked_of_clock(step, unit, one)
@@ -114,7 +114,7 @@ def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
     return most if np.count_nonzero(most) > 1 else np.ones_like(most)
 
 
-def _unit_of_time(t: Array, step: float) -> str:
+def unit_by_steps(t: Array, step: float) -> str:
     """The unit in which a clock since 1970, or else the time from row to row, makes sense."""
     for unit in ("ns", "us", "ms"):
         if 1e9 < float(t[0]) * SECONDS[unit] < 1e10 and float(t[0]) > 1e11:

@@ -326,6 +326,8 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
     packed = next((how for magic, how in _PACKED.items() if text.startswith(magic)), None)
     if packed is not None:
         raise UndertowError(f"{where} is packed by {packed}: unpack it, or pack it with gzip")
+    if mapping.delimiter == " ":  # several blanks in a row are one, as in columns that stand below each other
+        text = re.sub(rb"[ \t]+", b" ", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text))
     header = header_of(text, mapping)
     limits.check(len(text), text.count(b"\n"), columns_of(header, mapping), where)
     if not text.isascii():
@@ -338,8 +340,15 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
             ) from error
     if not header:
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
+    names = next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter))
+    counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
+    if len(names) > 1 and all(map(_is_cell_of_number, names)) and names not in counted:
+        raise UndertowError(
+            f"{where} begins with numbers ({', '.join(names[:3])} …): write a line with the names of its "
+            f"{len(names)} columns on top"
+        )
     # Polars would give the second of two columns of one name another one.
-    _refuse_doubled(next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter)), where)
+    _refuse_doubled(names, where)
     try:
         return pl.read_csv(
             text,
@@ -350,6 +359,14 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         )
     except _UNREADABLE as error:
         raise (_uneven(text, mapping, where) or error) from error
+
+
+def _is_cell_of_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _uneven(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
@@ -383,7 +400,8 @@ def header_of(text: bytes, mapping: LogMapping) -> bytes:
 
 def columns_of(header: bytes, mapping: LogMapping) -> int:
     """How many columns a header names."""
-    return header.count(mapping.delimiter.encode()) + 1
+    blanks = mapping.delimiter == " "
+    return len(header.split()) if blanks else header.count(mapping.delimiter.encode()) + 1
 
 
 def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> bytes:

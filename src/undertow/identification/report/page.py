@@ -44,7 +44,7 @@ from .pictures import (
     ranking,
     residual_against,
 )
-from .sentences import sure_in_words
+from .sentences import chance, sure_in_words
 
 # --- what a report shows of a model ---------------------------------------------------------------
 # Bins in which the mean residual force may leave the noise by chance do not make a variable telling.
@@ -378,6 +378,7 @@ def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
 def _template() -> Template:
     environment = templates("undertow.identification.report", html=True)
     tools: list[Callable[..., str]] = [
+        chance,
         estimate_text,
         parameter_text,
         percent,

@@ -123,7 +123,7 @@ def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = 
             "undertow doctor finds no mistake in the logs, so check the vehicle file: thrust per command, "
             "places and directions of the thrusters, inertia"
         )
-        if doubts := [f.text.partition(":")[0] for f in examined if f.text.startswith("perhaps ")]:
+        if doubts := [f.clause() for f in examined if f.text.startswith("perhaps ")]:
             advice = f"undertow doctor is not sure of the logs ({'; '.join(doubts)}): try that first"
     return f"Worse than no model at all in {motions} ({sizes}): {advice}."
 
@@ -139,6 +139,16 @@ def sure_in_words(candidate: Ranked, false_alarms: float) -> str:
     by_blocks = candidate.p_value is not None and candidate.p_value < false_alarms
     why = "in most blocks of the data, though their mean is uncertain" if by_blocks else "by simulation"
     return f"{candidate.sure}: {why}"
+
+
+def chance(p_value: float | None) -> str:
+    """A probability in per cent, with digits that resampling knows; empty for none."""
+    if p_value is None:
+        return ""
+    return f"< {_KNOWN:.1%}".replace("%", " %") if p_value < _KNOWN else f"{100 * p_value:.1f} %"
+
+
+_KNOWN = 0.002  # smaller probabilities are not told apart: they come from a few thousand draws
 
 
 def errors(ahead: Mapping[str, float]) -> str:

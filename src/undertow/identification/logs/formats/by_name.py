@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.guess import NO_COLUMN, SETTINGS, guess_table
+from undertow.identification.logs.guess import NO_COLUMN, SETTINGS, guess_table, without_motion
 from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
 from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
@@ -80,6 +80,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
         {reason: left for reason, left in (("? may drive the vehicle", others), (_MOVES, moving)) if left},
         held if found else meaning,
         (
+            *([] if moving else without_motion(vehicle, {guess.channel for guess in known})),
             *(_motors(log, unknown) if log.actuators else map(NO_COLUMN.format, unknown)),
             *([_VELOCITIES.format(", ".join(moving))] if moving else []),
         ),

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS
 from undertow.identification.logs.run import FORCES
@@ -62,15 +63,25 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     ]
     found = list(_series(_WORKSPACE, content, {}))
     if not found:
+        cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and hasattr(v[0], "size")}
+        if cells:
+            name = max(cells, key=lambda n: cells[n])
+            notes = [f"{name} is a cell array: save each run in a file of its own, such as {name}{{1}}"]
         what = f" {notes[0]}" if notes else ""
         names = ", ".join(content) or "nothing"
         raise UndertowError(
             f"log {path} has no time vector with other vectors of the same length (it has {names}): call "
             f"one of them time or t.{what}"
         )
-    begin = min(float(one.t[0]) for one in found)
-    if abs(begin) > SETTINGS.since:
-        found = [Series(one.name, one.t - begin, one.columns, one.units) for one in found]
+    # Clocks since 1970 begin with the first of them; others beside them begin with the log.
+    firsts = [float(np.nanmin(one.t)) for one in found]
+    late = [first for first in firsts if abs(first) > SETTINGS.since]
+    if late:
+        begins = (min(late) if abs(first) > SETTINGS.since else 0.0 for first in firsts)
+        found = [
+            Series(one.name, one.t - begin, one.columns, one.units)
+            for one, begin in zip(found, begins, strict=True)
+        ]
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
     about, asked = tuple(notes), tuple(questions)
@@ -171,11 +182,12 @@ def _numbers(value: Any) -> Array | None:
 def _seconds(name: str, values: Array) -> Array | None:
     """A vector of time, s; None for what does not rise."""
     t = np.squeeze(values)
-    if t.ndim != 1 or len(t) < 2 or not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0) or t[-1] <= t[0]:
+    there = t[np.isfinite(t)] if t.ndim == 1 else t[:0]  # a sample without a time is left out later
+    if len(there) < 2 or np.any(np.diff(there) < 0) or there[-1] <= there[0]:
         return None
-    if SETTINGS.dates[0] < t[0] < SETTINGS.dates[1] and t[-1] - t[0] < 366:
-        return (t - t[0]) * 86400.0
-    return t * SECONDS.get(unit_of_clock(name), 1.0)
+    if SETTINGS.dates[0] < there[0] < SETTINGS.dates[1] and there[-1] - there[0] < 366:
+        return (t - there[0]) * 86400.0
+    return t * SECONDS[unit_of_clock(name) or unit_by_steps(there, float(np.median(np.diff(there))))]
 
 
 def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int, dict[str, Array]]:
