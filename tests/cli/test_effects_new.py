@@ -261,6 +261,17 @@ def test_a_step_in_time_becomes_a_force_whose_beginning_is_searched(tmp_path: Pa
     assert at == pytest.approx([0.0, 1.0, 11.0], abs=0.2)
 
 
+def test_a_drag_that_comes_suddenly_becomes_one_that_begins(tmp_path: Path) -> None:
+    column = ["step(t - 24.0)", "|u|", "u"]
+    effect = _checked(tmp_path, _left(depends_on=[_reported([column], "|u| u from 24.0 s on")])).specimen()
+    assert {p.name: p.unit for p in effect.parameters} == {"X_step_240_absu_u": "N/(m/s)^2", "t_X_240": "s"}
+    s = signals()
+    values = {"X_step_240_absu_u": -3.0, "t_X_240": 24.0}
+    force = effect.wrench(s).subs({sm.Symbol(n, real=True): v for n, v in values.items()})[0]
+    at = [float(force.subs({s.t: t, s.nu_r[0]: u})) for t, u in ((12.0, 1.0), (40.0, 1.0), (40.0, -2.0))]
+    assert at == pytest.approx([0.0, -3.0, 12.0], abs=0.1)
+
+
 def test_names_that_are_taken_are_not_taken_again(tmp_path: Path) -> None:
     cls = _checked(tmp_path, _left("sway", depends_on=[_reported([["u", "v"]]), _reported([["v"]])]))
     names = [p.name for p in cls.specimen().parameters]

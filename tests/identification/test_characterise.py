@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case
+from benchmarks.hidden_effects.registry import ALL, EFFECTS, Draw, HiddenEffect
+from benchmarks.hidden_effects.world import World
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.associations import (
     SETTINGS,
@@ -154,6 +156,25 @@ def test_a_weight_that_is_dropped_is_a_step() -> None:
     assert reported.units == ["N"]
     assert f"a step at {step[1]} s (" in left["heave"].summary
     assert left["heave"].summary.count("N from then on") == 1
+
+
+def test_a_drag_that_comes_suddenly_is_told_from_one_that_grows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of the hidden effects grows; here is one more, twice as large from 35 s on."""
+
+    def apply(world: World, draw: Draw) -> dict[str, float]:
+        world.wrenches.append(lambda now: now.drag * (now.t >= 35.0))
+        return {}
+
+    monkeypatch.setitem(EFFECTS, "late_drag", HiddenEffect("late_drag", None, "alien", ALL, apply))
+    _, grown = _left("growing_drag")
+    assert STEP.fullmatch(grown["yaw"].depends_on[0].columns[0][0]) is None
+    _, left = _left("late_drag")
+    column = left["surge"].depends_on[0].columns[0]
+    step = STEP.fullmatch(column[0])
+    assert step is not None
+    assert float(step[1]) == pytest.approx(35.0, abs=2 * 60.0 / SETTINGS.step_times)
+    assert f"{' '.join(column[1:])} from {step[1]} s on" in left["surge"].summary
+    assert "(slows surge" in left["surge"].summary
 
 
 def test_a_complete_model_shows_nothing() -> None:

@@ -97,6 +97,13 @@ def steps_of(t: Array) -> list[Term]:
     return [Term(label_of(c), (c,)) for c in columns]
 
 
+def sudden(column: Sequence[str], steps: Sequence[Term]) -> list[Term]:
+    """What grows with the time (``t |u| u``) as something that is there from some time on, at every step."""
+    rest = tuple(f for f in column if f != "t")
+    columns = [(*step.columns[0], *rest) for step in steps] if rest and "t" in column else []
+    return [Term(label_of(c), (c,)) for c in columns]
+
+
 def _heading(angle: str, *factors: str) -> Term:
     both = tuple((*factors, f"{f}({angle})") for f in ("sin", "cos"))
     return Term(" ".join([*factors, f"sin and cos of {angle}"]), both)
@@ -109,9 +116,9 @@ def step_time(column: Sequence[str]) -> str | None:
 
 
 def label_of(column: Column) -> str:
-    """A column as people write it: ``|r| u``, ``t |u| u``, ``a step at 35 s``."""
+    """A column as people write it: ``|r| u``, ``t |u| u``, ``a step at 35 s``, ``|u| u from 35 s on``."""
     if (time := step_time(column)) is not None:
-        return f"a step at {time} s"
+        return f"{label_of(column[1:])} from {time} s on" if column[1:] else f"a step at {time} s"
     return " ".join(f.replace(_COMMAND, "") for f in column) or "a constant"
 
 

@@ -33,6 +33,7 @@ from .associations import (
     plain_of,
     step_time,
     steps_of,
+    sudden,
     terms_of,
     without_waves,
 )
@@ -292,8 +293,11 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
         return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
-    if step_time(column) is not None:
+    if step_time(column) is not None and not column[1:]:
         return f"{coefficients[0]:+.2g} {unit} from then on"
+    if step_time(column) is not None:
+        rest = {"columns": [column[1:]], "term": label_of(tuple(column[1:]))}
+        return how(dependence.model_copy(update=rest), degree_of_freedom, unit)
     own = VELOCITY[DOFS.index(degree_of_freedom)]
     others = [f for f in column if f != own]
     even = all(f == "t" or f.startswith("|") for f in others)
@@ -339,8 +343,8 @@ class Characteriser:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
         self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
-        steps = steps_of(self._clocks[0].t)
-        self._terms = (*_statable(terms_of(vehicle, measured_pose(validation)), vehicle), *steps)
+        self._steps = steps_of(self._clocks[0].t)
+        self._terms = (*_statable(terms_of(vehicle, measured_pose(validation)), vehicle), *self._steps)
         self._prior = prior_of(fit.model)[1]
 
     @cached_property
@@ -355,20 +359,32 @@ class Characteriser:
         return row.ratio > max(SETTINGS.loud, 1.0 + SETTINGS.spreads * float(np.sqrt(2.0 / count)))
 
     def of(self, dof: int) -> ResidualDescription:
-        """Describe what is left in a degree of freedom, by its place among those of the vehicle."""
+        """Describe what is left in a degree of freedom, by its place among those of the vehicle.
+
+        Of what grows with the time it is asked whether it has come suddenly, too.
+        """
+        found = self._described(dof)
+        growing = {t.label: t for d in found.depends_on for t in sudden(d.columns[0], self._steps)}
+        return self._described(dof, tuple(growing.values())) if growing else found
+
+    def _described(self, dof: int, further: tuple[Term, ...] = ()) -> ResidualDescription:
         fitted, validation = self._fitted_rows[dof], self.rows[dof]
         rows = (self._fitted, fitted, fitted.disturbance), (self._validation, validation, fitted.disturbance)
         force = ResidualForce(
-            self._association(dof),
+            self._association(dof, further),
             self._clocks,
             (*rows, (self._validation, validation, 0.0)),
             self._units[dof],
         )
         return Characterisation(force).result()
 
-    def _association(self, dof: int) -> Association:
+    def _association(self, dof: int, further: tuple[Term, ...]) -> Association:
         level, own = self._fitted_rows[dof].disturbance, len(self._prior)
-        first, second = self._columns
+        more = [c for t in further for c in t.columns]
+        first, second = (
+            [np.hstack(pair) for pair in zip(known, rows.columns(more), strict=True)] if more else known
+            for known, rows in zip(self._columns, (self._fitted, self._validation), strict=True)
+        )
         tables = [
             self._fitted_rows[dof].whitened(level, first),
             self.rows[dof].whitened(level, second),
@@ -377,7 +393,7 @@ class Characteriser:
         seconds = self._validation.data.forgetful(tables[0].r)
         blocks = [c.blocks(seconds) for c in (*self._clocks, self._clocks[1])]
         samples = [Sample(t.r, t.J[:, :own], t.J[:, own:], b) for t, b in zip(tables, blocks, strict=True)]
-        return Association(self._terms, Samples(*samples), self._stiffness(dof))
+        return Association((*self._terms, *further), Samples(*samples), self._stiffness(dof))
 
     def _stiffness(self, dof: int) -> Array:
         """What priors and the equations of the other motions say about the parameters, as information."""

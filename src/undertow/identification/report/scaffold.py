@@ -395,7 +395,8 @@ def _code(term: Coefficient, variables: dict[str, str]) -> str:
         if term.in_time.sharpness:
             sharpness = f"{term.in_time.sharpness:.4g}"
             # The sine of an arc tangent, x / sqrt(1 + x^2), feels its time from afar, as a tanh does not.
-            return f"self.{term.name} * (1 + sm.sin(sm.atan({sharpness} * (s.t / {when} - 1)))) / 2"
+            step = f"(1 + sm.sin(sm.atan({sharpness} * (s.t / {when} - 1)))) / 2"
+            return " * ".join([f"self.{term.name}", *(_factor(f, variables) for f in term.column[1:]), step])
         return f"self.{term.name} * sm.{term.column[0]}({when} * s.t)"
     return " * ".join([f"self.{term.name}", *(_factor(f, variables) for f in term.column)])
 
