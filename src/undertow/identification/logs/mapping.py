@@ -17,7 +17,7 @@ from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
-from undertow.model.loading import validated
+from undertow.model.tables import validated
 from undertow.model.units import to_si
 from undertow.typing import Array
 
