@@ -25,7 +25,8 @@ class Attack:
     generations: int = 5
     many: int = 16  # tries in a generation
     headings: int = 4  # of the set-point, spread over a turn
-    drift: float = 0.0  # share by which each parameter of inertia and damping may be off
+    # Limits of the commands, from the certified bounds (0) to those of the file (1): the claims need no more.
+    limits: tuple[float, ...] = (1.0, 0.5, 0.0)
     level: float = 0.98  # of V at the start; the claim ends at one
     left: float = 0.05  # part of the largest certified error that may be left at the end
     alive: float = 1e-3  # part of its first value above which V has to fall
@@ -42,14 +43,19 @@ class Target:
     def __init__(self, gains: GainSet, report: Report, duration: float, settles: bool, how: Attack) -> None:
         self.gains, self.how, self.duration, self.settles = gains, how, duration, settles
         self.report = report
-        vehicle, plant = gains.plant.vehicle, gains.plant
+        vehicle = gains.plant.vehicle
         self.names, self.velocities = vehicle.pose_names, vehicle.velocity_names
         self.span = self._claimed()
         self.commands = {c.name: c.largest for c in report.region.commands}
-        self.loop = ClosedLoop(gains)
+        limited = any(np.isfinite(c.limit) for c in report.region.commands)
+        self.loops = [ClosedLoop(self._limited(share)) for share in (how.limits if limited else (1.0,))]
         self.shifts = [i for i, d in enumerate(vehicle.dof_indices) if d < 3]
-        own = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(plant.numbers)
-        self.parameters = {str(s): float(plant.numbers[s]) for s in sorted(own, key=str)} if how.drift else {}
+
+    def _limited(self, share: float) -> GainSet:
+        """The gains with limits between what is certified and those of the file."""
+        found = {c.name: c.largest + share * (c.limit - c.largest) for c in self.report.region.commands}
+        limits = dict(self.gains.allocation.limits) | found
+        return replace(self.gains, allocation=self.gains.allocation.model_copy(update={"limits": limits}))
 
     def _claimed(self) -> Array:
         """The largest errors and speeds that are claimed."""
@@ -60,7 +66,7 @@ class Target:
 
     def worst(self, rng: np.random.Generator) -> float:
         """The largest share of a claim that an evolution reaches: above one it is broken."""
-        size = 2 * len(self.names) + 1 + len(self.parameters)
+        size = 2 * len(self.names) + 2 + len(self.report.region.parameters)
         first = rng.uniform(-1, 1, (self.how.many, size))
         found = differential_evolution(
             lambda tries: -self.shares(tries.T), [(-1.0, 1.0)] * size, init=first, rng=rng, tol=0.0,
@@ -75,26 +81,30 @@ class Target:
         return type(self)(self.gains, self.report, self.duration, self.settles, exact).worst(rng)
 
     def shares(self, tries: Array) -> Array:
-        """How far each try comes: its start's direction, heading and parameters are in (-1, 1)."""
-        n = len(self.names)
-        turn = np.floor(0.5 * (tries[:, 2 * n] + 1) * self.how.headings * (1 - 1e-12))
-        found = np.zeros(len(tries))
-        for own in map(turn.__eq__, np.unique(turn)):
-            heading = float(turn[own][0]) * 2 * np.pi / self.how.headings + 0.3
-            found[own] = self._at(heading, tries[own, : 2 * n], np.clip(2 * tries[own, 2 * n + 1 :], -1, 1))
+        """How far each try comes: start's direction, heading, limits and parameters are in (-1, 1)."""
+        n, found = len(self.names), np.zeros(len(tries))
+        counts = self.how.headings, len(self.loops)
+        turn, limits = (
+            np.floor(0.5 * (tries[:, 2 * n + i] + 1) * c * (1 - 1e-12)) for i, c in enumerate(counts)
+        )
+        for t, k in np.unique(np.stack([turn, limits], axis=1), axis=0):
+            own, heading = (turn == t) & (limits == k), float(t) * 2 * np.pi / self.how.headings + 0.3
+            off = np.clip(2 * tries[own, 2 * n + 2 :], -1, 1)
+            found[own] = self._at(self.loops[int(k)], heading, tries[own, : 2 * n], off)
         return found
 
-    def _at(self, heading: float, directions: Array, off: Array) -> Array:
+    def _at(self, loop: ClosedLoop, heading: float, directions: Array, off: Array) -> Array:
         place = np.array([heading if c == "psi" else 0.0 for c in self.names])
         states = self._begun(place, directions)
         n = len(self.names)
         first = np.concatenate([place - states[:, :n], states[:, n:]], axis=1)
-        runs = self.loop.run_many(
+        spans = self.report.region.parameters.items()
+        runs = loop.run_many(
             Scenario(tuple(place), self.duration, self.how.step, continuous=self.how.continuous),
             starts=dict(zip((*self.names, *self.velocities), first.T, strict=True)),
             parameters={
-                k: v * (1 + self.how.drift * o)
-                for (k, v), o in zip(self.parameters.items(), off.T, strict=True)
+                name: 0.5 * (low + high) + 0.5 * (high - low) * o
+                for (name, (low, high)), o in zip(spans, off.T, strict=True)
             },
         )
         seen = np.concatenate([place - runs.states[..., :n], runs.states[..., n : 2 * n]], axis=-1)
@@ -102,8 +112,7 @@ class Target:
         found = self._used(runs.t, seen, np.array(commands).reshape(-1, *seen.shape[:2]))
         if self.settles:
             found.append(np.abs(seen[:, -1, :n]).max(axis=1) / (self.how.left * self.span[:n].max()))
-        if not self.how.drift:
-            found += self._slowest_fall(runs.t, seen, place)
+        found += self._slowest_fall(runs.t, seen, place)
         return np.nan_to_num(np.max(found, axis=0), nan=np.inf)
 
     def _begun(self, place: Array, directions: Array) -> Array:

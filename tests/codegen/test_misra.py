@@ -17,7 +17,9 @@ from undertow.control.api import library_of
 from undertow.control.gains import gains_from_table
 from undertow.control.guidance.mission import load_mission
 from undertow.control.laws import LAWS
+from undertow.model.catalogue import catalogue
 from undertow.model.loading import bundled_vehicles, load_vehicle
+from undertow.model.vehicle import Value
 from undertow.observer.design import ObserverTable, design
 
 ROOT = Path(__file__).parents[2]
@@ -50,11 +52,12 @@ def violated(folder: Path) -> set[str]:
 
 
 def hull() -> Library:
-    """One degree of freedom, with both filters."""
-    vehicle = load_vehicle("box-hull")
+    """One degree of freedom, with both filters and late velocities."""
+    delay = {"velocity_delay": Value(0.3)}
+    vehicle = load_vehicle("box-hull").with_effect(catalogue()["sensor_delay"], delay)
     content = {
         "schema": "undertow/observer/1",
-        "sensors": {"x": {"noise": "5 cm"}},
+        "sensors": {"x": {"noise": "5 cm"}, "u": {"noise": "1 cm/s", "period": "0.1 s"}},
         "disturbance": {"u": 0.01},
     }
     tables = [{**content, "name": f"gps {kind}", "filter": kind} for kind in ("ekf", "ukf")]

@@ -37,14 +37,13 @@ def test_an_attack_breaks_false_claims_and_no_proved_one() -> None:
     assert report.ok
     assert found is not None
 
-    def worst(claim: Quadratic, share: float = 1.0, drift: float = 0.0) -> float:
+    def worst(claim: Quadratic, share: float = 1.0) -> float:
         commands = tuple(replace(c, largest=share * c.largest) for c in region.commands)
         wrong = replace(report, region=replace(region, quadratic=claim, commands=commands))
-        how = Attack(generations=2, many=8, drift=drift)
+        how = Attack(generations=2, many=8)
         return Target(gains, wrong, 60.0, False, how).worst(np.random.default_rng(5))
 
     assert 0.5 < worst(found) < 1
-    assert 0.5 < worst(found, drift=0.05) < 1.2
     assert worst(replace(found, speeds=found.speeds / 3)) > 1
     assert worst(found, share=0.5) > 1
     untied = found.P * np.eye(found.P.shape[-1])
@@ -85,10 +84,12 @@ def test_a_law_that_is_sampled_breaks_no_bound_of_one_that_is_not() -> None:
         claim = Transient(
             np.zeros(1), np.full((1, 1), 1.1 * box), np.full((1, 1), share * fastest), np.empty((1, 0)), 0.1
         )
-        report = SimpleNamespace(region=SimpleNamespace(transient=claim, starts={"x": box}, commands=()))
+        report = SimpleNamespace(
+            region=SimpleNamespace(transient=claim, starts={"x": box}, commands=(), parameters={})
+        )
         target = BoxTarget(gains, report, 10.0, False, Attack(generations=1, many=5))  # type: ignore[arg-type]
         assert (target.worst(np.random.default_rng(5)) > 1) == broken
-        assert target.shares(np.ones((1, 3))) > 1  # as sampled
+        assert target.shares(np.ones((1, 4))) > 1  # as sampled
 
 
 def test_the_page_has_shares_with_their_exact_intervals() -> None:
@@ -96,9 +97,10 @@ def test_the_page_has_shares_with_their_exact_intervals() -> None:
     said = ("certified", "certified", "no proof", "certified", "certified", "certified")
     sizes = (1, 1, 6, 6, 6, 6)
     rows = [
-        Outcome(1, k, n, "stable", s, 0.9, 1.1, 2.0) for k, (n, s) in enumerate(zip(sizes, said, strict=True))
+        Outcome(1, k, n, "stable", s, 0.9, 2.0, "no proof", 0.0, 3.0)
+        for k, (n, s) in enumerate(zip(sizes, said, strict=True))
     ]
-    page = page_of([*rows, Outcome(1, 7, 6, "limited", "no proof", 0.0, 0.0, 1.0)], 0.1)
+    page = page_of([*rows, Outcome(1, 7, 6, "limited", "no proof", 0.0, 1.0, "no proof", 0.0, 1.0)], 0.1)
     assert "| 1 | 2 | 2 | 100% (16% to 100%) | 0 | 0.9000 | 2.0 | 2.0 |" in page
     assert "| 6 | 4 | 3 | 75% (19% to 99%) |" in page
     assert "| all | 6 | 5 | 83% (36% to 100%) |" in page

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from benchmarks.observer_log import auv
 from undertow.codegen.compiler import find_compiler
 from undertow.codegen.library import Library
+from undertow.codegen.spelling import identifier, slug
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.gains import load_gains
 from undertow.control.linear.systems import SettledObserver, close_loop
@@ -84,29 +85,29 @@ def with_current(method: Method = "ekf") -> Design:
     return design(table(name=f"usbl {method}", filter=method, **more), load_vehicle("mini-auv"))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
-@pytest.mark.parametrize("method", ["ekf", "ukf"])
-def test_the_filter_in_c_is_that_of_python(method: Method, tmp_path: Path) -> None:
+def compiled(observer: Design, folder: Path) -> tuple[ctypes.CDLL, str]:
+    """The C of an observer as a library, and the beginning of its names."""
     compiler = find_compiler()
     if compiler is None:
         pytest.skip("no C compiler on this machine")
-    observer, own = with_current(method), f"mini_auv_usbl_{method}"
-    library = Library(observer.process.vehicle, [(f"usbl-{method}", lambda c: observer_c(observer, c))])
-    folder = library.write(tmp_path).folder
-    strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off", "-Isrc")
-    command = [
-        *compiler.command,
-        *strict,
-        "-fPIC",
-        "-shared",
-        f"src/{own}.c",
-        "-lm",
-        "-o",
-        "observer.so",
-    ]
+    name = slug(observer.name)
+    folder = (
+        Library(observer.process.vehicle, [(name, lambda c: observer_c(observer, c))]).write(folder).folder
+    )
+    own = f"mini_auv_{identifier(name)}"
+    strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-O1")
+    shared = ("-ffp-contract=off", "-Isrc", "-fPIC", "-shared", f"src/{own}.c", "-lm", "-o", "observer.so")
+    command = [*compiler.command, *strict, *shared]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    library = ctypes.CDLL(str(folder / "observer.so"))
+    return ctypes.CDLL(str(folder / "observer.so")), own
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
+@pytest.mark.parametrize("method", ["ekf", "ukf"])
+def test_the_filter_in_c_is_that_of_python(method: Method, tmp_path: Path) -> None:
+    observer = with_current(method)
+    library, own = compiled(observer, tmp_path)
     n, rows, dt = observer.process.x.numel(), 40, 0.1
     x, P = np.zeros(n), np.zeros((n, n))
     p = ctypes.c_void_p(ctypes.addressof(ctypes.c_double.in_dll(library, f"{own}_parameters_default")))
@@ -135,6 +136,53 @@ def test_the_filter_in_c_is_that_of_python(method: Method, tmp_path: Path) -> No
                 assert nis == pytest.approx(python.innovation[k, i] ** 2 / python.variance[k, i], rel=1e-9)
         np.testing.assert_allclose(x, python.mean[k], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(P, python.covariance[k], rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
+@pytest.mark.parametrize("method", ["ekf", "ukf"])
+def test_late_reports_in_c_are_used_when_they_were_true(method: Method, tmp_path: Path) -> None:
+    """Velocities 0.3 s late, beside positions on time: Python has all that came in at the rows of truth."""
+    late, dt, rows, sensors = 3, 0.1, 40, {n: SENSORS[n] for n in ("x", "psi")} | {"u": {"noise": "1 cm/s"}}
+    observer = design(table(name=f"late {method}", filter=method, sensors=sensors), auv(velocity_delay=0.3))
+    assert observer.late == {"u": pytest.approx(0.3)}
+    library, own = compiled(observer, tmp_path)
+    n, rng = observer.process.x.numel(), np.random.default_rng(6)
+    t = dt * np.arange(rows)
+    u = np.column_stack([np.full(rows, -7.15), np.sin(t), np.full(rows, -7.15), np.cos(t)])
+    y = np.full((rows, 8), np.nan)
+    for k, i in enumerate(observer.channels):
+        y[:: k + 1, i] = 0.1 * rng.standard_normal(len(y[:: k + 1]))
+    variance = np.ones(8)
+    variance[list(observer.channels)] = observer.variance
+    x, P, memory = np.zeros(n), np.zeros((n, n)), np.zeros(100_000)
+    p = ctypes.c_void_p(ctypes.addressof(ctypes.c_double.in_dll(library, f"{own}_parameters_default")))
+    state = _pointer(x), _pointer(P)
+    getattr(library, f"{own}_start")(*state, p)
+    first, covariance = x.copy(), P.copy()
+    getattr(library, f"{own}_begin")(_pointer(memory), *state, ctypes.c_double(0.0))
+    for k in range(rows):
+        if k:
+            held = np.ascontiguousarray(u[k - 1])
+            getattr(library, f"{own}_step")(_pointer(memory), *state, _pointer(held), p, ctypes.c_double(dt))
+        for name, i in zip(observer.sensors, observer.channels, strict=True):
+            row = k - late * (name == "u")
+            if row >= 0 and np.isfinite(y[row, i]):
+                report = getattr(library, f"{own}_report_{name}")
+                report.restype = ctypes.c_double
+                assert report(_pointer(memory), *state, p, ctypes.c_double(y[row, i])) >= 0
+        if k in (2, 3, 17, rows - 1):
+            known = y[: k + 1].copy()
+            known[max(k + 1 - late, 0) :, observer.channels[-1]] = np.nan
+            reports = Reports(t[: k + 1], u[: k + 1], known, variance)
+            python = Observer(observer.process, observer.densities).run(reports, first, covariance, method)
+            np.testing.assert_allclose(x, python.mean[-1], rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(P, python.covariance[-1], rtol=1e-9, atol=1e-12)
+    # Steps shorter than was foreseen: the time of the report is not kept any more.
+    for _ in range(10):
+        getattr(library, f"{own}_step")(_pointer(memory), *state, _pointer(held), p, ctypes.c_double(0.01))
+    before = x.copy()
+    assert report(_pointer(memory), *state, p, ctypes.c_double(0.1)) == -1
+    assert np.array_equal(x, before)
 
 
 def _pointer(array: np.ndarray) -> ctypes.c_void_p:
@@ -237,8 +285,11 @@ def test_files_that_do_not_fit_are_refused(more, words) -> None:
 
 def test_late_reports_and_laws_without_samples_are_refused(tmp_path: Path) -> None:
     late = auv(velocity_delay=0.2)
-    with pytest.raises(UndertowError, match=r"u is reported 0\.2 s late"):
-        design(table(sensors={"u": {"noise": 0.01}}), late)
+    behind = design(table(sensors={"u": {"noise": 0.01}}), late)
+    with pytest.raises(UndertowError, match=r"u is reported 0\.2 s late, and a loop"):
+        ClosedLoop(load_gains("paper-pd", late), observer=behind, compiled=False)
+    with pytest.raises(UndertowError, match=r"u is reported 0\.2 s late, and a loop"):
+        close_loop(late, load_gains("paper-pid", late), find_trim(late), observer=behind)
     vehicle = load_vehicle("mini-auv")
     loop = ClosedLoop(load_gains("paper-pd", vehicle), observer=design(table(), vehicle), compiled=False)
     with pytest.raises(UndertowError, match="needs a sampled law"):

@@ -39,8 +39,8 @@ SCHEMA = "undertow/observer/1"
 class DesignSettings:
     """Numbers of observers on board."""
 
-    # Reports older than this, s, are refused: at 1 m/s one of 20 ms is wrong by 2 cm, less than most noise.
-    # Older ones have to be given to the filter at the time when they were true.
+    # Reports up to this age, s, count as of the present: at 1 m/s one of 20 ms is wrong by 2 cm, less than
+    # most noise. Older ones have to be given to the filter at the time when they were true.
     late: float = 0.02
     # Time between reports, s, that come with every sample, where no sampling interval is at hand.
     sample: float = 0.01
@@ -107,6 +107,26 @@ class Design:
     period: Array
     densities: Array  # spectral densities of the noise that drives the process
     method: Method = "ekf"
+
+    @property
+    def late(self) -> dict[str, float]:
+        """Ages of the reports that are no longer of the present, s, by sensor."""
+        ages = zip(self.sensors, self.process.late[list(self.channels)].tolist(), strict=True)
+        return {name: age for name, age in ages if age > SETTINGS.late}
+
+    def require_on_time(self) -> None:
+        """Refuse what keeps no reports of the past.
+
+        Raises
+        ------
+        UndertowError
+            If a sensor is late.
+        """
+        for name, age in self.late.items():
+            raise UndertowError(
+                f"{name} is reported {age:g} s late, and a loop with an observer takes {SETTINGS.late:g} s: "
+                "leave the delay out of the vehicle that the observer knows"
+            )
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -271,13 +291,6 @@ def design(table: ObserverTable, vehicle: Vehicle) -> Design:
         what = f"[disturbance] lacks {lacking[0]}" if lacking else "[sensors] is empty"
         raise UndertowError(f"{what}: undertow observe --save writes a file from a log")
     channels = [process.channels.index(n) for n in table.sensors]
-    late = [(n, process.late[i]) for n, i in zip(table.sensors, channels, strict=True)]
-    for name, age in late:
-        if age > SETTINGS.late:
-            raise UndertowError(
-                f"{name} is reported {age:g} s late, and an observer on board takes {SETTINGS.late:g} s: "
-                "leave the delay out of the vehicle, and give it reports at the time when they were true"
-            )
     noise = [_positive(t.noise, MOTION_UNITS[n], f"noise of {n}") for n, t in table.sensors.items()]
     period = [_period(t.period, n) for n, t in table.sensors.items()]
     densities = np.array([table.disturbance[n] for n in process.driven_names]) ** 2

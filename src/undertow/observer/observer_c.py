@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.resources import files
+from math import ceil
 
 import numpy as np
 
@@ -10,16 +11,45 @@ from undertow.codegen.manifest import Entry
 from undertow.codegen.spelling import Dialect, Part, comment, filled, identifier, slug
 from undertow.model.symbols import MOTION_UNITS
 
+from .design import SETTINGS as DESIGN
 from .design import Design
 from .filters import SETTINGS as FILTER
 from .process import AT_REST, longest_step
 
 _WORDS = """\
 /* Predict over every interval with the commands that were held in it, then update with each report that has
-   come in. A report that is late belongs to the time when it was true: keep x, P and the commands from that
-   time on (a ring of as many as the delay has intervals), update the old x and P, and predict them to the
-   present again. */
+   come in. */
 """
+# What is declared where reports come late, an update in `late.c`, and what uses one.
+_LATE = """\
+/* Reports of @NAMES@ come late. Earlier steps are kept, so that a report is used when it was true
+   and what followed is done again: begin after start, step in place of predict, report in place of update.
+   -1 is returned of a report that belongs to no step that is kept: they are enough for steps of @STEP@ s.
+   x and P are those of the newest step. */
+enum { @UPPER@_KEPT = @KEPT@ };
+typedef struct {
+  @REAL@ t[@KEPT@]; /* time of each step, s, its length, and the commands that were held in it */
+  @REAL@ dt[@KEPT@];
+  @REAL@ u[@KEPT@][@COMMANDS@];
+  @REAL@ x[@KEPT@][@N@]; /* state and covariance before its reports */
+  @REAL@ P[@KEPT@][@N@ * @N@];
+  @REAL@ y[@KEPT@][@SENSORS@]; /* its reports, and which there are */
+  int there[@KEPT@][@SENSORS@];
+  int newest;
+  int kept;
+} @NAME@_memory;
+
+void @NAME@_begin(@NAME@_memory *m, const @REAL@ *x, const @REAL@ *P, @REAL@ t);
+void @NAME@_step(@NAME@_memory *m, @REAL@ *x, @REAL@ *P, const @REAL@ *u, const @NAME@_parameters *p,
+    @REAL@ dt);
+"""
+_REPORTED = """\
+    if (m->there[k][@PLACE@] != 0) {
+      const @REAL@ nis = @NAME@_update_@SENSOR@(x, P, m->u[k], p, m->t[k], m->y[k][@PLACE@]);
+      found = ((k == from) && (sensor == @PLACE@)) ? nis : found;
+    }"""
+_HEAD = """\
+@REAL@ @NAME@_report_@SENSOR@(@NAME@_memory *m, @REAL@ *x, @REAL@ *P, const @NAME@_parameters *p, @REAL@ y)"""
 # Body of the update by one sensor.
 _UPDATES = {
     "ekf": """\
@@ -104,7 +134,31 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
         fields |= {"SENSOR": sensor, "ANGLE": int(process.angles[process.channels.index(sensor)])}
         bodies.append(f"{update.format(sensor)} {{\n{filled(_UPDATES[design.method], fields)}}}\n")
     defined = [struct.defined, _start(start, struct.members[-n:], c), *bodies]
-    return declared, defined
+    kept = _kept(design, fields, c) if design.late else ([], [])
+    return declared + kept[0], defined + kept[1]
+
+
+def _kept(design: Design, fields: dict[str, object], c: Dialect) -> tuple[list[str], list[str]]:
+    """Lines of header and source where reports come late."""
+    periods = [float(p) for p in design.period if p > 0] or [DESIGN.sample]
+    step, longest = min(*periods, longest_step(design.process)), max(design.late.values())
+    own = fields | {
+        **{"NAMES": ", ".join(design.late), "STEP": f"{step:.4g}", "UPPER": str(fields["NAME"]).upper()},
+        **{"KEPT": ceil(longest / step * (1 - 1e-9)) + 2, "SENSORS": len(design.sensors)},
+        "COMMANDS": max(len(design.process.vehicle.command_names), 1),
+    }
+    each = [own | {"PLACE": i, "SENSOR": name} for i, name in enumerate(design.sensors)]
+    template = (files("undertow.observer") / "late.c").read_text(encoding="utf-8")
+    declared, defined = (
+        [filled(_LATE, own)],
+        [filled(template, own | {"UPDATES": "\n".join(filled(_REPORTED, one) for one in each)})],
+    )
+    for name, one in zip(design.sensors, each, strict=True):
+        head = filled(_HEAD, one)
+        age = c.constant(design.late.get(name, 0.0))
+        declared.append(f"{head};")
+        defined.append(f"{head} {{\n  return {own['NAME']}_late(m, x, P, p, {one['PLACE']}, {age}, y);\n}}\n")
+    return [*declared, ""], defined
 
 
 def _fields(name: str, n: int, c: Dialect) -> dict[str, object]:

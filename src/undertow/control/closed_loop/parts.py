@@ -39,6 +39,7 @@ class Parts:
         self.controller_inputs = [self.reported_names.index(name) for name in wanted]
         self.commanded = [vehicle.command_names.index(name) for name in controller.command_names]
         if observer is not None:
+            observer.require_on_time()
             self._check("sensor of the observer", observer.sensors, self.reported_names)
             self._check("motion of the observer", wanted, observer.process.state_names)
 

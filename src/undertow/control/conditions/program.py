@@ -16,10 +16,9 @@ from undertow.typing import Array
 from .attitude import Interval, enclose
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
-from .definite import along, doubled, touched
+from .definite import Form, along, doubled, solved, touched
 from .embedding import Boxes, Corners, Embedding
 from .problem import Problem
-from .semidefinite import Form, solved
 
 
 @dataclass(frozen=True)

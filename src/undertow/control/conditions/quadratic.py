@@ -112,7 +112,10 @@ class Search:
         bounds, proofs = self._first(), []
         for centre in self.centres:
             self.centre, self.forms = centre, 0
-            self.work = Work(int(SETTINGS.most * SETTINGS.share(self.loop.size, SETTINGS.work_power)))
+            share = SETTINGS.share(self.loop.size, SETTINGS.work_power)
+            # Each uncertain parameter is one more sum in every matrix, as each velocity is.
+            sums = 1 + len(self.problem.spread) / self.loop.n
+            self.work = Work(int(SETTINGS.most * share / sums))
             self.chosen.clear()
             proof = self._in_sector(bounds)
             if proof is None:

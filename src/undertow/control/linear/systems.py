@@ -532,6 +532,7 @@ class SettledObserver:
     """
 
     def __init__(self, observer: Design, trim: Trim) -> None:
+        observer.require_on_time()
         own = observer.process
         process = process_of(in_direction(own.vehicle, trim.direction), own.estimated, own.kind)
         self.observer, self.names = observer, process.state_names
