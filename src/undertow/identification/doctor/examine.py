@@ -224,7 +224,7 @@ class _Examiner:
         self._mend_angles([n for n in self.vehicle.pose_names if n not in self.kinematics.rows])
 
     def undo_repeats(self) -> None:
-        """Read sensors that are slower than the log when they are new: held values would look like a delay."""
+        """Read sensors that are slower than the log where they are new: held values look like a delay."""
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         held = held_channels(self.runs, names, self.mapping)
         if held:
