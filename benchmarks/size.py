@@ -22,17 +22,23 @@ ROOT = Path(__file__).parents[1]
 SMALL, MANY = 60, 25
 # One file for each effect: what the budgets of packages and journeys leave out.
 EFFECTS = "undertow.model.effects"
+# What begins a journey and what ends it; then the command, which brings options, printing, the report, the
+# doctor, long logs, and a plan for the next manoeuvre.
 JOURNEYS = {
-    "a log column to a verdict": "undertow.cli.identification.diagnose",
-    "a gain to its conditions": "undertow.control.conditions.check",
-    "a gain to all that `gains` prints": "undertow.cli.control.gains",
+    "a log column to its verdict": (
+        "undertow.identification.logs.reading",
+        "undertow.identification.diagnosis.verdict",
+    ),
+    "a log column to all that `diagnose` prints": ("undertow.cli.identification.diagnose",),
+    "a gain to its conditions": ("undertow.control.conditions.check",),
+    "a gain to all that `gains` prints": ("undertow.cli.control.gains",),
 }
 _REACHED = """
 import sys
 import grimp
 graph = grimp.build_graph("undertow", exclude_type_checking_imports=True, cache_dir=None)
-for start in sys.argv[1:]:
-    print(start, *graph.find_upstream_modules(start))
+for places in sys.argv[1:]:
+    print(*{module for place in places.split() for module in (place, *graph.find_upstream_modules(place))})
 """
 _ENTERED = """
 import os, sys, threading
@@ -114,7 +120,7 @@ def _hops(sources: Path) -> dict[str, int]:
     """Modules that a command can reach through imports, late ones too; effects are not counted."""
     # In a process of its own: this one may have found another package of the name already.
     done = subprocess.run(
-        [sys.executable, "-c", _REACHED, *JOURNEYS.values()],
+        [sys.executable, "-c", _REACHED, *map(" ".join, JOURNEYS.values())],
         env={**os.environ, "PYTHONPATH": str(sources)},
         check=True,
         capture_output=True,

@@ -20,7 +20,7 @@ from benchmarks.examples.kvlcc2 import BEST, period, swings
 from benchmarks.examples.sf30k import lever_arm
 from benchmarks.examples.variants import variant, vehicle_of
 from benchmarks.results.text import errors, within_runs
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log

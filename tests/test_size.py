@@ -51,17 +51,28 @@ def test_a_package_is_measured(tmp_path: Path) -> None:
     (commands / "diagnose.py").write_text(
         "def late():\n    from undertow.model import vehicle\n    from undertow.cli.control import gains\n"
     )
-    (package / "control" / "conditions").mkdir(parents=True)
-    for folder in (package / "control", package / "control" / "conditions"):
+    logs, diagnosis = (package / "identification" / name for name in ("logs", "diagnosis"))
+    for folder in (logs, diagnosis, package / "control" / "conditions"):
+        folder.mkdir(parents=True)
+        (folder.parent / "__init__.py").write_text("")
         (folder / "__init__.py").write_text("")
+    (logs / "reading.py").write_text("")
+    (diagnosis / "verdict.py").write_text("from undertow.model import vehicle\n")
     (package / "control" / "conditions" / "check.py").write_text("from undertow.model import vehicle\n")
     (package / "loop.c").write_text("/* two\n   lines */\n\nint answer; // here\n// alone\n")
     found = measure(tmp_path)
-    assert found["lines, C included"] == 1 + (SMALL + 1) + len(PYTHON.splitlines()) + 3 + 1 + 5
-    assert found["lines of code"] == 1 + (SMALL + 1) + 5 + 3 + 1 + 1
-    assert found["modules"] == 13
-    assert found["the same without effects and __init__"] == 3
-    # diagnose, vehicle, gains; the effect does not count.
-    assert found["modules from a log column to a verdict"] == 3
+    assert found["lines, C included"] == 1 + (SMALL + 1) + len(PYTHON.splitlines()) + 3 + 1 + 1 + 5
+    assert found["lines of code"] == 1 + (SMALL + 1) + 5 + 3 + 1 + 1 + 1
+    assert found["modules"] == 18
+    assert found["the same without effects and __init__"] == 5
+    # reading, verdict, vehicle; the effect does not count.
+    assert found["modules from a log column to its verdict"] == 3
+    # diagnose, vehicle, gains
+    assert found["modules from a log column to all that `diagnose` prints"] == 3
     assert found["modules from a gain to its conditions"] == 2
     assert found["modules from a gain to all that `gains` prints"] == 1
+
+
+def test_a_log_column_reaches_its_verdict_through_sixty_modules_at_most() -> None:
+    found = measure(Path(__file__).parents[1] / "src")
+    assert found["modules from a log column to its verdict"] <= 60

@@ -14,7 +14,7 @@ from types import ModuleType
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
-from undertow.identification.report.tables import versions
+from undertow.identification.report.page import versions
 
 from . import cfd, cfd_page, cse1, cse1_page, kvlcc2, kvlcc2_page, sf30k, sf30k_page
 from .calls import Caller, Reported

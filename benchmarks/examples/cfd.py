@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.figures import AFTER, BEFORE, FAINT, INK, figure, look, save_png
-from undertow.identification.compare.comparison import Comparison, compare
+from undertow.identification.comparison import Comparison, compare
+from undertow.identification.report.page import traces
 from undertow.identification.report.pictures import measured_vs_simulated
-from undertow.identification.report.tables import traces
 from undertow.model.vehicle import Vehicle
 
 from . import tables

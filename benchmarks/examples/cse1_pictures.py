@@ -8,11 +8,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from undertow.figures import AFTER, BEFORE, figure, look, save_png
-from undertow.identification.compare.comparison import Comparison, compare
+from undertow.identification.comparison import Comparison, compare
 from undertow.identification.logs.run import Run
-from undertow.identification.report.pictures import error_map as drawn_map
-from undertow.identification.report.pictures import measured_vs_simulated, residual_against
-from undertow.identification.report.tables import curves, error_map, leading, traces
+from undertow.identification.report.page import curves, errors_by_regime, leading, traces
+from undertow.identification.report.pictures import error_map, measured_vs_simulated, residual_against
 
 from . import cse1 as set_
 from .calls import Caller, Judged
@@ -46,7 +45,7 @@ def draw(call: Caller, vehicles: Sequence[Path], images: Path) -> None:
     spectra = {name: set_.spectrum(set_.read(call.data, set_.DP_3, w)) for name, w in set_.PARTS.items()}
     save_png(waves(spectra), images / NAMES[2])
     save_png(_residual(*joystick, names), images / NAMES[3])
-    save_png(drawn_map(error_map(*joystick), names), images / NAMES[4])
+    save_png(error_map(errors_by_regime(*joystick), names), images / NAMES[4])
 
 
 def _judged(way: Judged, after: Path, data: Path) -> tuple[Comparison, Comparison]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 
-from undertow.identification.report.data import RunTraces, Trace
+from undertow.identification.report.pictures import RunTraces, Trace
 
 
 def part(run: RunTraces, start: float, stop: float, channels: Container[str]) -> RunTraces:

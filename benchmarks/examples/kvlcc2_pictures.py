@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from undertow.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
-from undertow.identification.compare.comparison import Comparison, compare
+from undertow.identification.comparison import Comparison, compare
 from undertow.identification.logs.run import Run
+from undertow.identification.report.page import curves, leading, traces
 from undertow.identification.report.pictures import measured_vs_simulated, residual_against
-from undertow.identification.report.tables import curves, leading, traces
 from undertow.model.vehicle import Vehicle
 
 from . import kvlcc2 as set_

@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from undertow.figures import AFTER, BEFORE, FLOOR, INK, figure, look, save_png
-from undertow.identification.compare.comparison import Comparison
+from undertow.identification.comparison import Comparison
 from undertow.identification.logs.run import Run
-from undertow.identification.report.pictures import error_map as drawn_map
-from undertow.identification.report.pictures import measured_vs_simulated
-from undertow.identification.report.tables import error_map, traces
+from undertow.identification.report.page import errors_by_regime, traces
+from undertow.identification.report.pictures import error_map, measured_vs_simulated
 from undertow.model.symbols import FORCE_UNITS
 
 from . import sf30k as set_
@@ -31,7 +30,7 @@ def draw(before: Comparison, after: Comparison, run: Run, images: Path) -> None:
         measured_vs_simulated(part(traces(before, after)[0], *_MINUTES, ("u", "v", "w", "r")), _MODELS),
         images / NAMES[1],
     )
-    save_png(drawn_map(error_map(before, after), _MODELS), images / NAMES[2])
+    save_png(error_map(errors_by_regime(before, after), _MODELS), images / NAMES[2])
     save_png(doppler(run), images / NAMES[3])
 
 

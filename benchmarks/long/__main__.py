@@ -133,7 +133,7 @@ def page(costs: Sequence[Cost], folder: Path) -> str:
 
 
 def _found(log: str, diagnosis: dict[str, object]) -> list[str]:
-    from undertow.identification.long_logs.result import LongLogs
+    from undertow.identification.findings import LongLogs
 
     long = LongLogs.model_validate(diagnosis["long_logs"])
     lines = [str(diagnosis["headline"]), *long.sentences()]

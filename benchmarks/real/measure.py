@@ -18,8 +18,8 @@ from undertow.identification.diagnose import DiagnosisResult
 from undertow.identification.diagnosis.parallel import jobs
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.diagnosis.splitting import training_and_validation
-from undertow.identification.estimation.adaptation import adapted, end_of_first_part
 from undertow.identification.estimation.predictor import predict_each
+from undertow.identification.estimation.weak_form import adapted, end_of_first_part
 from undertow.identification.estimation.windows import Windows, cut, prediction_error
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle

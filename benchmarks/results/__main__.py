@@ -12,7 +12,7 @@ from benchmarks.progress import clear, progress_line
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
-from undertow.identification.report.tables import versions
+from undertow.identification.report.page import versions
 
 from .hidden import CASES, CaseResult, run_case, section
 from .summary import speed_of, summary_of

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from undertow import __version__
-from undertow.identification.report.tables import versions
+from undertow.identification.report.page import versions
 from undertow.shape.mesh import load_capytaine
 
 from .bodies import Measured

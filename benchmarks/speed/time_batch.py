@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from undertow.codegen.trajectories import processors
+from undertow.codegen.engine import processors
 
 from . import loops
 from .conftest import Speed

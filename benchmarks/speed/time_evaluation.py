@@ -13,9 +13,8 @@ import pytest
 import sympy as sm
 
 from undertow.codegen import Functions
-from undertow.codegen.compiler import find_compiler
-from undertow.codegen.plain import LANES, plain_c
-from undertow.codegen.trajectories import LANES_HEADER
+from undertow.codegen.compiler import LANES, find_compiler, plain_c
+from undertow.codegen.engine import LANES_HEADER
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Measurement
 from undertow.model.symbols import DOFS, symbol

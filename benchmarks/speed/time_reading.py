@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undertow.identification.logs.formats.registry import read_field_log
+from undertow.identification.logs.formats.fieldlog import read_field_log
 
 from .conftest import Speed
 from .goals import OURS

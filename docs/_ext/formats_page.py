@@ -16,7 +16,7 @@ from pydantic_core import PydanticUndefined
 
 from undertow.control.guidance.mission import MissionTable
 from undertow.files import write_whole
-from undertow.identification.compare.comparison import ComparisonResult
+from undertow.identification.comparison import ComparisonResult
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.report.results import AdditionResult, FitResult

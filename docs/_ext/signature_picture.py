@@ -25,9 +25,8 @@ from undertow.figures import figure as new_figure
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import Statement, commands_of, function_of, statement_of
 from undertow.model.effect import Actuation, Effect
-from undertow.model.kinematics import rotation
 from undertow.model.parameter import Parameter
-from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, signals
+from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, rotation, signals
 from undertow.model.units import short_unit
 
 Values = dict[sm.Symbol, float | NDArray[np.float64]]

@@ -15,9 +15,8 @@ import numpy as np
 
 from undertow.figures import save_png, unit_text
 from undertow.files import make_folder, templates, write_whole
-from undertow.identification.compare.comparison import compare
-from undertow.identification.compare.forces import Forces, residual_forces
-from undertow.identification.diagnose import DiagnosisResult, diagnose
+from undertow.identification.comparison import Forces, compare, residual_forces
+from undertow.identification.diagnose import DiagnosisResult, diagnose, save_diagnosis
 from undertow.identification.diagnosis.addition import (
     Addition,
     AdditionSetup,
@@ -25,18 +24,16 @@ from undertow.identification.diagnosis.addition import (
     set_up_addition,
     visible_effects,
 )
-from undertow.identification.history import save_diagnosis
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.reading import read_logs
-from undertow.identification.report.data import ErrorMap
-from undertow.identification.report.page import render_report
+from undertow.identification.report.page import render_report, traces
 from undertow.identification.report.pictures import (
+    ErrorMap,
     error_map,
     falling_error,
     measured_vs_simulated,
     residual_against,
 )
-from undertow.identification.report.tables import traces
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import VELOCITY

@@ -12,7 +12,7 @@ import pytest
 from tests.cli.bad import SURGE, surge_log
 from tests.quick import first_quick
 from undertow.cli.main import each_named, main
-from undertow.identification.compare.comparison import ComparisonResult
+from undertow.identification.comparison import ComparisonResult
 from undertow.model.loading import load_vehicle
 
 LOG = ["usv.toml", "train.csv"]

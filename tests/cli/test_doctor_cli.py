@@ -14,7 +14,7 @@ from tests.cli.bad import contents, refusal, text_of
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.identification.diagnosis.result import Diagnosis
-from undertow.identification.doctor.findings import Examination
+from undertow.identification.findings import Examination
 
 LOG = ["doctor", "usv.toml", "train.csv"]
 

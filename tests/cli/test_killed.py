@@ -26,7 +26,7 @@ DRIVER = """
 import ctypes, json, os, shutil, signal, sys, tempfile
 from contextlib import redirect_stdout
 from undertow.cli.main import main
-from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import library_for
 from undertow.codegen.compiler import find_compiler
 import casadi, numpy, polars, rich.table, scipy.linalg, scipy.optimize, scipy.stats, tomlkit
 import undertow.cli.identification.add, undertow.cli.identification.fit

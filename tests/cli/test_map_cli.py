@@ -11,8 +11,8 @@ import pytest
 from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.guess import guess_mapping, guess_table
+from undertow.identification.logs.guess_frames import Guess, GuessedMapping
 from undertow.identification.logs.guess_names import Name
-from undertow.identification.logs.guessed import Guess, GuessedMapping
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.model.loading import load_vehicle

@@ -10,7 +10,7 @@ import pytest
 
 from tests.cli.bad import refusal
 from undertow.cli.main import main
-from undertow.identification.planning.result import Plan
+from undertow.identification.planning.problem import Plan
 
 QUICK = ["--duration", "12", "--rate", "10", "--tries", "4"]
 Capture = pytest.CaptureFixture[str]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from undertow.codegen import cache, compiler
+from undertow.codegen import compiler
 from undertow.codegen.compiler import Compiler, find_compiler
 
 
@@ -25,5 +25,5 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     # Private: they remember for the whole process, which a user never begins anew within.
     compiler._say_who_runs.cache_clear()
-    cache._private_folder.cache_clear()
+    compiler._private_folder.cache_clear()
     return tmp_path / "cache" / "undertow"

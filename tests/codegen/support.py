@@ -13,7 +13,7 @@ import sympy as sm
 
 from undertow.codegen.functions import Functions
 from undertow.model.catalogue import catalogue
-from undertow.model.hardware import Curve, Propeller, Surface
+from undertow.model.effect import Curve, Propeller, Surface
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import DOFS, symbol
 from undertow.model.vehicle import Thruster, Vehicle

@@ -10,7 +10,7 @@ import pytest
 from tests.quick import quick_if
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.logs.run import Run

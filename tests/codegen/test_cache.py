@@ -1,6 +1,6 @@
 """Which compiled code is trusted, and what happens without a compiler."""
 
-# Private names of `cache` and `compiler`: what they remember in a process is forgotten, as in a new one.
+# Private names of `compiler`: what they remember in a process is forgotten, as in a new one.
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ import pytest
 
 from tests.codegen.support import functions_of
 from undertow import UndertowError
-from undertow.codegen import Simulator, cache, compiler
-from undertow.codegen.cache import cache_folder, library_for
-from undertow.codegen.compiler import Compiler, find_compiler
-from undertow.codegen.trajectories import rollout_source
+from undertow.codegen import Simulator, compiler
+from undertow.codegen.compiler import Compiler, cache_folder, find_compiler, library_for
+from undertow.codegen.engine import rollout_source
 
 SOURCE = "double undertow_test_answer(void);\ndouble undertow_test_answer(void) { return 42; }\n"
 SEEN = SOURCE.replace("double", '__attribute__((visibility("default"))) double', 1)
@@ -84,7 +83,7 @@ def _remove_library(library: Path) -> None:
 def _library_of_another_source(library: Path) -> None:
     """A library and a manifest that fit each other, but were made from something else."""
     _append_to_library(library)
-    found = cache._sha256(library)
+    found = compiler._sha256(library)
     library.rename(library.with_name(f"{_manifest().stem}-{found[:16]}{library.suffix}"))
     content = json.loads(_manifest().read_text())
     _manifest().write_text(json.dumps({**content, "source": "0" * 64, "library": found}))
@@ -139,7 +138,7 @@ def test_libraries_without_use_are_forgotten(counted: Counted) -> None:
     foreign.write_text("not ours")
     for path in (library, _manifest(), foreign):
         os.utime(path, (0, 0))
-    cache._forget_old.cache_clear()
+    compiler._forget_old.cache_clear()
     library_for(SOURCE.replace("42", "43"), counted)
     assert not library.exists()
     assert foreign.exists()
@@ -148,7 +147,7 @@ def test_libraries_without_use_are_forgotten(counted: Counted) -> None:
 _KILLED = """
 import os, signal, sys
 from pathlib import Path
-from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import library_for
 from undertow.codegen.compiler import Compiler
 
 class Killed(Compiler):
@@ -182,7 +181,7 @@ def test_what_a_killed_build_left_goes_after_an_hour(counted: Counted) -> None:
         (running,) = set(folder.glob("build-*")) - {left}
         hour_ago = time.time() - 3700.0
         os.utime(left, (hour_ago, hour_ago))
-        cache._forget_old.cache_clear()  # it is looked once in a process
+        compiler._forget_old.cache_clear()  # it is looked once in a process
         library_for(SOURCE, counted)
         assert list(folder.glob("build-*")) == [running]
         alive.communicate()
@@ -324,7 +323,7 @@ def test_without_any_place_for_compiled_code_one_line_says_what_to_do(
 OTHER = 54321  # a user that there is not
 AS_ANOTHER = f"""
 import ctypes, os, sys
-from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import library_for
 from undertow.codegen.compiler import find_compiler
 compiler = find_compiler()
 if os.getuid() == 0:  # to whom nothing is write-protected
@@ -366,7 +365,7 @@ exec cc "$@"
 """
 BUILD = """
 import ctypes, sys
-from undertow.codegen.cache import library_for
+from undertow.codegen.compiler import library_for
 from undertow.codegen.compiler import find_compiler
 library = library_for(sys.argv[1], find_compiler())
 print(library)
@@ -456,8 +455,8 @@ def _python(program: str, *arguments: str, **environment: str) -> subprocess.Com
 
 HASHES = """
 from tests.codegen.support import functions_of
-from undertow.codegen.trajectories import tangents_source
-from undertow.codegen.trajectories import rollout_source
+from undertow.codegen.engine import tangents_source
+from undertow.codegen.engine import rollout_source
 from undertow.codegen.source import c_source, digest
 for name in ("bluerov2", "full"):
     functions = functions_of(name)

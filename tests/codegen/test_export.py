@@ -163,7 +163,7 @@ int main(void) {
 @pytest.mark.parametrize("lanes", first_quick([0, 1, 4, 8]))
 def test_the_loops_are_clean_too(lanes: int, c_compiler: Compiler, tmp_path: Path) -> None:
     """Zero lanes: simulation with sensitivities."""
-    from undertow.codegen.trajectories import rollout_source, tangents_source
+    from undertow.codegen.engine import rollout_source, tangents_source
 
     functions = functions_of("mini-auv")
     source = (

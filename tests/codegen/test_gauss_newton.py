@@ -14,7 +14,7 @@ from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
 
 # Private: counts of windows beside a multiple of the lanes.
-from undertow.codegen.trajectories import Products, shares, tangents_source
+from undertow.codegen.engine import Products, shares, tangents_source
 from undertow.model.effect import Wrench
 from undertow.model.symbols import Signals
 from undertow.model.vehicle import Vehicle

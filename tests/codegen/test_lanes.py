@@ -14,9 +14,8 @@ import pytest
 from tests.codegen.support import BUNDLED, functions_of, random_point
 from tests.codegen.test_plain import OPERATIONS, A, B
 from tests.quick import first_quick
-from undertow.codegen.compiler import Compiler
-from undertow.codegen.plain import LANES, plain_c
-from undertow.codegen.trajectories import LANES_HEADER
+from undertow.codegen.compiler import LANES, Compiler, plain_c
+from undertow.codegen.engine import LANES_HEADER
 
 COUNTS = (1, 4, 8)
 # What a kink, a comparison or a root may take another way.

@@ -23,9 +23,9 @@ from undertow.codegen.library import Library, sizes
 from undertow.control.api import library_of
 from undertow.control.controller import Controller, Sharing, thruster_commands
 from undertow.control.gains import load_gains
-from undertow.model.actuators import bundled_curves
-from undertow.model.hardware import Curve, Propeller
+from undertow.model.effect import Curve, Propeller
 from undertow.model.loading import bundled_vehicles, load_vehicle
+from undertow.model.tables import bundled_curves
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-ffp-contract=off")
 ARM = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from undertow import UndertowError
-from undertow.codegen.compiler import Compiler
-from undertow.codegen.plain import plain_c
+from undertow.codegen.compiler import Compiler, plain_c
 
 A, B = ca.SX.sym("a"), ca.SX.sym("b")
 OPERATIONS = {

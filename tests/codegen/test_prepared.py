@@ -26,12 +26,11 @@ from tests.codegen.support import (
     vehicle_with,
 )
 from tests.quick import first_quick, quick_if
+from undertow.codegen.expressions import Inertia, find_inertia, kirchhoff
 from undertow.codegen.functions import Functions
-from undertow.codegen.rewriting import Inertia, find_inertia, kirchhoff
 from undertow.model.effect import Wrench
-from undertow.model.kinematics import coriolis
 from undertow.model.parameter import Parameter
-from undertow.model.symbols import DOFS, Signals
+from undertow.model.symbols import DOFS, Signals, coriolis
 from undertow.model.vehicle import Vehicle
 
 # Operations of one evaluation: at most so many, and a share of what the plain dynamics take.

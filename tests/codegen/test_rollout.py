@@ -14,9 +14,8 @@ from tests.codegen.support import BUNDLED, functions_of, random_parameters
 from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.codegen import Functions, Simulator
-from undertow.codegen.compiler import Compiler
-from undertow.codegen.plain import LANES, plain_c
-from undertow.codegen.trajectories import (
+from undertow.codegen.compiler import LANES, Compiler, plain_c
+from undertow.codegen.engine import (
     LANES_HEADER,
     in_threads,
     packed,

@@ -18,14 +18,16 @@ from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import enclose
 from undertow.control.conditions.motion import Motion
 from undertow.control.conditions.problem import Problem
+from undertow.control.conditions.responses import SETTINGS as KERNELS
 from undertow.control.conditions.responses import Driven, Responses, Starts, grid, modes
 from undertow.control.conditions.result import Transient
-from undertow.control.conditions.transient import Bounds, Known, Sector, _caps, bounds_in_time
+from undertow.control.conditions.transient import Bounds, Known, Search, Sector, _caps, bounds_in_time
 from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LawSignals
 from undertow.errors import UndertowError
 
+FINE = KERNELS.ratios[-1]
 NAMES = ("x", "y", "z", "phi", "theta", "psi")
 BODY = """
 schema = "undertow/vehicle/1"
@@ -94,7 +96,7 @@ def test_responses_are_bounded_between_the_ends_of_pieces_and_after_the_last() -
     rng = np.random.default_rng(3)
     A, rows = _stable(rng), rng.normal(size=(4, 5))
     found = modes(enclose(A))
-    times = grid(found.rates)
+    times = grid(found.rates, FINE)
     bounds = Responses(found, rows, times).pieces(np.arange(4), np.full(4, 2))
     assert found.off.max() < 1e-9
     for t in rng.uniform(0, 1, 300) ** 4 * 1.2 * times[-1]:
@@ -109,7 +111,7 @@ def test_integrals_of_responses_are_no_less_than_quadrature_says() -> None:
     rng = np.random.default_rng(4)
     A, row = _stable(rng), rng.normal(size=5)
     found = modes(enclose(A))
-    kernels = Responses(found, row[None], grid(found.rates, 8)).kernels(np.array([0]), np.array([1]))
+    kernels = Responses(found, row[None], grid(found.rates, FINE, 8)).kernels(np.array([0]), np.array([1]))
     for until in (0.3, 2.0, 30.0):
         exact = quad(lambda t: abs(row @ expm(A * t)[:, 1]), 0, until, limit=400)[0]
         ((least,),) = kernels.up_to(np.array([until]))
@@ -139,7 +141,7 @@ def _integrated(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """z' = A z + push(z_1) from z = 0 for corners of the box, at the ends of pieces of time."""
     rng, size = np.random.default_rng(5), len(sector.A)
-    times = grid(sector.modes.rates)
+    times = grid(sector.modes.rates, FINE)
     times = times[times < 30]
 
     def rate(_: float, z: np.ndarray) -> np.ndarray:
@@ -164,13 +166,13 @@ def test_second_order_is_that_of_an_integration() -> None:
         pulled = np.tensordot(angles, left.W, 1) @ (sector.force @ one) - np.tensordot(angles, left.P, 1) @ v
         return np.append(np.zeros(12), pulled + left.Gamma @ v @ v)
 
-    (found,) = sector.driven(grid(sector.modes.rates))
+    (found,) = sector.driven(grid(sector.modes.rates, FINE))
     assert _closest(found, sector, _integrated(sector, push))[sector.signals.rate].max() > 0.3
 
 
 def test_motion_by_the_heading_is_that_of_an_integration_and_the_difference_of_two_headings() -> None:
     sector = _sector(0.7, 0.01)
-    (_, found) = sector.driven(grid(sector.modes.rates))
+    (_, found) = sector.driven(grid(sector.modes.rates, FINE))
     runs = _integrated(sector, lambda one: 0.01 * sector.turned @ one)
     assert _closest(found, sector, runs)[sector.signals.rate].max() > 0.3
     other = _sector(0.7 + 1e-5)
@@ -324,3 +326,15 @@ def test_translations_that_do_not_turn_as_a_rotation_get_no_bounds() -> None:
     two = gains_from_table(GainTable.model_validate(table), loaded(PITCHING))
     with pytest.raises(UndertowError, match="do not turn as a rotation"):
         bounds_in_time(Problem(two), {"z": 0.05, "theta": 0.6})
+
+
+def test_what_coarse_pieces_of_time_do_not_prove_finer_ones_may() -> None:
+    """A start that is only just proved: no certificate is given up for the time that coarse pieces save."""
+    motion, (coarse, fine) = Motion(Problem(loop())), KERNELS.ratios
+    search, where = Search(motion, 3.95 * np.array([*START.values()])), [(0.0, 0.0)]
+    assert search.lost(where, [], [coarse]) == where
+    found: list[Transient] = []
+    assert search.lost(where, found, [coarse, fine]) == []
+    assert len(found) == 1
+    begun = np.abs(found[0].errors[0])
+    assert np.all(begun >= search.starts.box)

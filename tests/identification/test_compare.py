@@ -11,21 +11,22 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
-from undertow.identification.compare.comparison import (
+from undertow.identification.comparison import (
     Cell,
     Comparison,
     ComparisonResult,
+    Forces,
     Regime,
     compare,
     correlation,
     headline,
     profiles,
     regimes,
+    residual_forces,
     whiteness,
 )
-from undertow.identification.compare.forces import Forces, residual_forces
 from undertow.identification.estimation.data import channel_noise
-from undertow.identification.report.tables import budgets, curves, error_map, leading, telling, traces
+from undertow.identification.report.page import budgets, curves, errors_by_regime, leading, telling, traces
 from undertow.model.vehicle import Vehicle
 
 
@@ -232,7 +233,7 @@ def test_a_variable_that_tells_comes_first() -> None:
 
 
 def test_pictures_get_what_they_show(lacking: Comparison, complete: Comparison) -> None:
-    table = error_map(lacking)
+    table = errors_by_regime(lacking)
     assert table.before.shape == (3, len(table.regimes))
     assert np.nanmax(table.before) == lacking.result.worst.normalised  # type: ignore[union-attr]
     for found, whole in ((traces(lacking), 0.9), (traces(lacking, free=True), 0.95)):
@@ -279,7 +280,7 @@ def test_shares_of_the_budget_add_up_to_one(lacking: Comparison) -> None:
 
 def test_two_models_share_a_picture(case: Case, complete: Comparison) -> None:
     guess = compare(vehicle_of(case), runs_of(case))
-    table = error_map(guess, complete)
+    table = errors_by_regime(guess, complete)
     assert table.after is not None
     assert np.nanmedian(table.before) > np.nanmedian(table.after)
     both = traces(guess, complete)[0].traces[0]

@@ -79,6 +79,19 @@ def test_buoyancy_does_not_fall_with_depth_where_a_weight_was_dropped() -> None:
     assert "its size would drop to" in doubt
 
 
+@pytest.mark.parametrize("of", ["usv", "float"])
+def test_thrust_does_not_fade_where_drag_grows(of: str) -> None:
+    """Both know the time; that the force goes with the speed, too, is news to thrust."""
+    doubt = _tried(("growing_drag",), "supply_droop", of).doubt
+    assert doubt.startswith("beside a force that goes with t ")
+    assert "its size would drop to" in doubt
+
+
+@pytest.mark.parametrize("of", ["usv", "float"])
+def test_thrust_fades_where_it_does(of: str) -> None:
+    assert _tried(("supply_droop",), "supply_droop", of).doubt == ""
+
+
 def test_nothing_speaks_against_an_effect_that_is_there() -> None:
     assert _tried(("lift",), "lift").doubt == ""
 

@@ -20,11 +20,11 @@ from tests.quick import first_quick, quick_if
 from undertow.errors import UndertowError
 from undertow.identification.doctor import dynamics
 from undertow.identification.doctor.examine import Examined, examine, refuse_impossible
-from undertow.identification.doctor.findings import Edit, Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import angles_across_jumps, wrapped_angles
 from undertow.identification.doctor.sensors import inconsistent
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import Finding
+from undertow.identification.logs.mapping import Edit, LogMapping, edited
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run

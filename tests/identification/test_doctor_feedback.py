@@ -12,7 +12,7 @@ import pytest
 from tests.quick import first_quick
 from undertow.codegen import Functions, Simulator
 from undertow.identification.doctor.examine import examine
-from undertow.identification.doctor.findings import Finding
+from undertow.identification.findings import Finding
 from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 

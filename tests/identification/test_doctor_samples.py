@@ -12,19 +12,20 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import examine, refuse_impossible
-from undertow.identification.doctor.findings import (
+from undertow.identification.doctor.sampling import excitation, excitation_findings, sampling, was_filtered
+from undertow.identification.findings import Finding
+from undertow.identification.logs.mapping import (
     Edit,
-    Finding,
+    LogMapping,
     as_toml,
     column_edit,
     delay_edit,
     edited,
     frames_edits,
     into_file,
+    mapping_text,
     reassigned,
 )
-from undertow.identification.doctor.sampling import excitation, excitation_findings, sampling, was_filtered
-from undertow.identification.logs.mapping import LogMapping, mapping_text
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 

@@ -29,11 +29,11 @@ from undertow.identification.doctor.dynamics import (
     without_refuted,
 )
 from undertow.identification.doctor.examine import Examined, examine
-from undertow.identification.doctor.findings import Examination, Finding, edited
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import in_degrees, with_channels, wrapped_angles
 from undertow.identification.doctor.signs import Weight, _remaining
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import Examination, Finding
+from undertow.identification.logs.mapping import LogMapping, edited
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run

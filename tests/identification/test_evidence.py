@@ -33,8 +33,7 @@ from undertow.identification.diagnosis.splitting import repeats
 from undertow.identification.diagnosis.trial import best_start, screen, try_candidate
 from undertow.identification.diagnosis.validation import worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
-from undertow.identification.estimation.covariance import clustered, summed_scores
-from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.data import WeakData, clustered, prepare, summed_scores
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.identification.logs.pose_velocity import velocities_from_pose

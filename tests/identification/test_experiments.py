@@ -11,7 +11,8 @@ import pytest
 import undertow as ut
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.experiments import experiments, refitted
+from undertow.identification.api import refitted
+from undertow.identification.diagnose import experiments
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run

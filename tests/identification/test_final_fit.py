@@ -24,7 +24,7 @@ from undertow.identification.estimation.output_error import (
     fit_output_error,
     horizon_error,
 )
-from undertow.identification.estimation.scales import largest_values
+from undertow.identification.estimation.pointwise import largest_values
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.model.vehicle import Vehicle
 

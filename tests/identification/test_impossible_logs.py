@@ -18,7 +18,7 @@ from tests.identification.logs_of import run_of, runs_of, vehicle_of
 from tests.quick import first_quick, quick_if
 from undertow.errors import UndertowError
 from undertow.identification.api import Estimator
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.doctor.examine import examine, refuse_impossible
 from undertow.identification.doctor.forces import Forces
@@ -26,7 +26,7 @@ from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.model.hardware import Curve
+from undertow.model.effect import Curve
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 

@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.checks import refuse_constant
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.opening import refuse_constant
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.identification.logs.table import WHOLE
 from undertow.model.loading import load_vehicle

@@ -12,8 +12,8 @@ from scipy.integrate import cumulative_simpson
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
+from undertow.codegen.engine import Products
 from undertow.codegen.functions import Functions
-from undertow.codegen.trajectories import Products
 from undertow.errors import UndertowError
 from undertow.identification.estimation import shooting as multiple_shooting
 from undertow.identification.estimation.data import prepare

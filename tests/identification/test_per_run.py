@@ -15,12 +15,11 @@ from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.api import Estimator, fit
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
-from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.weak_form import fit_weak, fit_weak_by_run
+from undertow.identification.estimation.weak_form import adapted, fit_weak, fit_weak_by_run
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle

@@ -16,7 +16,7 @@ from tests.quick import first_quick
 from undertow.cli.identification.diagnose import _content  # words for verdicts that no log here has
 from undertow.errors import UndertowError
 from undertow.figures import plain, save_png, svg, unit_text, with_unit
-from undertow.identification.compare.comparison import Profile
+from undertow.identification.comparison import Profile
 from undertow.identification.diagnose import _with_doctor  # for findings that no log here has
 from undertow.identification.diagnosis.result import (
     ChannelNoise,
@@ -31,9 +31,17 @@ from undertow.identification.diagnosis.result import (
     Step,
     Verdict,
 )
-from undertow.identification.doctor.findings import Examination
-from undertow.identification.doctor.findings import Finding as Found
-from undertow.identification.report.data import (
+from undertow.identification.findings import Examination
+from undertow.identification.findings import Finding as Found
+from undertow.identification.report.page import (
+    parameter_text,
+    percent,
+    quantity,
+    render_report,
+    report_data,
+    with_error,
+)
+from undertow.identification.report.pictures import (
     Budget,
     ErrorMap,
     Listing,
@@ -41,9 +49,6 @@ from undertow.identification.report.data import (
     ResidualCurve,
     RunTraces,
     Trace,
-)
-from undertow.identification.report.page import parameter_text, percent, quantity, render_report, with_error
-from undertow.identification.report.pictures import (
     error_map,
     falling_error,
     force_budget,
@@ -52,7 +57,6 @@ from undertow.identification.report.pictures import (
     residual_against,
     thinned,
 )
-from undertow.identification.report.tables import report_data
 
 EVIL = "<script>alert('1')</script>\"&$x_1$\n日本"
 SECTIONS = (
@@ -328,7 +332,7 @@ def test_a_page_of_many_long_runs_stays_small() -> None:
 
 
 def test_a_comparison_becomes_a_report() -> None:
-    from undertow.identification.compare.comparison import compare
+    from undertow.identification.comparison import compare
     from undertow.identification.logs.run import Run
     from undertow.model.loading import load_vehicle
 

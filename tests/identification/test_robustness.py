@@ -10,8 +10,7 @@ import pytest
 from tests.identification.long_surge import EXACT, coloured, simulated, steps
 from tests.identification.surge import TRUTH, surge_vehicle
 from tests.quick import first_quick
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.data import inverse_of, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import fit_output_error
 from undertow.identification.estimation.weak_form import fit_weak

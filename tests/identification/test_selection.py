@@ -16,7 +16,13 @@ from undertow.identification.diagnosis.consistency import (
     vanished_inertia,
 )
 from undertow.identification.diagnosis.evidence import FoundEffect
-from undertow.identification.diagnosis.selection import alternatives, dominated, without_inertia
+from undertow.identification.diagnosis.selection import (
+    Graded,
+    alternatives,
+    dominated,
+    rivals_of_one,
+    without_inertia,
+)
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.worth import Worth, best_in_resamples, explained_motions, gained
 from undertow.identification.estimation.fitted import Fitted
@@ -102,6 +108,19 @@ def test_an_alternative_takes_over_what_an_effect_gains() -> None:
     found = alternatives(chosen, _gain(0.8), rivals, lambda first, _: beside[first.id])
     assert found == rivals[:1]
     assert _gain(0.5).gain == pytest.approx(np.log(2.0))
+
+
+@pytest.mark.parametrize(("doubt", "left"), [("", ["drag"]), ("varies", ["buoyancy", "force", "drag"])])
+def test_what_is_needed_beside_an_effect_is_no_rival_of_it(doubt: str, left: list[str]) -> None:
+    """Nor is what stands for that; what is in doubt may still be the other explanation."""
+
+    def graded(chosen: str, *rivals: str, doubt: str = "") -> Graded:
+        return Graded(_effect(chosen), [_effect(r) for r in rivals], _gain(0.2), doubt)
+
+    angle = graded("angle", "buoyancy", "force", "drag")
+    first, second = rivals_of_one([angle, graded("buoyancy", "force", doubt=doubt)])
+    assert [r.id for r in first.rivals] == left
+    assert [r.id for r in second.rivals] == ["force"]
 
 
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:

@@ -22,7 +22,7 @@ from undertow.identification.diagnosis.result import (
     Step,
     Verdict,
 )
-from undertow.identification.doctor.findings import Finding
+from undertow.identification.findings import Finding
 from undertow.identification.report.sentences import (
     CommandLine,
     as_stated,

@@ -11,7 +11,7 @@ import pytest
 from tests.identification.several import CURRENT, NOISE, Dive, model, truth, written
 from tests.quick import first_quick
 from undertow.errors import UndertowError
-from undertow.identification.compare.comparison import compare
+from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.doctor.examine import examine
 from undertow.identification.estimation.data import prepare
@@ -24,7 +24,7 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
-from undertow.identification.report.tables import traces
+from undertow.identification.report.page import traces
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 

@@ -88,7 +88,7 @@ HEAD = """
 import sympy as sm
 from undertow.model.effect import Actuation, Effect, Flow, Measurement, Wrench
 from undertow.model.effects.added_mass import AddedMass
-from undertow.model.kinematics import coriolis, rotation
+from undertow.model.symbols import coriolis, rotation
 from undertow.model.parameter import Parameter, PerThruster, Place, logged
 """
 NOTES = """

@@ -19,8 +19,7 @@ from undertow.errors import UndertowError
 from undertow.identification.estimation.inputs import ActuatorStates
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.model.catalogue import catalogue
-from undertow.model.effect import Actuation, Effect, Measurement, kinds_of
-from undertow.model.hardware import Surface
+from undertow.model.effect import Actuation, Effect, Measurement, Surface, kinds_of
 from undertow.model.symbols import DOFS, Signals, signals, symbol
 from undertow.model.vehicle import Thruster, Value, Vehicle
 

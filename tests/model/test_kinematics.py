@@ -8,8 +8,7 @@ from random import Random
 import pytest
 import sympy as sm
 
-from undertow.model.kinematics import body_rates, coriolis, euler_rates, pose_jacobian, rotation, skew
-from undertow.model.symbols import column
+from undertow.model.symbols import body_rates, column, coriolis, euler_rates, pose_jacobian, rotation, skew
 
 ANGLES = column(["phi", "theta", "psi"])
 OMEGA = column(["p", "q", "r"])

@@ -16,9 +16,17 @@ import sympy as sm
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import Composition
 from undertow.model.effects.thrusters import Thrusters
-from undertow.model.kinematics import body_rates, euler_rates, pose_jacobian, rotation, skew
 from undertow.model.loading import load_vehicle
-from undertow.model.symbols import column, signals, symbol
+from undertow.model.symbols import (
+    body_rates,
+    column,
+    euler_rates,
+    pose_jacobian,
+    rotation,
+    signals,
+    skew,
+    symbol,
+)
 from undertow.model.vehicle import Vehicle
 
 FOUR = ("surge", "sway", "heave", "yaw")

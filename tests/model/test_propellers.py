@@ -12,7 +12,7 @@ import undertow as ut
 from undertow.codegen.functions import Functions
 from undertow.identification.logs.mapping import Channel, Column, LogMapping
 from undertow.identification.logs.reading import read_logs
-from undertow.model.hardware import Curve, Propeller
+from undertow.model.effect import Curve, Propeller
 from undertow.model.loading import load_vehicle
 from undertow.model.saving import save_vehicle
 from undertow.model.vehicle import Value, Vehicle

@@ -17,11 +17,10 @@ from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import statement_of
 from undertow.model.effect import Actuation, Effect, Wrench, kinds_of
-from undertow.model.kinematics import rotation, skew
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.parameter import PerThruster
 from undertow.model.plausibility import mass_matrix_at
-from undertow.model.symbols import DOFS, Signals, symbol
+from undertow.model.symbols import DOFS, Signals, rotation, skew, symbol
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
 Array = NDArray[np.float64]

@@ -9,8 +9,7 @@ import pytest
 
 from tests.workbench.demo_session import DEMO, session_of
 from undertow.errors import UndertowError
-from undertow.identification.doctor.findings import Edit, as_toml, read_edits
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.mapping import Edit, LogMapping, as_toml, read_edits
 from undertow.identification.logs.run import Run
 from undertow.workbench.session import LogChoice, ModelStep, Remedy, Session, Stretch, Workspace
 

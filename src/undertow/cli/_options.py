@@ -15,13 +15,13 @@ from undertow.errors import UndertowError, nearest
 from ._terminal import progress, say
 
 if TYPE_CHECKING:
+    from undertow.identification.findings import LongLogs
     from undertow.identification.logs.chunks import LongLog
     from undertow.identification.logs.formats.fieldlog import FieldLog
     from undertow.identification.logs.mapping import Held, LogMapping
     from undertow.identification.logs.opening import FieldLogs
     from undertow.identification.logs.run import Run
     from undertow.identification.long_logs.choosing import Budget, Chosen
-    from undertow.identification.long_logs.result import LongLogs
     from undertow.identification.report.sentences import CommandLine
     from undertow.model.effect import Effect
     from undertow.model.vehicle import Vehicle

@@ -1,4 +1,4 @@
-"""The terminal: streams, warnings, progress, tables and JSON, Ctrl-C."""
+"""The terminal: streams, warnings, progress, tables, findings and JSON, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ import typer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from undertow.identification.findings import Finding
+
 
 _STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
 _READABLE = "undertow.readable"
@@ -472,3 +475,27 @@ def _free() -> bool:
 def _raise(number: int, frame: FrameType | None) -> None:
     signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
     raise KeyboardInterrupt
+
+
+# --- findings of the doctor -----------------------------------------------------------------------
+_STYLES = {"mistake": "bold red", "warning": "yellow", "note": "dim"}
+
+
+_INDENT = "    "
+
+
+def show_finding(finding: Finding, map: Path | None) -> None:
+    """Print one finding with what mends it; `map` is the mapping file in use."""
+    line = text(f"{finding.severity}: ", _STYLES[finding.severity])
+    line.append(finding.text)
+    console().print(line, soft_wrap=True)
+    if finding.mapping:
+        where = f"in {map}" if map else "in a mapping file (--map; undertow doctor --mend writes it)"
+        say(f"{_INDENT}{where}:", "green")
+        for row in finding.mapping.splitlines():
+            say(f"{2 * _INDENT}{row}")
+    if finding.vehicle:
+        either = "or in" if finding.mapping else "in"
+        say(f"{_INDENT}{either} the vehicle file: {finding.vehicle}", "green")
+    for other in finding.alternatives:
+        say(f"{_INDENT}not excluded: {other}")

@@ -1,21 +1,25 @@
-"""The instructions of a CasADi function as data for a library that is the same for all models."""
+"""Execution: instructions as data over samples, and trajectories in C, side by side in lanes and threads."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import Any
+from threading import Lock
+from typing import Any, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.typing import Array
+from undertow.typing import Array, Integers
 
-from .cache import library_for
-from .compiler import Bound, Compiler, compiled_or_virtual, loaded, pointer
-from .source import INSTRUCTIONS, engine_file, engine_source
+from .compiler import LANES, Bound, Compiler, compiled_or_virtual, library_for, loaded, plain_c, pointer
+from .functions import Functions, solve_symmetric
+from .source import INSTRUCTIONS, c_file, engine_file, engine_source, integers, with_entry
 
 # Making a map costs time in proportion to its length; one of this length serves any number of samples.
 _CHUNK = 128
@@ -231,3 +235,435 @@ def call(function: ca.Function, arguments: Sequence[Array]) -> list[Array]:
         array[0] = np.ravel(given)
     bound.run()
     return [array[0] for array in bound.outputs]
+
+
+# --- trajectories in C: runs side by side; sensitivities, or sums of them -------------------------
+@dataclass
+class Problem:
+    """Arrays of a simulation; where runs share t, u or p, its leading size is one."""
+
+    t: Array  # (b or 1, n): times of the samples, s
+    steps: Integers  # (b or 1, n - 1): Runge-Kutta steps from sample to sample
+    u: Array  # (b or 1, n, nu): inputs, held from their sample to the next
+    p: Array  # (b or 1, np): parameters
+    x: Array  # (b, n, nx): states; the first sample is given, the others are written
+    wrt: Integers  # (m,): parameter of every sensitivity column, -1 for columns of an initial state
+    # (b, n, nx, m): sensitivities; the first sample is given, the others are written. No column where none
+    # are wanted.
+    s: Array
+
+    def part(self, runs: slice) -> Problem:
+        """Some of the runs, in the same memory."""
+        names = ("t", "steps", "u", "p", "x", "s")
+        arrays = {n: getattr(self, n) for n in names}
+        own = len(self.x)
+        return replace(self, **{n: a[runs] if len(a) == own else a for n, a in arrays.items()})
+
+
+class Stepper(Protocol):
+    """Advances a problem from sample `first` to sample `last`."""
+
+    def advance(self, problem: Problem, first: int, last: int) -> None: ...
+
+
+T = TypeVar("T")
+LANES_HEADER = c_file("lanes.h")
+_LIMIT = "UNDERTOW_JOBS"
+# So few runs are as fast one after the other.
+_FEW = 2
+
+
+def lanes_for(runs: int, lanes: int) -> int:
+    """How many lanes a number of runs goes through."""
+    return 1 if runs <= _FEW else lanes
+
+
+def packed(array: Array, lanes: int) -> Array:
+    """Runs side by side: shape (b, ...) to (groups, ..., lanes); the last run fills up the last group.
+
+    With one lane the memory is the same.
+    """
+    if lanes == 1:
+        return np.ascontiguousarray(array)[..., None]
+    groups = -(-len(array) // lanes)
+    lacking = groups * lanes - len(array)
+    full = np.concatenate([array, np.repeat(array[-1:], lacking, axis=0)]) if lacking else array
+    return np.ascontiguousarray(np.moveaxis(full.reshape(groups, lanes, *array.shape[1:]), 1, -1))
+
+
+def unpacked(array: Array, runs: int) -> Array:
+    """The reverse of `packed`, a view where there is one lane."""
+    if array.shape[-1] == 1:
+        return array[..., 0]
+    groups, lanes = len(array), array.shape[-1]
+    return np.moveaxis(array, -1, 1).reshape(groups * lanes, *array.shape[1:-1])[:runs]
+
+
+def processors() -> int:
+    """How many processors this process may use, or as many as UNDERTOW_JOBS says."""
+    stated = os.environ.get(_LIMIT, "")
+    if stated.isdecimal():
+        return max(1, int(stated))
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
+
+
+def in_threads(
+    work: Callable[[T], object],
+    parts: Sequence[T],
+    threads: int | None,
+    done: Callable[[T], object] = lambda part: None,
+) -> None:
+    """Do the parts of a work in threads; compiled code runs outside Python's lock.
+
+    By default as many threads as there are processors. `done` is called with every part that is done, in the
+    thread of the caller.
+    """
+    wanted = processors() if threads is None else threads
+    if wanted < 1:
+        raise UndertowError(f"threads = {threads}: give one at least")
+    if min(wanted, len(parts)) == 1:
+        for part in parts:
+            work(part)
+            done(part)
+        return
+    with ThreadPoolExecutor(min(wanted, len(parts))) as pool:
+        started = {pool.submit(work, part): part for part in parts}
+        try:
+            for future in as_completed(started):
+                future.result()
+                done(started[future])
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def shares(runs: int, work: float, threads: int | None, lanes: int) -> list[slice]:
+    """Runs in shares of whole groups, each a fraction of a second and a few for every thread."""
+    groups, wanted = -(-runs // lanes), threads or processors()
+    least, most = (max(int(steps / max(work, 1) / lanes), 1) for steps in _STEPS_IN_SHARE)
+    each = lanes * min(max(-(-groups // (_SHARES * wanted)), least), most)
+    return [slice(a, min(a + each, runs)) for a in range(0, runs, each)]
+
+
+# From a millisecond, which is worth a thread of its own, to the tenth of a second that Ctrl-C may wait.
+_STEPS_IN_SHARE = (20_000, 1_000_000)
+# For each thread, so that none waits long for the others.
+_SHARES = 4
+
+
+def defines(sizes: Iterable[tuple[str, int]]) -> str:
+    """Sizes as C macros; C has no empty arrays."""
+    return "".join(f"#define {name} {max(size, 1)}\n" for name, size in sizes)
+
+
+_GROUP_ARRAYS = ("t", "count", "u", "p")
+
+
+class _RolloutLogs(ctypes.Structure):
+    _fields_ = (
+        ("samples", ctypes.c_int64),
+        *((f"{name}_step", ctypes.c_int64) for name in _GROUP_ARRAYS),
+        *((name, ctypes.c_void_p) for name in (*_GROUP_ARRAYS, "x")),
+    )
+
+
+class Entries:
+    """Entry points of a loop for different numbers of lanes, each compiled when it is first asked for."""
+
+    def __init__(self, source: Callable[[int], tuple[str, str]], compiler: Compiler) -> None:
+        # What is a vector is so already; others that the compiler makes up cost a twentieth.
+        self._source, self._compiler = source, compiler.for_this_machine("-fno-tree-vectorize")
+        self._known: dict[int, Callable[..., None]] = {}
+        self._building = Lock()
+
+    def __call__(self, lanes: int) -> Callable[..., None]:
+        """The entry point for so many lanes."""
+        with self._building:
+            if lanes not in self._known:
+                source, name = self._source(lanes)
+                entry: Any = getattr(loaded(library_for(source, self._compiler)), name)
+                entry.restype = None
+                self._known[lanes] = entry
+        return self._known[lanes]
+
+
+class CompiledRollout:
+    """Runge-Kutta around the generated dynamics: one call for many samples of many runs."""
+
+    parallel = True
+
+    def __init__(self, functions: Functions, compiler: Compiler) -> None:
+        self.lanes = compiler.lanes
+        self._entries = Entries(lambda lanes: rollout_source(functions, lanes), compiler)
+        self._entries(1)
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        lanes, runs = lanes_for(len(problem.x), self.lanes), len(problem.x)
+        arrays = {
+            "t": packed(problem.t[:, first : last + 1], lanes),
+            "count": packed(problem.steps[:, first:last].astype(float), lanes),
+            "u": packed(problem.u[:, first:last], lanes),
+            "p": packed(problem.p, lanes),
+        }
+        x = packed(problem.x[:, first : last + 1], lanes)
+        steps = (0 if len(a) < len(x) else a[0].size for a in arrays.values())
+        logs = _RolloutLogs(last + 1 - first, *steps, *map(_address, [*arrays.values(), x]))
+        self._entries(lanes)(ctypes.byref(logs), ctypes.c_int64(len(x)))
+        problem.x[:, first + 1 : last + 1] = unpacked(x, runs)[:, 1:]
+
+
+def _address(array: Array) -> ctypes.c_void_p:
+    assert array.dtype == np.float64
+    return pointer(array)
+
+
+def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
+    """C source of a simulation and the name of its entry point, which carries the hash of the source."""
+    model = model_source(functions)
+    text = "\n".join([defines([("LANES", lanes)]), LANES_HEADER, model, c_file("rollout.c")])
+    return with_entry(text, "RUN", "simulate")
+
+
+def model_source(functions: Functions) -> str:
+    """C source of the prepared form, for any number of lanes, with its sizes."""
+    form = functions.prepared
+    sizes = {
+        "NX": functions.x.numel(),
+        "NU": functions.u.numel(),
+        "NP": functions.p.numel(),
+        "NQ": form.prepare.size1_out("q"),
+        "NW": form.hold.size1_out("w"),
+    }
+    steps = form.prepare, form.hold, form.held_dynamics
+    model = [plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES) for f in steps]
+    return "\n".join([defines(sizes.items()), *model])
+
+
+# Windows that are simulated in one share of a thread at least.
+_ABREAST = 8
+
+
+@dataclass(frozen=True)
+class Products:
+    """Sums of products of weighted errors and their derivatives, by window and group of samples."""
+
+    # products of the m derivatives (parameters, then initial values of pose and velocity) and, as the last
+    # row and column, the error
+    table: Array
+    squares: Array  # sum of squares of the weighted errors by channel
+    diverged: bool  # whether a simulation left the finite numbers; the sums then mean nothing
+
+
+def products_of(value: Array, slope: Array, measured: Array, weight: Array, group: Integers) -> Products:
+    """The same sums from what was simulated.
+
+    `value` is pose and velocity, or what the sensors report of them, shape (b, n, 2 dof); `slope` its
+    derivatives, shape (b, n, 2 dof, m); the others as for `Simulator.products`.
+    """
+    b, n, channels, m = slope.shape
+    unused = weight == 0
+    both = np.empty((b, n, channels, m + 1))
+    with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is reported as such
+        np.multiply(slope, weight[..., None], out=both[..., :m])
+        np.multiply(value - measured, weight, out=both[..., m])
+        both[unused] = 0.0
+        squares = np.sum(both[..., m] ** 2, axis=1)
+    groups = int(group.max(initial=0)) + 1
+    found = Products(np.zeros((b, groups, m + 1, m + 1)), squares, diverged=False)
+    if not (np.isfinite(value).all() and np.isfinite(squares).all() and np.isfinite(both).all()):
+        return Products(found.table, found.squares, diverged=True)
+    for g in range(groups):
+        inside = group == g
+        there = np.flatnonzero(inside.any(axis=0))
+        if not there.size:
+            continue
+        span = slice(there[0], there[-1] + 1)
+        part = both[:, span]
+        if not inside[:, span].all():
+            part = np.where(inside[:, span, None, None], part, 0.0)
+        part = part.reshape(b, -1, m + 1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            found.table[:, g] = np.swapaxes(part, 1, 2) @ part
+    return Products(found.table, squares, diverged=not np.isfinite(found.table).all())
+
+
+# --- calls of tangents.c --------------------------------------------------------------------------
+_RUN_ARRAYS = ("t", "u", "p", "steps")
+
+
+class _TangentLogs(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("samples", "first", "last")),
+        *((f"{name}_stride", ctypes.c_int64) for name in (*_RUN_ARRAYS, "x")),
+        *((name, ctypes.c_void_p) for name in (*_RUN_ARRAYS, "x", "s")),
+        ("groups", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("measured", "weight", "group", "table", "squares")),
+    )
+
+
+class Tangents:
+    """Simulation of a model with sensitivities."""
+
+    def __init__(self, run: Callable[..., int], model: _Model | None = None) -> None:
+        self._run, self._model = run, model
+
+    def advance(self, problem: Problem, first: int, last: int) -> None:
+        """Record states and sensitivities from sample `first` to sample `last`."""
+        self._called(problem, (first, last), problem.x, problem.s)
+
+    def products(self, problem: Problem, measured: Array, weight: Array, group: Integers) -> Products:
+        """Sums over the samples of every window; `group` says of which sum of its window a sample is part.
+
+        Derivatives in the initial pose and velocity follow those in parameters.
+        """
+        b, _, channels = measured.shape
+        width, groups = problem.wrt.size + 1, int(group.max(initial=0)) + 1
+        found = Products(np.zeros((b, groups, width, width)), np.zeros((b, channels)), diverged=False)
+        start = problem.x[:, 0].copy()
+        arrays: Sequence[np.ndarray] = (measured, weight, group, found.table, found.squares)
+        diverged: list[int] = []
+
+        def work(rows: slice) -> None:
+            part = problem.part(rows)
+            span = 0, part.t.shape[1] - 1
+            diverged.append(self._called(part, span, start[rows], None, groups, *(a[rows] for a in arrays)))
+
+        # Every derivative is carried along like a state.
+        steps = float(problem.steps.sum(axis=1).max(initial=1)) * problem.wrt.size
+        in_threads(work, shares(b, steps, None, _ABREAST), None)
+        if any(diverged) or not np.isfinite(found.table).all():
+            return Products(found.table, found.squares, diverged=True)
+        lower = np.tril_indices(width, -1)
+        found.table[:, :, lower[0], lower[1]] = found.table[:, :, lower[1], lower[0]]
+        return found
+
+    def _called(
+        self,
+        problem: Problem,
+        span: tuple[int, int],
+        x: Array,
+        s: Array | None,
+        groups: int = 0,
+        *sums: np.ndarray,
+    ) -> int:
+        shared: list[np.ndarray] = [getattr(problem, name) for name in _RUN_ARRAYS]
+        logs = _TangentLogs(
+            *(problem.t.shape[1], *span),
+            *(0 if len(a) == 1 else a.strides[0] // a.itemsize for a in shared),
+            *(x.strides[0] // x.itemsize, *map(pointer, shared), pointer(x)),
+            *(None if s is None else pointer(s), groups, *map(pointer, sums)),
+        )
+        model = () if self._model is None else (ctypes.byref(self._model),)
+        diverged = int(self._run(*model, ctypes.byref(logs), ctypes.c_int64(len(x))))
+        if diverged < 0:
+            raise UndertowError(f"no memory for {problem.wrt.size} sensitivities: ask for fewer at a time")
+        return diverged
+
+
+# --- a model that is data -------------------------------------------------------------------------
+_PATTERNS = tuple(f"{of}_{what}" for of in ("rx", "rp") for what in ("start", "column", "place"))
+
+
+class _Model(ctypes.Structure):
+    """A model as tangents.c takes it, where it is not compiled."""
+
+    _fields_ = (
+        ("tape", TapeData),
+        *((name, ctypes.c_int64) for name in ("nx", "nu", "nd", "nf", "columns")),
+        *((name, ctypes.c_void_p) for name in _PATTERNS),
+        *((name, ctypes.c_int64) for name in ("rx_nonzeros", "rp_nonzeros")),
+    )
+
+
+class Uncompiled:
+    """The instructions of a model, run at once by the engine: compiling takes longer than a run or two."""
+
+    def __init__(self, functions: Functions, run: Engine, *, sensitivities: bool) -> None:
+        self._run = run.simulate
+        self._function = functions.tangents("x", "p") if sensitivities else functions.dynamics
+        self._tape = Tape(self._function)
+        degrees = functions.nu_dot.numel() if sensitivities else 0
+        self._sizes = functions.x.numel(), functions.u.numel(), degrees
+        self._slopes = [self._function.sparsity_out(n) for n in ("R_x", "R_p") if sensitivities]
+
+    def tangents(self, wrt: Sequence[int]) -> Tangents:
+        """The simulation with derivatives in these parameters, and for each -1 in an initial state."""
+        chosen = [k for k in wrt if k >= 0]
+        rows = [_by_rows(s, c) for s, c in zip(self._slopes, (None, chosen), strict=False)]
+        tables = [np.array(part, dtype=np.int32) for row in rows or [([0],) * 3] * 2 for part in row]
+        nonzeros = [s.nnz() for s in self._slopes] or [0, 0]
+        addresses = [a.ctypes.data for a in tables]
+        model = _Model(self._tape.data, *self._sizes, len(chosen), len(wrt), *addresses, *nonzeros)
+        model.kept = self._tape, tables  # it points into these
+        return Tangents(self._run, model)
+
+
+# --- a model that is compiled ---------------------------------------------------------------------
+def compiled_tangents(functions: Functions, wrt: Sequence[int], compiler: Compiler) -> Tangents:
+    """The simulation compiled for these parameters to differentiate by, with -1 for each initial state."""
+    source, name = tangents_source(functions, wrt)
+    run = getattr(loaded(library_for(source, compiler.for_this_machine())), name)
+    run.restype = ctypes.c_int64
+    return Tangents(run)
+
+
+def tangents_source(functions: Functions, wrt: Sequence[int]) -> tuple[str, str]:
+    """C source of the simulation, and the name of its entry point, which carries the hash of the source."""
+    places = [k for k in wrt if k >= 0]
+    inverse, slopes, steady = _parts(functions, places)
+    sizes = {
+        "NX": functions.x.numel(),
+        "NU": functions.u.numel(),
+        "ND": functions.nu_dot.numel(),
+        "NF": len(places),
+        "COLUMNS": len(wrt),
+    }
+    lines = [f"#define {k} {v}" for k, v in sizes.items()]
+    lines += ["#define STEADY"] if steady else []
+    for name, output in (("RX", "R_x"), ("RP", "R_p")):
+        pattern = slopes.sparsity_out(output)
+        lines.append(f"#define {name}_NONZEROS {pattern.nnz()}")
+        tables = zip(("START", "COLUMN", "PLACE"), _by_rows(pattern), strict=True)
+        lines += [integers(f"{name}_{what}", values) for what, values in tables]
+    prefix = "static SEPARATE "
+    model = plain_c(inverse, "inverse", prefix=prefix)
+    model += plain_c(slopes, "slopes", packed=("R_x", "R_p"), prefix=prefix)
+    text = "\n".join([*lines, c_file("portable.h"), model, c_file("tangents.c")])
+    return with_entry(text, "SIMULATE", "simulate")
+
+
+def _parts(functions: Functions, places: Sequence[int]) -> tuple[ca.Function, ca.Function, bool]:
+    """W(x, u, p, t); (x_dot, R_x, R_p) from x, u, p, t, W as for `Functions.tangents`; is W of p alone?"""
+    f = functions
+    size = f.nu_dot.numel()
+    W = ca.SX.sym("W", size, size)
+    inputs, names = [f.x, f.u, f.p, f.t], ["x", "u", "p", "t"]
+    mass = f.mass_matrix
+    inverse = ca.densify(ca.cse(solve_symmetric(mass, ca.SX.eye(size))))
+    rows = f.acceleration_rows
+    at_rest = ca.substitute(f.balance, f.nu_dot, ca.SX.zeros(size))
+    acceleration = W @ at_rest[rows]
+    x_dot = ca.vertcat(at_rest[: rows.start], acceleration, at_rest[rows.stop :])
+    slopes = [ca.jacobian(f.balance, f.x), ca.jacobian(f.balance, f.p)[:, list(places)]]
+    outputs = [ca.densify(x_dot), *(ca.substitute(s, f.nu_dot, acceleration) for s in slopes)]
+    steady = not ca.depends_on(mass, ca.vertcat(f.x, f.u, f.t))
+    return (
+        ca.Function("inverse", inputs, [inverse], names, ["W"]),
+        ca.Function("slopes", [*inputs, W], ca.cse(outputs), [*names, "W"], ["x_dot", "R_x", "R_p"]),
+        steady,
+    )
+
+
+def _by_rows(sparsity: ca.Sparsity, chosen: Sequence[int] | None = None) -> tuple[list[int], ...]:
+    """Nonzeros row by row: first of each row, columns, and where each stands in an output stored by columns.
+
+    Of the `chosen` columns in this order, by default of all.
+    """
+    columns = range(sparsity.size2()) if chosen is None else chosen
+    starts, rows = sparsity.get_ccs()
+    entries = sorted((rows[k], c, k) for c, j in enumerate(columns) for k in range(starts[j], starts[j + 1]))
+    first = [sum(row < i for row, _, _ in entries) for i in range(sparsity.size1() + 1)]
+    return first, [c for _, c, _ in entries], [k for _, _, k in entries]

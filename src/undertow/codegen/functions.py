@@ -15,8 +15,7 @@ from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .convert import Converter
-from .rewriting import Collector, Inertia, find_inertia, is_galilean, kirchhoff
+from .expressions import Collector, Converter, Inertia, find_inertia, is_galilean, kirchhoff
 
 
 def _with_tied(vehicle: Vehicle, equal: Mapping[str, tuple[str, float]]) -> dict[str, tuple[str, float]]:

@@ -13,13 +13,10 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
-from .cache import library_for
-from .compiler import Compiler, loaded, pointer
-from .engine import at_samples
+from .compiler import LANES, Compiler, library_for, loaded, plain_c, pointer
+from .engine import LANES_HEADER, at_samples
 from .functions import Functions
-from .plain import LANES, plain_c
 from .source import c_file, digest, integers
-from .trajectories import LANES_HEADER
 
 # As many samples as fit in one instruction.
 _LANES = """\

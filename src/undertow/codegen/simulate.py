@@ -17,20 +17,22 @@ from undertow.notebook import html
 from undertow.typing import Array, Integers
 
 from .compiler import Compiler, compiled_or_virtual
-from .engine import carried, engine, mapped
-from .functions import Functions
-from .trajectories import (
+from .engine import (
     CompiledRollout,
     Problem,
     Products,
     Stepper,
     Tangents,
     Uncompiled,
+    carried,
     compiled_tangents,
+    engine,
     in_threads,
+    mapped,
     products_of,
     shares,
 )
+from .functions import Functions
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C takes effect.
 _STEPS_PER_CALL = 200_000

@@ -11,8 +11,8 @@ import casadi as ca
 
 from undertow.errors import UndertowError
 
+from .compiler import Structs, Words, plain_c, signature
 from .manifest import Entry
-from .plain import Structs, Words, plain_c, signature
 from .source import CALLS, FORMS, TWO_OPERANDS
 
 # Words of C that no member of a struct may have as its name.

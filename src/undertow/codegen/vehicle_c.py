@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.model.hardware import Curve, Propeller
+from undertow.model.effect import Curve, Propeller
 from undertow.model.symbols import FORCE, FORCE_UNITS
 from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array

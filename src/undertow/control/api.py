@@ -20,6 +20,7 @@ from undertow.observer.design import Design, load_observer
 from undertow.observer.observer_c import observer_c
 from undertow.typing import Progress
 
+from .conditions.check import Uncertain
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
 from .conditions.whole import certify, verdicts
@@ -47,6 +48,7 @@ def check_gains(
     iota: float | None = None,
     tilt: float = 60.0,
     start: Mapping[str, float] | None = None,
+    uncertain: Uncertain = None,
     observer: str | Path | None = None,
     progress: Progress = lambda done, words: None,
 ) -> Report:
@@ -70,6 +72,10 @@ def check_gains(
         Largest roll and pitch that the check covers, degrees.
     start : mapping, optional
         Largest errors by coordinate, m and rad, at rest, that the certified region has to contain.
+    uncertain : float, mapping or "stated", optional
+        Parameters that the certified region has to hold for every value of: those of inertia and damping, all
+        within a share of their values (0.1 is 10 %), some within their own shares by name, or those with a
+        standard deviation within their intervals at `confidence`; the values of the file by default.
     observer : str or Path, optional
         Observer file; the loop with this observer is linearised, too.
     progress : callable
@@ -93,7 +99,7 @@ def check_gains(
     """
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
     uncertainty = Uncertainty(vehicle, confidence, covariance)
-    options = {"forms": forms, "iota": iota, "tilt": radians(tilt), "start": start}
+    options = {"forms": forms, "iota": iota, "tilt": radians(tilt), "start": start, "uncertain": uncertain}
     design = None if observer is None else load_observer(observer, vehicle)
     return certify(chosen, uncertainty, observer=design, progress=progress, **options)
 

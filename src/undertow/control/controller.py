@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import sympy as sm
 
-from undertow.codegen.convert import Converter
+from undertow.codegen.expressions import Converter
 from undertow.codegen.functions import solve_symmetric, wrapped
 from undertow.codegen.manifest import UNITS, Entry
 from undertow.codegen.spelling import Dialect, Part, Struct, comment, filled, identifier, slug

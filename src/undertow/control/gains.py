@@ -15,9 +15,8 @@ import sympy as sm
 from pydantic import Field, StrictStr
 
 from undertow.errors import UndertowError, nearest
-from undertow.model.loading import file_or_bundled, read_table
 from undertow.model.symbols import DOFS, POSE
-from undertow.model.tables import FileTable, Identifier, Quantity
+from undertow.model.tables import FileTable, Identifier, Quantity, file_or_bundled, read_table
 from undertow.model.units import si_of
 from undertow.model.vehicle import Vehicle
 

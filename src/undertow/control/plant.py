@@ -12,8 +12,7 @@ import sympy as sm
 from undertow.model.effect import Wrench, kinds_of
 from undertow.model.effects.control_surfaces import ControlSurfaces
 from undertow.model.effects.ocean_current import OceanCurrent, check_current
-from undertow.model.kinematics import body_rates, rotation
-from undertow.model.symbols import POSE, column, symbol
+from undertow.model.symbols import POSE, body_rates, column, rotation, symbol
 from undertow.model.vehicle import Value, Vehicle
 
 _ZERO = sm.Integer(0)

@@ -16,9 +16,9 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import casadi as ca
 
+from undertow.codegen.compiler import plain_c
 from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import Entry, describe
-from undertow.codegen.plain import plain_c
 from undertow.codegen.simulate import longest_step
 from undertow.codegen.spelling import comment, filled, identifier, slug
 from undertow.model.effect import Measurement, Wrench

@@ -77,7 +77,7 @@ def partition_of(path: Path, mapping: LogMapping) -> Partition:
     vehicle) with a date in the file's name or a time that counts from 1970 (the day). Of a vehicle's own log
     (.bin, .ulg, ...) the path does.
     """
-    from undertow.identification.logs.formats.registry import format_of
+    from undertow.identification.logs.formats.fieldlog import format_of
     from undertow.identification.logs.table import is_parquet
 
     own = format_of(path) is not None

@@ -14,7 +14,8 @@ from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Progress
 
-from .compare.comparison import finite
+from .comparison import finite
+from .diagnose import Together, known_by, roles, save_found
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
@@ -23,22 +24,26 @@ from .diagnosis.result import ValuesByRun, read_diagnosis, run_info
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
 from .doctor.examine import refuse_impossible
-from .estimation.adaptation import adapted, in_runs
 from .estimation.data import prepare
 from .estimation.fitted import Fitted, cramer_rao, notes, remarks, t_values, verdicts
 from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
-from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
+from .estimation.step import (
+    NOTHING_SAID,
+    Constraints,
+    read_equalities,
+    require_equations,
+    written,
+)
 from .estimation.test_functions import boxes, test_functions
-from .estimation.weak_form import fit_instrumental, fit_weak_by_run, free_parameters
+from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
-from .history import known_by, roles, save_found
-from .logs.checks import check_fit
 from .logs.chunks import long_logs
-from .logs.formats.registry import format_of
+from .logs.formats.fieldlog import format_of
 from .logs.mapping import LogMapping, read_mapping
+from .logs.opening import check_fit
 from .logs.opening import save_log as save_log
 from .logs.reading import read_log as read
 from .logs.run import Run
@@ -541,3 +546,9 @@ def plan(
     else:
         specs = [RivalSpec(name, {}) for name in (between if len(between) > 1 else [*between, NONE])]
     return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)
+
+
+def refitted(vehicle: Vehicle, fits: Sequence[Refit]) -> Together:
+    """The whole vehicle by the fits of its experiments."""
+    logs = [pair for one in fits for pair in roles(one.train, one.test)]
+    return Together(vehicle, tuple(one.fit for one in fits), logs, [one.errors for one in fits])

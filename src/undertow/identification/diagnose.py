@@ -1,48 +1,51 @@
-"""The whole diagnosis: split the data, search, judge by simulation, and put it into words and numbers."""
+"""The whole diagnosis: split the data, search, judge by simulation, put into words; logs of a rig."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date
+from functools import cached_property
+from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from undertow.errors import UndertowError, listed
 from undertow.files import write_whole
-from undertow.identification.diagnosis.parallel import in_background, one_thread
-from undertow.identification.diagnosis.splitting import (
-    Runs,
-    normalised,
-    training_and_validation,
-    with_velocities,
-)
-from undertow.identification.doctor.dynamics import without_refuted
-from undertow.identification.doctor.examine import examine
-from undertow.identification.doctor.findings import Examination
-from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.weak_form import WeakFit
-from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue, catalogue
+from undertow.model.saving import save_vehicle
+from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
-from undertow.typing import Progress
+from undertow.typing import Array, Progress
 
-from .compare.comparison import compare
+from .comparison import compare
 from .diagnosis.bench import noise_ratio
-from .diagnosis.result import (
-    Diagnosis,
-    Role,
-    run_info,
-)
+from .diagnosis.parallel import in_background, one_thread
+from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
 from .diagnosis.selection import Selection, select, selected
 from .diagnosis.settings import DEFAULT, Settings
+from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.validation import SimulationValidator
-from .report.data import ReportData
+from .diagnosis.verdict import values_by_run
+from .doctor.dynamics import without_refuted
+from .doctor.examine import examine
+from .estimation.data import inverse_of, prepare
+from .estimation.fitted import SURE, Fitted
+from .estimation.step import estimated, follower_errors, followers
+from .estimation.weak_form import WeakFit
+from .findings import Examination
+from .logs.run import Run
 from .report.sentences import summarised
 from .result_builder import ResultBuilder
+
+if TYPE_CHECKING:
+    from .report.pictures import ReportData
+
 
 # Share of the time that the search takes: nine tenths where little is left (docs/profile.md), else less.
 _SEARCH = 0.7
@@ -131,13 +134,15 @@ class DiagnosisResult:
 
     def report(self, out: str | Path) -> None:
         """Write the report: one HTML page with all pictures."""
-        from .report.page import render_report  # brings matplotlib, which only a report needs
+        from undertow.identification.report.page import (
+            render_report,  # brings matplotlib, which only a report needs
+        )
 
         write_whole(Path(out), render_report(self.diagnosis, self.comparison()))
 
     def comparison(self, *, compiled: bool | None = None) -> ReportData:
         """The refitted model beside the validation runs, without and with what was added, for a report."""
-        from .report.tables import report_data
+        from undertow.identification.report.page import report_data
 
         before = compare(self.before, self.test, compiled=compiled)
         d, helped = self.diagnosis, bool(self.diagnosis.helps and self.helped)
@@ -262,3 +267,224 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool
             "headline": " ".join([*first, diagnosis.headline]),
         }
     )
+
+
+# --- vehicle files with what was found, and the history in them of how it came about --------------
+def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
+    """Logs with what they were for: to fit to, and to judge by."""
+    names: tuple[Role, Role] = ("train", "holdout")
+    return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
+
+
+def known_by(fit: Fitted) -> tuple[tuple[str, ...], Array, list[ValuesByRun]]:
+    """Names and covariance of what a fit found, and what has values in every run."""
+    return (*fit.vehicle_covariance, values_by_run(fit, fit.model.functions.vehicle))
+
+
+def save_found(
+    vehicle: Vehicle,
+    template: str | Path,
+    out: Path,
+    command: str,
+    logs: Sequence[tuple[str, Run | RunInfo]],
+    errors: tuple[float, float],
+    known: tuple[Sequence[str], Array, Sequence[ValuesByRun]],
+    **more: object,
+) -> None:
+    """Write a vehicle in the form of the file that it came from, with a history of its values.
+
+    `errors` are those before and after, `known` is as by `known_by`, and `more` goes into the history.
+    """
+    names, covariance, by_run = known
+    entry = {
+        "command": command,
+        "date": date.today().isoformat(),
+        **more,
+        "logs": [{"name": r.name, "sha256": r.sha256, "role": role} for role, r in logs],
+        "error_before": errors[0],
+        "error_after": errors[1],
+        **({"by_run": list(map(_history_of, by_run))} if by_run else {}),
+        "covariance": {"parameters": list(names), "matrix": covariance.tolist()},
+    }
+    save_vehicle(vehicle, template, out, history=entry)
+
+
+def _history_of(table: ValuesByRun) -> dict[str, object]:
+    """Values by run for a vehicle file."""
+    errors = table.standard_errors
+    runs = [{"run": run, "value": value, "sigma": errors[run]} for run, value in table.values.items()]
+    return {"parameter": table.parameter, "runs": runs, "spread": table.spread, "q": table.q}
+
+
+def save_diagnosis(
+    result: DiagnosisResult, template: str | Path, out: Path, command: str = "undertow diagnose"
+) -> None:
+    """Write the vehicle file with what a diagnosis found."""
+    d = result.diagnosis
+    logs, errors = [(r.role, r) for r in d.runs], (d.steps[0].error, d.last_step.error)
+    save_found(result.after, template, out, command, logs, errors, known_by(result.fit), added=d.effects)
+
+
+# --- logs of a rig: an experiment for each set of motions that is free, put together --------------
+# What of the motion of a rig the equations may feel: depth and attitude, and all velocities.
+_FELT = dict(zip(DOFS, zip((None, None, *POSE[2:]), VELOCITY, strict=True), strict=True))
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Logs in which the same motions are free."""
+
+    vehicle: Vehicle  # the vehicle with these motions only
+    moved: tuple[str, ...]  # channels of motions that the rig moves as the log says
+    held: tuple[str, ...]  # motions of the whole vehicle that are at rest
+    pushed: bool  # whether the rig drives what is free; else the vehicle's own actuators do
+    # train, test: logs to fit to and to judge by
+    train: list[Run] = field(default_factory=list)
+    test: list[Run] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """A name of its own for files: what is free, what is moved, and whether forces are given."""
+        return "-".join([*self.vehicle.degrees_of_freedom, *self.moved, *(["forced"] if self.pushed else [])])
+
+    def __str__(self) -> str:
+        logs = ", ".join(run.name for run in (*self.train, *self.test))
+        parts = [f"{listed(self.vehicle.degrees_of_freedom)} free"]
+        parts += [f"{listed(self.held)} held at rest"] if self.held else []
+        parts += [f"{listed(self.moved)} as logged"] if self.moved else []
+        parts += ["driven by external forces"] if self.pushed else []
+        return f"{'; '.join(parts)} ({logs})"
+
+
+def on_rig(vehicle: Vehicle, runs: Sequence[Run]) -> bool:
+    """Whether a rig holds or moves a motion of the vehicle in any of the logs."""
+    return any(set(run.held) & set(vehicle.degrees_of_freedom) for run in runs)
+
+
+def experiments(vehicle: Vehicle, runs: Sequence[Run], validation: Sequence[Run] = ()) -> list[Experiment]:
+    """Sort the logs by what is free in them."""
+    found: dict[tuple[object, ...], Experiment] = {}
+    for role, logs in (("train", runs), ("test", validation)):
+        for run in logs:
+            one = _experiment(vehicle, run)
+            key = (one.vehicle.degrees_of_freedom, one.moved, one.pushed)
+            getattr(found.setdefault(key, one), role).append(run)
+    for one in found.values():
+        if not one.train:
+            raise UndertowError(
+                f"no log to fit to has the free motions of this validation log: {one}: leave it out"
+            )
+    return list(found.values())
+
+
+def _experiment(vehicle: Vehicle, run: Run) -> Experiment:
+    held = [d for d in vehicle.degrees_of_freedom if d in run.held]
+    free = [d for d in vehicle.degrees_of_freedom if d not in run.held]
+    if not free:
+        raise UndertowError(
+            f"run '{run.name}' has no free motion of '{vehicle.name}': held are {', '.join(held)}: "
+            "leave the log out, or add its motion to the vehicle"
+        )
+    moved = {d: [n for n in _FELT[d] if n and run.has(n)] for d in held}
+    channels = tuple(n for names in moved.values() for n in names)
+    pushed = bool(held) and _pushed(vehicle, free, run)
+    reduced = vehicle.constrained(free, channels, pushed=pushed) if held else vehicle
+    still = tuple(d for d in held if not moved[d])
+    return Experiment(reduced, channels, still, pushed)
+
+
+def _pushed(vehicle: Vehicle, free: Sequence[str], run: Run) -> bool:
+    """Whether the log has the forces on all that is free, in place of commands."""
+    forces = [f"tau_{FORCE[DOFS.index(d)]}" for d in free]
+    commands = [n for n in vehicle.actuator_names if not run.has(n)]
+    lacking = [n for n in forces if not run.has(n)]
+    if lacking and (commands or not vehicle.actuator_names):
+        without = f"the commands {', '.join(commands)} nor " if commands else ""
+        raise UndertowError(
+            f"run '{run.name}' has neither {without}the forces {', '.join(lacking)} of what is free "
+            f"({', '.join(free)}): map their columns"
+        )
+    return not lacking and bool(commands or not vehicle.actuator_names)
+
+
+# --- put together ---------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Together:
+    """Fits of several experiments as one, by how well each knows its parameters."""
+
+    stated: Vehicle  # the whole vehicle as given
+    fits: tuple[Fitted, ...]  # a fit for each experiment
+    logs: Sequence[tuple[Role, Run | RunInfo]]  # what they were fitted to and judged by
+    shares: Sequence[tuple[float, float]]  # the error of each experiment on validation data before and after
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that any experiment fitted."""
+        return tuple(dict.fromkeys(n for fit in self.fits for n in fit.vehicle_covariance[0]))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of their errors: experiments are independent, so what they know adds up."""
+        return inverse_of(np.sum([self._known(fit)[0] for fit in self.fits], axis=0))
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Values by generalised least squares, in SI and SNAME signs."""
+        found = self.covariance @ np.sum([self._known(fit)[1] for fit in self.fits], axis=0)
+        return dict(zip(self.names, found.tolist(), strict=True))
+
+    def _known(self, fit: Fitted) -> tuple[Array, Array]:
+        """Information of a fit, (k, k), and that times its values, (k,), in the order of `names`."""
+        own, covariance = fit.vehicle_covariance
+        places = np.array([self.names.index(n) for n in own])
+        table, pull = np.zeros((len(self.names), len(self.names))), np.zeros(len(self.names))
+        information = inverse_of(covariance)
+        table[np.ix_(places, places)] = information
+        pull[places] = information @ np.array([fit.values[n] for n in own])
+        return table, pull
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard errors of the values."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The whole vehicle with the values of all experiments."""
+        values, errors = self.values, self.errors
+        for fit in self.fits:
+            own = {n: self.values[n] for n in fit.vehicle_covariance[0]}
+            values = values | followers(fit.model, own)
+            errors = errors | follower_errors(fit.model, {n: self.errors[n] for n in own})
+        return estimated(self.stated, values, errors)
+
+    def save(self, template: str | Path, out: Path, command: str, **more: object) -> None:
+        """Write the whole vehicle, in the form of its file; errors are root mean squares."""
+        before, after = np.sqrt(np.mean(np.square(self.shares), axis=0)).tolist()
+        known = self.names, self.covariance, ()
+        save_found(self.vehicle, template, out, command, self.logs, (before, after), known, **more)
+
+    def disagreements(self) -> Iterator[str]:
+        """Parameters of which two experiments say what the other's errors do not allow."""
+        for one, other in combinations(self.fits, 2):
+            for name in (n for n in one.values if n in other.values):
+                apart = abs(one.values[name] - other.values[name])
+                spread = float(np.hypot(one.standard_errors[name], other.standard_errors[name]))
+                if apart > SURE * spread:
+                    places = [listed(f.model.functions.vehicle.degrees_of_freedom) for f in (one, other)]
+                    yield (
+                        f"{name} is {one.values[name]:.4g} by {places[0]} and {other.values[name]:.4g} by "
+                        f"{places[1]} (SNAME signs), {apart / spread:.1f} standard errors apart: one of them "
+                        "lacks an effect"
+                    )
+
+
+def diagnosed(vehicle: Vehicle, outcomes: Sequence[DiagnosisResult]) -> Together:
+    """The whole vehicle with the effects that are named in any of its experiments."""
+    for outcome in outcomes:
+        for effect in (e for e in outcome.after.effects if e.id in outcome.effects):
+            new = {n: v for n, v in outcome.after.values.items() if n not in vehicle.values}
+            vehicle = vehicle.with_effect(type(effect), new)
+    logs = [(r.role, r) for outcome in outcomes for r in outcome.diagnosis.runs]
+    errors = [(d.steps[0].error, d.last_step.error) for d in (outcome.diagnosis for outcome in outcomes)]
+    return Together(vehicle, tuple(outcome.fit for outcome in outcomes), logs, errors)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from undertow.errors import UndertowError
 from undertow.model.symbols import MOTION_UNITS
@@ -17,8 +19,10 @@ from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, l
 from undertow.typing import Array, Flags, Index, Progress
 
 from .estimation.inputs import without_gaps
-from .logs.run import Run
-from .logs.series import report_noise
+from .logs.run import Run, report_noise
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -391,3 +395,43 @@ def observer_file(
     document["sensors"] = sensors
     document["disturbance"] = {n: float(f"{v:.4g}") for n, v in observed.disturbance.items()}
     return tomlkit.dumps(document)
+
+
+_NIS_WINDOW = 50
+
+
+def observed_picture(found: Observed, run: Run) -> Figure:
+    """Every pose and velocity with a band of two standard deviations and its reports, then the NIS over time.
+
+    The NIS is the mean of fifty normalised squared innovations that follow each other, with its 95 % band.
+    """
+    names = [n for n in found.estimate.names if n in MOTION_UNITS]
+    from undertow.figures import AFTER, FAINT, figure, look
+
+    with look():
+        picture, axes = figure(1.5 * len(names) / 2 + 2.5, len(names) // 2 + 1, 2)
+        for axis, name in zip(axes[:-1].T.ravel(), names, strict=True):
+            i = found.estimate.names.index(name)
+            mean, spread = found.estimate.mean[:, i], 2 * found.estimate.deviation[:, i]
+            axis.fill_between(found.estimate.t, mean - spread, mean + spread, color=AFTER, alpha=0.25, lw=0)
+            if run.has(name) and name not in run.derived:
+                axis.plot(run.t, run.reports(name), ".", color=FAINT, ms=1.5)
+            axis.plot(found.estimate.t, mean, color=AFTER)
+            axis.set_ylabel(f"{name}, {MOTION_UNITS[name]}")
+        _nis_panel(axes[-1, 0], found)
+        axes[-1, 1].set_axis_off()
+        axes[-1, 0].set_xlabel("time, s")
+    return picture
+
+
+def _nis_panel(axis: Any, found: Observed) -> None:
+    from undertow.figures import FLOOR, INK
+
+    used = found.filtered.used
+    square = (found.filtered.innovation**2 / found.filtered.variance)[used]
+    t = np.broadcast_to(found.filtered.t[:, None], used.shape)[used]
+    k = min(_NIS_WINDOW, max(len(square) // 4, 1))
+    low, high = chi2.ppf([0.025, 0.975], k) / k
+    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0)
+    axis.plot(t[k - 1 :], np.convolve(square, np.full(k, 1 / k), "valid"), color=INK, lw=0.8)
+    axis.set_ylabel("NIS")

@@ -12,8 +12,8 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.splitting import repeats
-from undertow.identification.estimation.by_run import origins
 from undertow.identification.estimation.fitted import Fitted, notes
+from undertow.identification.estimation.residual import origins
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.planning.search import suggest
 from undertow.model.catalogue import Catalogue

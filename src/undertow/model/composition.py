@@ -13,7 +13,6 @@ from undertow.errors import UndertowError
 
 from .catalogue import Catalogue, catalogue, lookup
 from .effect import Actuation, Effect, Flow, Measurement, Wrench, kinds_of
-from .kinematics import pose_jacobian, rotation, skew
 from .parameter import Parameter, logged
 from .symbols import (
     FORCE,
@@ -24,8 +23,11 @@ from .symbols import (
     VELOCITY_UNITS,
     Signals,
     column,
+    pose_jacobian,
+    rotation,
     signal_units,
     signals,
+    skew,
     spelled_out,
     symbol,
 )

@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import logging
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
 from math import inf, isclose
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any
 
 import sympy as sm
-from pydantic import BaseModel, ValidationError
 
 from undertow.errors import UndertowError, nearest
-from undertow.files import read_toml
 
-from .actuators import propeller_values, surface_of, surface_values, thruster_of
 from .catalogue import Catalogue, catalogue, companions, load_effects, logged_quantities, lookup, merge
-from .effect import Effect
+from .effect import Effect, Surface
 from .effects.control_surfaces import ControlSurfaces
 from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
-from .hardware import Surface
 from .parameter import Taken, printed
 from .plausibility import check_vehicle
 from .symbols import DOFS, MOTION_UNITS, POSE, VELOCITY, symbol
@@ -33,80 +28,21 @@ from .tables import (
     ParameterTable,
     VehicleTable,
     as_table,
+    file_or_bundled,
     parameter_values,
+    propeller_values,
+    read_table,
+    surface_of,
+    surface_values,
+    thruster_of,
 )
 from .units import si_of
 from .vehicle import Value, Vehicle
-
-Content = TypeVar("Content", bound=BaseModel)
-_UNION_MEMBERS = ("ParameterTable", "float", "int", "str")
-_NO_QUANTITY = ("float_type", "int_type", "string_type", "model_type", "float_parsing", "int_parsing")
 
 
 def read_vehicle_table(path: Path) -> VehicleTable:
     """Read and validate a vehicle file."""
     return read_table(path, VehicleTable, "vehicle file")
-
-
-def read_table(path: str | Path, model: type[Content], kind: str) -> Content:
-    """Read a TOML file of a given kind and validate it."""
-    return validated(read_toml(path, kind), model, str(path))
-
-
-def validated(content: Mapping[str, Any], model: type[Content], file: str) -> Content:
-    """The content of a TOML file as its model; `file` is what errors call it."""
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        raise UndertowError(f"{file}: {_first_complaint(error, model)}") from error
-
-
-def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
-    """One line for what pydantic found first, with the nearest known key."""
-    # Members of a union complain each for itself; a key that is too much is the more telling complaint.
-    complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-    first = complaints[0]
-    place, kind, found = _place(first["loc"]), first["type"], _shown(first["input"])
-    if kind == "extra_forbidden":
-        keys = _keys_at(first["loc"], model)
-        hint = nearest(str(first["loc"][-1]), keys)
-        return f"key '{place}' is not known{hint}; known are {', '.join(keys)}"
-    if kind == "missing":
-        return f"'{place}' is missing: add it"
-    if kind in _NO_QUANTITY and any(str(part) in _UNION_MEMBERS for part in first["loc"]):
-        return f"'{place}' = {found} is not a quantity: write a number in SI or a text such as '1.5 kg'"
-    expected = str(first.get("ctx", {}).get("expected", ""))
-    hint = nearest(str(first["input"]), re.findall(r"'([^']*)'", expected))
-    return f"'{place}': {first['msg'].removeprefix('Value error, ')}, found {found}{hint}"
-
-
-def _place(loc: tuple[int | str, ...]) -> str:
-    parts = [f"#{p + 1}" if isinstance(p, int) else p for p in loc if p not in _UNION_MEMBERS]
-    return ".".join(parts).replace("schema_", "schema")
-
-
-def _keys_at(loc: tuple[int | str, ...], table: type[BaseModel]) -> list[str]:
-    """Keys that the table may have in which something is too much."""
-    for part in loc[:-1]:
-        fields = {f.alias or name: f.annotation for name, f in table.model_fields.items()}
-        table = next(_tables_in(fields.get(str(part))), table)
-    return [f.alias or name for name, f in table.model_fields.items()]
-
-
-def _tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Tables that a type is made of, such as the one in a list of tables."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from _tables_in(inner)
-
-
-def _shown(value: object) -> str:
-    try:
-        text = repr(value)
-    except (RecursionError, ValueError):  # deeply nested, or an integer of thousands of digits
-        text = f"a {type(value).__name__}"
-    return text if len(text) <= 60 else f"{text[:60]}..."
 
 
 # Below this, m or N, two numbers that should be zero are.
@@ -296,25 +232,6 @@ def resolve_vehicle(source: str | Path) -> Path:
     """The path that a user means by a path or the name of a bundled vehicle."""
     otherwise = f"vehicle '{source}' is neither a file nor a bundled vehicle"
     return file_or_bundled(source, bundled_vehicles(), otherwise)
-
-
-def file_or_bundled(source: str | Path, bundled: Mapping[str, Path], otherwise: str) -> Path:
-    """A file, or a bundled one by its name; `otherwise` says what is wrong with any other source."""
-    path = Path(source)
-    if is_file(path):
-        return path
-    if str(source) in bundled:
-        return bundled[str(source)]
-    known = ", ".join(bundled) or "none"
-    raise UndertowError(f"{otherwise}{nearest(str(source), bundled)}; bundled are {known}")
-
-
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; no for what no file can be called."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that is too long for the system, or unreadable folders on the way
-        return False
 
 
 def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bool) -> Catalogue:

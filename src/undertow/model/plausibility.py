@@ -11,9 +11,8 @@ from undertow.errors import UndertowError
 
 from .catalogue import catalogue
 from .effect import Effect, VehicleSize
-from .kinematics import failing_pivot
 from .parameter import DerivativeMatrix, Limits, Range, declared, logged
-from .symbols import CHANNELS, DOFS, FORCE, symbol
+from .symbols import CHANNELS, DOFS, FORCE, failing_pivot, symbol
 from .vehicle import Thruster, Value, Vehicle
 
 _LIMITS = Limits()

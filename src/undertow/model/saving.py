@@ -19,11 +19,17 @@ from tomlkit.items import AoT, InlineTable, Table, Whitespace
 from undertow.errors import UndertowError
 from undertow.files import write_whole
 
-from .actuators import PROPELLER_KEYS, SURFACE_KEYS, bundled_curves, propeller_values, surface_values
 from .effect import Effect
 from .loading import Statements, read_vehicle_table, resolve_vehicle, vehicle_from_table
 from .parameter import Parameter, printed
-from .tables import VehicleTable
+from .tables import (
+    PROPELLER_KEYS,
+    SURFACE_KEYS,
+    VehicleTable,
+    bundled_curves,
+    propeller_values,
+    surface_values,
+)
 from .units import si_of, si_unit, unit_of
 from .vehicle import Value, Vehicle
 

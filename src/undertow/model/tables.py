@@ -1,9 +1,16 @@
-"""The tables of a vehicle file, and the values of parameters that they state."""
+"""Tables of vehicle files: reading them, the values that they state, thrusters and surfaces made of them."""
 
 from __future__ import annotations
 
+import math
 import re
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -14,14 +21,17 @@ from pydantic import (
     StrictFloat,
     StrictInt,
     StrictStr,
+    ValidationError,
 )
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
+from undertow.files import read_toml
 
+from .effect import Curve, Law, Propeller, Surface
 from .parameter import Parameter, printed
 from .symbols import DOFS
 from .units import si_of
-from .vehicle import Value
+from .vehicle import Thruster, Value
 
 Quantity = StrictFloat | StrictInt | StrictStr
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
@@ -213,3 +223,338 @@ def positive(place: str, raw: Any, unit: str) -> float:
     if value <= 0:
         raise UndertowError(f"{place} = {value:g} is impossible: give a positive number")
     return value
+
+
+# --- thrusters and control surfaces ---------------------------------------------------------------
+def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
+    place = f"thruster '{table.name}'"
+    given = table.wrench is not None
+    if {table.position is not None, table.direction is not None} != {not given}:
+        raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
+    wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
+    if not any(wrench):
+        raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
+    law, unit = _law(place, table, folder)
+    limit = _limit(place, table.limit)
+    return Thruster(table.name, wrench, _thrust_per_command(place, table), limit, law, unit)
+
+
+# Revolutions per second of one unit of the speed of a propeller, by name.
+TURNS = {"rad/s": 1 / (2 * math.pi), "rev/s": 1.0, "rpm": 1 / 60}
+PROPELLER_KEYS = ("K_T0", "K_T1", "wake_fraction", "thrust_deduction")
+
+
+def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
+    """How the command becomes thrust, and the command's unit."""
+    stated = {"curve", "propeller", "thrust_per_command"} & table.model_fields_set
+    if "propeller" in stated and len(stated) > 1:
+        raise UndertowError(
+            f"{place} states its push in several ways, {' and '.join(sorted(stated))}: keep one"
+        )
+    if table.propeller is not None:
+        unit = table.propeller.revolutions
+        return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]), unit
+    if isinstance(table.curve, str):
+        ours = bundled_curves().get(table.curve)
+        settings = replace(_CURVES, error=_CURVES.bundled) if ours else _CURVES
+        return Curve.through(_points(place, ours or folder / table.curve, settings)), "command"
+    if table.curve is not None:
+        limit = _limit(place, table.limit)
+        if limit is None or not table.curve:
+            raise UndertowError(f"{place}: a polynomial curve needs a 'limit' up to which it is valid")
+        return Curve.polynomial([float(c) for c in table.curve], limit), "command"
+    return None, "command"
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
+
+    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
+    points: int = 40  # most points
+    # The same error for curves that come with undertow: one T200 differs from the next by more, and each
+    # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
+    bundled: float = 0.0075
+
+
+_CURVES = CurveSettings()
+
+
+Point = tuple[float, float]
+
+
+@cache
+def bundled_curves() -> dict[str, Path]:
+    """Curves of thrusters that come with the program, by name; their command goes from -1 to 1."""
+    folder = Path(str(files("undertow") / "vehicles" / "curves"))
+    return {path.stem: path for path in sorted(folder.glob("*.csv"))}
+
+
+def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
+    """Commands and thrusts, N, of a file with two columns, as few as describe it."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        ours = ", ".join(bundled_curves())
+        raise UndertowError(
+            f"{place}: curve '{path}' cannot be read: {error}; bundled curves: {ours}"
+        ) from error
+    rows = [re.split(r"[,;\s]+", line.strip()) for line in text.splitlines() if line.strip()]
+    found = [(float(r[0]), float(r[1])) for r in rows if len(r) > 1 and _is_number(r[0]) and _is_number(r[1])]
+    if len(found) < 2 or len(found) < len(rows) - 1 - sum(r[0].startswith("#") for r in rows):
+        raise UndertowError(f"{place}: curve '{path}' needs two columns of numbers, command and thrust in N")
+    if any(b[0] <= a[0] for a, b in pairwise(found)):
+        raise UndertowError(f"{place}: commands of curve '{path}' do not rise from row to row: sort them")
+    return _thinned(found, settings)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _thinned(points: list[Point], settings: CurveSettings) -> list[Point]:
+    """Points without those that the curve through the others passes anyway."""
+    span = max(y for _, y in points) - min(y for _, y in points)
+    kept = {0, len(points) - 1}
+    while len(kept) < min(settings.points, len(points)):
+        curve = Curve.through([points[k] for k in sorted(kept)])
+        errors = [abs(curve.at(x) - y) for x, y in points]
+        worst = max(range(len(points)), key=errors.__getitem__)
+        if errors[worst] <= settings.error * span:
+            break
+        kept.add(worst)
+    return [points[k] for k in sorted(kept)]
+
+
+def propeller_values(
+    table: ThrusterTable, parameters: Mapping[str, Parameter], signs: str
+) -> dict[str, Value]:
+    """Parameters that the table of a propeller states, by name."""
+    entries = {f"{key}_{table.name}": getattr(table.propeller, key, None) for key in PROPELLER_KEYS}
+    return _values(f"propeller of thruster '{table.name}'", entries, table.source, parameters, signs)
+
+
+def _values(
+    place: str, entries: Mapping[str, Any], source: str, parameters: Mapping[str, Parameter], signs: str
+) -> dict[str, Value]:
+    """Parameters that the entries of a table state, by name; `source` is that of entries without one."""
+    found: dict[str, Value] = {}
+    for name, entry in entries.items():
+        if entry is not None:
+            stated = as_table(entry)
+            stated = stated if stated.source else stated.model_copy(update={"source": source})
+            found |= parameter_values(place, parameters[name], stated, signs)
+    return found
+
+
+def _thrust_per_command(place: str, table: ThrusterTable) -> Value:
+    place = f"{place} thrust_per_command"
+    spec = as_table(table.thrust_per_command)
+    if spec.value is None:
+        raise UndertowError(f"{place} needs a 'value'")
+    value = si_of(place, spec.value, "N/command")
+    if value < 0:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
+        raise UndertowError(
+            f"{place} = {value:g} N is not a thrust: give a positive one and reverse the direction"
+        )
+    sigma = None if spec.sigma is None else positive(f"{place} sigma", spec.sigma, "N/command")
+    return Value(value, spec.estimate, sigma, spec.source, spec.assumed, spec.per_run)
+
+
+def _limit(place: str, limit: Any) -> float | None:
+    if limit is None:
+        return None
+    # Where the command is the thrust itself, its limit is naturally written in N.
+    in_newton = isinstance(limit, str) and "N" in limit
+    return positive(f"{place} limit", limit, "N" if in_newton else "command")
+
+
+def _numbers(place: str, entries: Iterable[Any] | None) -> tuple[float, ...]:
+    return tuple(si_of(place, entry, "1") for entry in entries or ())
+
+
+def _wrench_of(place: str, table: ThrusterTable) -> tuple[float, ...]:
+    assert table.position is not None
+    assert table.direction is not None
+    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+    a, b, c = _numbers(f"{place} direction", table.direction)
+    length = math.hypot(a, b, c)
+    if abs(length - 1) > 1e-3:
+        raise UndertowError(f"{place}: direction has length {length:g}; give a unit vector")
+    return (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
+
+
+# --- control surfaces -----------------------------------------------------------------------------
+# Keys of a surface's table that state a parameter, and the parameter's name without that of the surface.
+SURFACE_KEYS = {
+    "lift_coefficient": "C_N",
+    "drag_coefficient": "C_D",
+    **{
+        key: key
+        for key in ("wake", "straightening", "flow_lever", "in_slipstream", "slipstream", "a_H", "x_H", "t_R")
+    },
+    "lag": "lag",
+    "rate": "rate",
+}
+# By name: a rudder turns the bow of a vehicle that goes ahead to starboard, a stern plane brings it down.
+_AXES = {"rudder": (0.0, 0.0, -1.0), "stern_plane": (0.0, 1.0, 0.0)}
+# How far an axis may miss a unit vector across the x axis, and is then a rounded one.
+_ROUNDED = 1e-3
+
+
+def surface_of(table: SurfaceTable, thrusters: Iterable[str]) -> Surface:
+    """The hardware that a table describes."""
+    place = f"surface '{table.name}'"
+    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+    return Surface(
+        table.name,
+        (x, y, z),
+        _axis(place, table.axis),
+        positive(f"{place} area", table.area, "m^2"),
+        None if table.limit is None else positive(f"{place} limit", table.limit, "rad"),
+        *_propeller(place, table, list(thrusters)),
+    )
+
+
+def _axis(place: str, stated: Any) -> tuple[float, float, float]:
+    if isinstance(stated, str):
+        if stated not in _AXES:
+            raise UndertowError(
+                f"{place}: axis '{stated}' is not known: give {', '.join(_AXES)} or a unit vector"
+            )
+        return _AXES[stated]
+    a, b, c = _numbers(f"{place} axis", stated)
+    length = math.hypot(b, c)
+    if abs(a) > _ROUNDED or abs(length - 1) > _ROUNDED:
+        raise UndertowError(
+            f"{place}: axis is {[a, b, c]}: give a unit vector across the x axis, as [0, 0, -1]"
+        )
+    return (0.0, b / length, c / length)
+
+
+def _propeller(place: str, table: SurfaceTable, thrusters: list[str]) -> tuple[str, float]:
+    """Name and diameter of the propeller ahead of a surface."""
+    if (table.slipstream_of is None) != (table.propeller_diameter is None):
+        raise UndertowError(f"{place} needs both 'slipstream_of' and 'propeller_diameter', or neither")
+    if table.slipstream_of is None:
+        return "", 0.0
+    if table.slipstream_of not in thrusters:
+        have = ", ".join(thrusters) or "none"
+        raise UndertowError(
+            f"{place} is in the slipstream of '{table.slipstream_of}': the thrusters are {have}"
+        )
+    return table.slipstream_of, positive(f"{place} propeller_diameter", table.propeller_diameter, "m")
+
+
+def surface_values(table: SurfaceTable, parameters: Mapping[str, Parameter], signs: str) -> dict[str, Value]:
+    """Parameters that a surface's table states, by name; `parameters` are all those of surfaces, by name."""
+    place = f"surface '{table.name}'"
+    entries = {
+        f"{name}_{table.name}": _lift(place, table) if key == "lift_coefficient" else getattr(table, key)
+        for key, name in SURFACE_KEYS.items()
+    }
+    return _values(place, entries, table.source, parameters, signs)
+
+
+def _lift(place: str, table: SurfaceTable) -> Any:
+    """Coefficient of the force across the chord, as stated or by the aspect ratio."""
+    if table.lift_coefficient is not None:
+        return table.lift_coefficient
+    if table.aspect_ratio is None:
+        raise UndertowError(f"{place} needs 'lift_coefficient' or 'aspect_ratio' (span over chord)")
+    ratio = positive(f"{place} aspect_ratio", table.aspect_ratio, "1")
+    source = f"6.13 A/(A + 2.25) for the aspect ratio A = {ratio:g}, Fujii; Yasukawa and Yoshimura (2015)"
+    return ParameterTable(value=6.13 * ratio / (ratio + 2.25), source=source)
+
+
+# --- files of tables, and what is wrong with them -------------------------------------------------
+Content = TypeVar("Content", bound=BaseModel)
+
+
+_UNION_MEMBERS = ("ParameterTable", "float", "int", "str")
+
+
+_NO_QUANTITY = ("float_type", "int_type", "string_type", "model_type", "float_parsing", "int_parsing")
+
+
+def read_table(path: str | Path, model: type[Content], kind: str) -> Content:
+    """Read a TOML file of a given kind and validate it."""
+    return validated(read_toml(path, kind), model, str(path))
+
+
+def validated(content: Mapping[str, Any], model: type[Content], file: str) -> Content:
+    """The content of a TOML file as its model; `file` is what errors call it."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise UndertowError(f"{file}: {_first_complaint(error, model)}") from error
+
+
+def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
+    """One line for what pydantic found first, with the nearest known key."""
+    # Members of a union complain each for itself; a key that is too much is the more telling complaint.
+    complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    first = complaints[0]
+    place, kind, found = _place(first["loc"]), first["type"], _shown(first["input"])
+    if kind == "extra_forbidden":
+        keys = _keys_at(first["loc"], model)
+        hint = nearest(str(first["loc"][-1]), keys)
+        return f"key '{place}' is not known{hint}; known are {', '.join(keys)}"
+    if kind == "missing":
+        return f"'{place}' is missing: add it"
+    if kind in _NO_QUANTITY and any(str(part) in _UNION_MEMBERS for part in first["loc"]):
+        return f"'{place}' = {found} is not a quantity: write a number in SI or a text such as '1.5 kg'"
+    expected = str(first.get("ctx", {}).get("expected", ""))
+    hint = nearest(str(first["input"]), re.findall(r"'([^']*)'", expected))
+    return f"'{place}': {first['msg'].removeprefix('Value error, ')}, found {found}{hint}"
+
+
+def _place(loc: tuple[int | str, ...]) -> str:
+    parts = [f"#{p + 1}" if isinstance(p, int) else p for p in loc if p not in _UNION_MEMBERS]
+    return ".".join(parts).replace("schema_", "schema")
+
+
+def _keys_at(loc: tuple[int | str, ...], table: type[BaseModel]) -> list[str]:
+    """Keys that the table may have in which something is too much."""
+    for part in loc[:-1]:
+        fields = {f.alias or name: f.annotation for name, f in table.model_fields.items()}
+        table = next(_tables_in(fields.get(str(part))), table)
+    return [f.alias or name for name, f in table.model_fields.items()]
+
+
+def _tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Tables that a type is made of, such as the one in a list of tables."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _tables_in(inner)
+
+
+def _shown(value: object) -> str:
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):  # deeply nested, or an integer of thousands of digits
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 60 else f"{text[:60]}..."
+
+
+def file_or_bundled(source: str | Path, bundled: Mapping[str, Path], otherwise: str) -> Path:
+    """A file, or a bundled one by its name; `otherwise` says what is wrong with any other source."""
+    path = Path(source)
+    if is_file(path):
+        return path
+    if str(source) in bundled:
+        return bundled[str(source)]
+    known = ", ".join(bundled) or "none"
+    raise UndertowError(f"{otherwise}{nearest(str(source), bundled)}; bundled are {known}")
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; no for what no file can be called."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long for the system, or unreadable folders on the way
+        return False

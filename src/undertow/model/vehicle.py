@@ -12,13 +12,12 @@ from undertow.errors import UndertowError
 from undertow.notebook import html
 
 from .composition import Composition
-from .effect import Actuation, Effect, Measurement
+from .effect import Actuation, Effect, Law, Measurement, Propeller, Surface
 from .effects.control_surfaces import ControlSurfaces
 from .effects.generalised_force import GeneralisedForce
 from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
 from .effects.thrusters import Thrusters
-from .hardware import Law, Propeller, Surface
 from .parameter import WAYS, Parameter
 from .symbols import CHANNELS, DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY, symbol
 from .units import short_unit

@@ -13,9 +13,8 @@ import numpy as np
 from pydantic import Field
 
 from undertow.errors import UndertowError, nearest
-from undertow.model.loading import read_table
 from undertow.model.symbols import MOTION_UNITS
-from undertow.model.tables import FileTable, Quantity
+from undertow.model.tables import FileTable, Quantity, read_table
 from undertow.model.units import to_si
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array

@@ -17,7 +17,7 @@ from undertow.codegen.gram import CompiledRows, RowSource, Sums, VirtualRows, la
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import Triangle
 from undertow.identification.estimation.weak_form import free_parameters
-from undertow.identification.logs.checks import constant_channels
+from undertow.identification.logs.opening import constant_channels
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Measurement
 from undertow.model.symbols import DOFS, FORCE, VELOCITY

@@ -16,17 +16,17 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_text, write_whole
-from undertow.identification.doctor.findings import into_file, read_edits
-from undertow.identification.logs.checks import MEASURABLE
+from undertow.identification.findings import ResultTable
 from undertow.identification.logs.mapping import (
     CommandPolicy,
     LogMapping,
+    into_file,
     mapping_text,
     place_beside,
+    read_edits,
     read_mapping,
 )
-from undertow.identification.logs.run import Run
-from undertow.identification.long_logs.result import ResultTable
+from undertow.identification.logs.run import MEASURABLE, Run
 from undertow.identification.report.sentences import CommandLine
 from undertow.model.loading import load_vehicle, resolve_vehicle
 

@@ -12,9 +12,8 @@ from typing import Any
 from undertow.codegen.library import Library
 from undertow.errors import UndertowError
 from undertow.files import check_writable, write_whole
-from undertow.identification import api
-from undertow.identification.compare import comparison
-from undertow.identification.compare.comparison import Comparison, Profile
+from undertow.identification import api, comparison
+from undertow.identification.comparison import Comparison, Profile
 from undertow.identification.diagnose import DiagnosisResult
 from undertow.identification.diagnose import diagnose as diagnosis
 from undertow.identification.diagnosis.addition import force_errors
@@ -26,12 +25,10 @@ from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, base_parameters, correlation, notes
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
-from undertow.identification.report.data import RunTraces
-from undertow.identification.report.page import estimate_text, render_report
-from undertow.identification.report.pictures import thinned
+from undertow.identification.report.page import estimate_text, render_report, report_data, simulated, telling
+from undertow.identification.report.pictures import RunTraces, thinned
 from undertow.identification.report.results import addition_sentence
 from undertow.identification.report.scaffold import check_id, effect_file, suggested
-from undertow.identification.report.tables import report_data, simulated, telling
 from undertow.model.catalogue import catalogue, load_effects, merge
 from undertow.model.describe import describe, equations_on
 from undertow.model.effect import Effect

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from undertow.identification.logs.formats.fieldlog import FieldLog
-from undertow.identification.logs.formats.registry import read_field_log
+from undertow.identification.logs.formats.fieldlog import FieldLog, read_field_log
 
 
 @pytest.fixture(scope="module")

@@ -31,13 +31,12 @@ from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.ardupilot import FRAMES, vehicle_text
-from undertow.identification.logs.formats.fieldlog import FieldLog
-from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.formats.fieldlog import FieldLog, format_of, read_field_log
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.identification.logs.run import Run
-from undertow.model.actuators import bundled_curves
 from undertow.model.loading import load_vehicle
+from undertow.model.tables import bundled_curves
 
 SMALL = FIELD / "small.BIN"
 FLOAT32 = 2.0**-23

@@ -11,12 +11,20 @@ import pytest
 
 import undertow as ut
 from undertow.errors import UndertowError
-from undertow.identification.logs.formats import registry
-from undertow.identification.logs.formats.fieldlog import FieldLog, Series, cut_at, in_order, rising, union
-from undertow.identification.logs.formats.registry import format_of, read_field_log
-from undertow.identification.logs.helper import Helper
+from undertow.identification.logs.formats import fieldlog
+from undertow.identification.logs.formats.fieldlog import (
+    FieldLog,
+    Series,
+    cut_at,
+    format_of,
+    in_order,
+    read_field_log,
+    rising,
+    union,
+)
 from undertow.identification.logs.mapping import Column, LogMapping, mapping_text, read_mapping
 from undertow.identification.logs.reading import read_log, read_logs
+from undertow.identification.logs.table import Helper
 from undertow.model.loading import load_vehicle
 
 
@@ -188,7 +196,7 @@ def test_a_file_with_which_its_reader_hangs_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     helper = Helper("import sys; sys.stdin.readline()")  # it ends with the first question
-    monkeypatch.setattr(registry, "_TRIES", helper)
+    monkeypatch.setattr(fieldlog, "_TRIES", helper)
     (tmp_path / "dive.nc").write_bytes(b"CDF\x01" + bytes(60))
     with pytest.raises(UndertowError, match=r"dive.nc cannot be read as NetCDF: its reader .* 20 s: copy it"):
         read_log(tmp_path / "dive.nc")

@@ -15,7 +15,7 @@ from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.chunks import LongLog, long_logs
 from undertow.identification.logs.formats import fieldlog
-from undertow.identification.logs.formats.registry import read_field_log
+from undertow.identification.logs.formats.fieldlog import read_field_log
 from undertow.identification.logs.mapping import LogMapping, mapping_text
 from undertow.identification.logs.opening import columns_read
 from undertow.identification.logs.reading import read_logs

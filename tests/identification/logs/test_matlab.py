@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.by_name import first_mapping
-from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 

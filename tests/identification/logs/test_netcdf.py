@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.conversions import north_east
 from undertow.identification.logs.formats import glider
-from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
+from undertow.identification.logs.mapping import north_east
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 
@@ -161,7 +161,7 @@ def test_dbdreader_is_never_imported() -> None:
     import subprocess
     import sys
 
-    code = "import sys; from undertow.identification.logs.formats.registry import formats; formats()\n"
+    code = "import sys; from undertow.identification.logs.formats.fieldlog import formats; formats()\n"
     code += "print([n for n in ('dbdreader', 'pyulog', 'rosbags', 'matio', 'netCDF4') if n in sys.modules])"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "[]"

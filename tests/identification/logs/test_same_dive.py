@@ -10,7 +10,7 @@ import pytest
 from tests.quick import quick_if
 from undertow.identification import api
 from undertow.identification.diagnose import DiagnosisResult, diagnose
-from undertow.identification.logs.formats.registry import read_field_log
+from undertow.identification.logs.formats.fieldlog import read_field_log
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
 

@@ -15,8 +15,7 @@ from tests.identification.logs.field import FIELD
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats import tlog
 from undertow.identification.logs.formats.ardupilot import vehicle_text
-from undertow.identification.logs.formats.fieldlog import FieldLog, rising
-from undertow.identification.logs.formats.registry import format_of, read_field_log
+from undertow.identification.logs.formats.fieldlog import FieldLog, format_of, read_field_log, rising
 from undertow.identification.logs.reading import read_log
 
 SMALL = FIELD / "small.tlog"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.formats.registry import read_field_log
+from undertow.identification.logs.formats.fieldlog import read_field_log
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 

@@ -24,6 +24,11 @@ The output then gives the region from which every motion comes to rest with no c
 limit, in errors and speeds; the behaviour of unactuated axes; and, where effects, sensors or such axes are
 outside the conditions, the whole loop, linearised at all headings and simulated.
 
+The region is for the parameters of the file. With --uncertain it has to hold for every value of those of
+inertia and damping within a share of their values, or within the intervals that the file states:
+
+    undertow gains rov.toml my-gains.toml --form derived --start "x=0.2 m, psi=10 deg" --uncertain 10%
+
 With --path, the conditions for the tracking error on a mission are checked instead: the law on a moving
 reference and the commands that it needs, or the poles of vehicle, autopilot and line of sight on every leg.
 
@@ -51,10 +56,11 @@ import typer
 from undertow.errors import UndertowError
 from undertow.files import json_ready
 
-from .._options import EffectsOption, JsonOption, VehicleArgument, quantities
+from .._options import EffectsOption, JsonOption, VehicleArgument, in_si, quantities
 from .._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
+    from undertow.control.conditions.check import Uncertain
     from undertow.control.conditions.repair import Repair, SingleRepair
     from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
     from undertow.control.conditions.tracking import MissionReport
@@ -81,6 +87,12 @@ _START = typer.Option(
     help='Largest initial errors that the region has to contain, as "x=0.5 m, psi=20 deg".',
     show_default="the largest of a few standard boxes",
 )
+_UNCERTAIN = typer.Option(
+    metavar="SHARES",
+    help="Parameters of inertia and damping that the region has to hold for every value of: within a share "
+    "(10%), some by name (m=5%,X_u=20%), or `stated` for the intervals of the file.",
+    show_default="the values of the file",
+)
 _OBSERVER = typer.Option(
     metavar="FILE", help="Also judge the loop with the Kalman filter of this observer file."
 )
@@ -96,6 +108,7 @@ def gains(
     confidence: Annotated[float, _CONFIDENCE] = 0.95,
     tilt: Annotated[float, _TILT] = 60.0,
     start: Annotated[str | None, _START] = None,
+    uncertain: Annotated[str | None, _UNCERTAIN] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
     repair: Annotated[Literal["literal", "lyapunov", "routh"] | None, _REPAIR] = None,
     json: JsonOption = False,
@@ -116,6 +129,11 @@ def gains(
                 f"--observer {observer}: on a mission the loop is judged with true states; leave --path or "
                 "--observer out, or simulate both together"
             )
+        if uncertain is not None:
+            raise UndertowError(
+                "--uncertain: conditions on a mission are for the values of the file; leave --path or "
+                "--uncertain out"
+            )
         return _on_mission(vehicle, gains, path, tilt, json, effects)
     with progress("checking the gains") as report:
         model = load_vehicle(vehicle, effect_files=effects or [])
@@ -130,6 +148,7 @@ def gains(
             iota=iota,
             tilt=tilt,
             start=quantities("--start", [start], MOTION_UNITS) if start is not None else None,
+            uncertain=_shares(uncertain),
             observer=observer,
             progress=report,
         )
@@ -137,6 +156,15 @@ def gains(
         alone, together = single_repairs(problem), repaired(problem, repair) if repair else None
     (_show_json if json else show)(found, alone, together)
     return 0 if found.ok else 1
+
+
+def _shares(text: str | None) -> Uncertain:
+    """What --uncertain says: a share, shares by name, or the intervals of the file."""
+    if text is None or text == "stated":
+        return text  # type: ignore[return-value]
+    if "=" not in text:
+        return in_si("--uncertain", text, "1")
+    return quantities("--uncertain", [text], {}, example="m=5%")
 
 
 def _on_mission(
@@ -386,6 +414,9 @@ def _show_region(report: Report) -> None:
         say(f"  start box {_with_units(found.start)}: {word}", "" if found.contains_start else _RED)
     if found.quadratic is not None:
         say(f"  V is at most {found.quadratic.start:.3g} on the start box; the level is 1")
+    if found.parameters:
+        spans = (f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in found.parameters.items())
+        say(f"  uncertain parameters, SI: {', '.join(spans)}")
     if found.errors:
         together = "together" if found.transient is not None else "one error at a time"
         say(f"  starts at rest: {_with_units(found.starts)}, {together}")

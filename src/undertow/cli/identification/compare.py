@@ -20,7 +20,7 @@ from .._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument
 from .._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
-    from undertow.identification.compare.comparison import ComparisonResult
+    from undertow.identification.comparison import ComparisonResult
 
 _HORIZON = typer.Option(metavar="SECONDS", help="How far ahead to predict.", min=0.001)
 _PLOTS = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
@@ -36,7 +36,7 @@ def compare(
     plots: Annotated[Path | None, _PLOTS] = None,
 ) -> None:
     from undertow.files import check_folder, check_writable, together, write_whole
-    from undertow.identification.compare.comparison import compare as compared
+    from undertow.identification.comparison import compare as compared
     from undertow.identification.long_logs.choosing import LOOK
 
     check_writable(json, inputs=[vehicle, *logs, *options.files])
@@ -56,7 +56,7 @@ def compare(
             write_whole(json, comparison.result.to_json())
         if plots is not None:
             from undertow.figures import save_pictures
-            from undertow.identification.report.tables import comparison_pictures
+            from undertow.identification.report.page import comparison_pictures
 
             drawn = save_pictures(comparison_pictures(comparison), plots)
     if plots is not None:

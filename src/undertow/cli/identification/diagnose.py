@@ -46,14 +46,12 @@ from .._options import (
     of_experiment,
     say_long,
 )
-from .._terminal import console, progress, say, section, table, text
-from .doctor import show_finding
+from .._terminal import console, progress, say, section, show_finding, table, text
 
 if TYPE_CHECKING:
-    from undertow.identification.diagnose import DiagnosisResult
+    from undertow.identification.diagnose import DiagnosisResult, Experiment
     from undertow.identification.diagnosis.result import Diagnosis, Estimate
     from undertow.identification.diagnosis.settings import Settings
-    from undertow.identification.experiments import Experiment
     from undertow.identification.report.sentences import CommandLine
     from undertow.model.vehicle import Vehicle
 
@@ -86,8 +84,8 @@ def diagnose(
     apply: Annotated[Path | None, _APPLY] = None,
 ) -> None:
     from undertow.files import check_writable
+    from undertow.identification.diagnose import experiments, on_rig
     from undertow.identification.diagnosis.settings import Settings
-    from undertow.identification.experiments import experiments, on_rig
     from undertow.identification.long_logs.choosing import SEARCH
 
     settings = Settings(false_alarm_rate=false_alarms, worth=worth)
@@ -142,8 +140,7 @@ def _write(
 ) -> None:
     """Write the files of all experiments, and one vehicle file with what was found in any of them."""
     from undertow.files import together, write_whole
-    from undertow.identification.experiments import diagnosed
-    from undertow.identification.history import save_diagnosis
+    from undertow.identification.diagnose import diagnosed, save_diagnosis
 
     outcomes = [outcome for outcome, *_ in written]
     with progress("writing", None), together():

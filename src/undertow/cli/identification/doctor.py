@@ -36,14 +36,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from undertow.cli._terminal import show_finding
+
 from .._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgument, bundled, say_long
-from .._terminal import console, progress, say, section, table, text, write_files
+from .._terminal import console, progress, say, section, table, write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undertow.identification.doctor.examine import Examined
-    from undertow.identification.doctor.findings import DofExcitation, Examination, Finding
+    from undertow.identification.findings import DofExcitation, Examination
     from undertow.identification.logs.mapping import LogMapping
 
 _PLOT = typer.Option(
@@ -90,10 +92,6 @@ def doctor(
     return 1 if result.mistakes else 0
 
 
-_STYLES = {"mistake": "bold red", "warning": "yellow", "note": "dim"}
-_INDENT = "    "
-
-
 def show(result: Examination, map: Path | None) -> None:
     """Print findings, the most serious first, then excitation, then the conclusion."""
     for finding in result.findings:
@@ -101,23 +99,6 @@ def show(result: Examination, map: Path | None) -> None:
     section("Excitation", table(_HEAD, [_row(e) for e in result.excitation]))
     console().print()
     say(verdict(result), "bold")
-
-
-def show_finding(finding: Finding, map: Path | None) -> None:
-    """Print one finding with what mends it; `map` is the mapping file in use."""
-    line = text(f"{finding.severity}: ", _STYLES[finding.severity])
-    line.append(finding.text)
-    console().print(line, soft_wrap=True)
-    if finding.mapping:
-        where = f"in {map}" if map else "in a mapping file (--map; undertow doctor --mend writes it)"
-        say(f"{_INDENT}{where}:", "green")
-        for row in finding.mapping.splitlines():
-            say(f"{2 * _INDENT}{row}")
-    if finding.vehicle:
-        either = "or in" if finding.mapping else "in"
-        say(f"{_INDENT}{either} the vehicle file: {finding.vehicle}", "green")
-    for other in finding.alternatives:
-        say(f"{_INDENT}not excluded: {other}")
 
 
 def verdict(result: Examination) -> str:
@@ -146,8 +127,7 @@ def mended_mapping(examined: Examined, map: Path | None, known: LogMapping | Non
     Without a file, what the format of the log is `known` to mean is written out and mended.
     """
     from undertow.files import read_text
-    from undertow.identification.doctor.findings import into_file
-    from undertow.identification.logs.mapping import LogMapping, mapping_text
+    from undertow.identification.logs.mapping import LogMapping, into_file, mapping_text
 
     given = read_text(map, "mapping file") if map else mapping_text(known or LogMapping())
     return into_file(given, examined.edits)

@@ -94,7 +94,8 @@ def fit(
     json: JsonFileOption = None,
 ) -> int:
     from undertow.identification.api import fit as refit
-    from undertow.identification.experiments import experiments, on_rig, refitted
+    from undertow.identification.api import refitted
+    from undertow.identification.diagnose import experiments, on_rig
     from undertow.identification.long_logs.choosing import FIT
 
     read = [*logs, *(holdout or []), *options.files]

@@ -56,7 +56,7 @@ def import_(
     force: NewForceOption = False,
 ) -> None:
     from undertow.identification.logs.formats.by_name import first_mapping
-    from undertow.identification.logs.formats.registry import read_field_log
+    from undertow.identification.logs.formats.fieldlog import read_field_log
     from undertow.identification.logs.mapping import LogMapping, mapping_text, read_mapping
     from undertow.identification.logs.opening import columns_read
     from undertow.model.loading import load_vehicle

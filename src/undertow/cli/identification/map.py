@@ -18,7 +18,7 @@ from .._options import NewForceOption, new_file
 from .._terminal import progress, say, section, table
 
 if TYPE_CHECKING:
-    from undertow.identification.logs.guessed import GuessedMapping
+    from undertow.identification.logs.guess_frames import GuessedMapping
 
 app = typer.Typer(add_completion=False)
 
@@ -37,7 +37,7 @@ def new(
     """Guess what the columns of a log mean, and write it as a mapping file with questions."""
     from undertow.files import write_whole
     from undertow.identification.logs.formats.by_name import first_mapping
-    from undertow.identification.logs.formats.registry import format_of, read_field_log
+    from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
     from undertow.identification.logs.guess import guess_mapping
     from undertow.model.loading import load_vehicle
 

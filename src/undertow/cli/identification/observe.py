@@ -42,8 +42,6 @@ from .._options import JsonOption, LogsArgument, ReadOptions, VehicleArgument, b
 from .._terminal import print_json, progress, say, section, table, write_files
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from undertow.identification.logs.run import Run
     from undertow.identification.observe import Observed, ObservedLogs
     from undertow.model.vehicle import Vehicle
@@ -107,14 +105,9 @@ def observe(
 
 def _files(names: _Pair, one: Observed, run: Run) -> list[tuple[Path | None, Callable[[Path], object]]]:
     """The table and the picture of a log, with what makes them."""
-    from undertow.identification.observe import csv
+    from undertow.identification.observe import csv, observed_picture
 
-    def draw(_: Path) -> Figure:
-        from undertow.identification.report.pictures import observed_picture
-
-        return observed_picture(one, run)
-
-    return [(names[0], lambda _: csv(one)), (names[1], draw)]
+    return [(names[0], lambda _: csv(one)), (names[1], lambda _: observed_picture(one, run))]
 
 
 def _of_each(out: Path | None, plot: Path | None, runs: Sequence[Run]) -> list[_Pair]:

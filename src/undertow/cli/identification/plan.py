@@ -49,7 +49,7 @@ from .._terminal import console, progress, say, section, table, text, write_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undertow.identification.planning.result import Plan, PlannedParameter
+    from undertow.identification.planning.problem import Plan, PlannedParameter
     from undertow.identification.planning.search import Planned
 
 

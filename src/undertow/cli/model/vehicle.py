@@ -276,7 +276,7 @@ def _of_log(log: Path, out: Path | None, force: bool) -> None:
     """Write a vehicle file from the parameters in a log."""
     from undertow.files import write_whole
     from undertow.identification.logs.formats.ardupilot import vehicle_text
-    from undertow.identification.logs.formats.registry import read_field_log
+    from undertow.identification.logs.formats.fieldlog import read_field_log
 
     target = new_file(out or Path(f"{log.stem}.toml"), force, [log])
     with progress("reading", None):

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from undertow.codegen.compiler import Compiler, compiled_or_virtual
-from undertow.codegen.trajectories import in_threads, shares
+from undertow.codegen.engine import in_threads, shares
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet, GainTable, load_gains
 from undertow.control.guidance.mission import Mission

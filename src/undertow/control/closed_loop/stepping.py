@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.compiler import Compiler, pointer
+from undertow.codegen.compiler import LANES, Compiler, plain_c, pointer
+from undertow.codegen.engine import LANES_HEADER, Entries, defines, lanes_for, packed, unpacked
 from undertow.codegen.manifest import whole_samples
-from undertow.codegen.plain import LANES, plain_c
 from undertow.codegen.simulate import runge_kutta
 from undertow.codegen.source import c_file, with_entry
-from undertow.codegen.trajectories import LANES_HEADER, Entries, defines, lanes_for, packed, unpacked
 from undertow.errors import UndertowError
 
 from .parts import Parts

@@ -13,8 +13,7 @@ from scipy.optimize import minimize
 
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
-from undertow.model.kinematics import body_rates
-from undertow.model.symbols import POSE, column, symbol
+from undertow.model.symbols import POSE, body_rates, column, symbol
 from undertow.typing import Array, Flags
 
 _EPS = float(np.finfo(float).eps)
@@ -205,8 +204,11 @@ def least_eigenvalue(matrix: Any) -> Array:
     usable = np.asarray(np.isfinite(radius).all(axis=(-1, -2)))
     middle = np.where(usable[..., None, None], middle, 0.0)
     n = middle.shape[-1]
-    # x'Ex >= -sum_i (sum_j |E_ij|) x_i^2 for a symmetric change E; the solver is backward stable.
-    spread = np.where(usable[..., None], np.abs(radius).sum(axis=-1), 0.0)
+    # x'Ex >= -sum_i (sum_j |E_ij| s_i/s_j) x_i^2 for a symmetric change E and any s > 0: sizes of the states,
+    # so that a large axis takes nothing from a small one. The solver is backward stable.
+    diagonal = np.einsum("...ii->...i", middle)
+    s = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    spread = np.where(usable[..., None], s * (radius / s[..., None, :]).sum(axis=-1) * (1 + n * _EPS), 0.0)
     lowered = middle - spread[..., None] * np.eye(n)
     rounding = 8 * n * _EPS * np.linalg.norm(lowered, axis=(-1, -2))
     return np.where(usable, np.linalg.eigvalsh(lowered)[..., 0] - rounding, -np.inf)
@@ -221,6 +223,10 @@ class BoundSettings:
 
     # A bound that is not positive by then counts as not proved; it limits time and memory.
     most_boxes: int = 40_000
+    # Boxes after which a proof that would take more than those is given up: the first ones are so large that
+    # they say little of it.
+    first_boxes: int = 2000
+    share: float = 0.1  # of the least margin found, up to which a bound is refined: its sign is what counts
     grid: int = 9  # points for each angle from which the least margin is searched for
     heading_cuts: int = 36  # boxes of a whole turn where a bound is not refined
     tilt_cuts: int = 8  # the same of roll and of pitch
@@ -371,8 +377,9 @@ def least(
 ) -> Certificate:
     """Bound a margin from below over all attitudes: by algebra, or by branch and bound on boxes of angles.
 
-    The bound is refined until it is above half of the least value that is found at a point, which is all that
-    its sign needs; where that value is not positive, the point is a counterexample and no bound is sought.
+    The bound is refined until it is above a share of the least value that is found at a point, which is all
+    that its sign needs; where that value is not positive, the point is a counterexample and no bound is
+    sought.
 
     `margin` leads from J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below
     it. `turned` says that it is the same at every heading, `depends` that it contains J at all.
@@ -416,7 +423,14 @@ def _bound(
     while len(boxes):
         seen += len(boxes)
         bounds = margin(_inverses(attitudes, angles, boxes))
-        enough = bounds >= best / 2 if seen < BOUNDS.most_boxes else np.ones(len(boxes), dtype=bool)
+        enough = bounds >= BOUNDS.share * best
+        if seen > BOUNDS.first_boxes:
+            middles = dict(zip(angles, boxes[~enough].mean(axis=-1).T, strict=True))
+            inside = margin(attitudes.numbers(middles))
+            # What a bound is below the value inside shrinks with the box, so that each has to be cut into
+            # about so many.
+            more = float(np.sum((inside - bounds[~enough]) / (inside - BOUNDS.share * best)))
+            enough |= seen + more > BOUNDS.most_boxes
         done = min(done, float(bounds[enough].min(initial=np.inf)))
         boxes = _halved(boxes[~enough])
     return min(done, best), seen

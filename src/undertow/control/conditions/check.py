@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from undertow.control.gains import GainSet
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, nearest
 from undertow.typing import Array, Flags, Progress
 
 from .attitude import Certificate
@@ -18,6 +19,7 @@ from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import (
     ALL,
     NO_IOTA_THERE,
+    NO_SPREAD,
     NOMINAL,
     OPEN,
     SAMPLED,
@@ -25,6 +27,7 @@ from .problem import (
     Range,
     SignSet,
     Span,
+    Spread,
     Uncertainty,
     differing,
     inside,
@@ -34,6 +37,7 @@ from .region import region
 from .result import FAILS, HOLDS, NO_IOTA, UNPROVED, Agreement, Region, Report, Row
 
 _DERIVED = "derived"
+Uncertain = float | Mapping[str, float] | Literal["stated"] | None
 
 
 def check(
@@ -44,6 +48,7 @@ def check(
     iota: float | None = None,
     tilt: float = np.pi / 3,
     start: Mapping[str, float] | None = None,
+    uncertain: Uncertain = None,
     progress: Progress = lambda done, words: None,
 ) -> Report:
     """Check the gains of a law against every condition, without effects that no condition knows.
@@ -62,14 +67,17 @@ def check(
         Largest roll and pitch that conditions have to hold for, rad.
     start : mapping, optional
         Largest errors by coordinate, m and rad, that the region has to hold: a box, at rest.
+    uncertain : float, mapping or "stated", optional
+        Parameters that the region has to hold for every value of: all of inertia and damping within a share
+        of their values, some within their own shares, or those with a standard deviation in their intervals.
     progress : callable
         Is called as the work goes on.
 
     Raises
     ------
     UndertowError
-        If the mass matrix is not positive definite, damping is not finite at rest, iota, tilt or a start
-        is none, or the vehicle yaws with only one of surge and sway.
+        If the mass matrix is not positive definite, damping is not finite at rest, iota, tilt, a start or an
+        uncertainty is none, or the vehicle yaws with only one of surge and sway.
     """
     if iota is not None and not 0 < iota < np.inf:
         raise UndertowError(
@@ -78,7 +86,7 @@ def check(
     _require_start(gains, start)
     _require_motion(gains)
     uncertainty = uncertainty or Uncertainty(gains.plant.vehicle)
-    everything = Problem(gains, tilt)
+    everything = Problem(gains, tilt, _spread(gains, uncertainty, uncertain))
     problem = everything.of_forms(forms)
     _require_damping(problem)
     progress(0.1, "conditions")
@@ -113,6 +121,52 @@ def _require_start(gains: GainSet, start: Mapping[str, float] | None) -> None:
             raise UndertowError(f"start: {name} = {size:g} is no size of an error: state one from zero up")
     if start is not None and not any(start.values()):
         raise UndertowError("start: every error is zero: state the largest ones, as x=0.5")
+
+
+def _spread(gains: GainSet, uncertainty: Uncertainty, uncertain: Uncertain) -> Spread:
+    """The intervals of the parameters that a region has to hold for."""
+    if uncertain is None:
+        return NO_SPREAD
+    if gains.law.id not in ("pd", "pid") or gains.unactuated:
+        which = f"law '{gains.law.id}'" if gains.law.id not in ("pd", "pid") else "unactuated axes"
+        raise UndertowError(f"--uncertain: with {which} no region is proved over parameters: leave it out")
+    plant = gains.plant
+    moving = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(plant.numbers)
+    own = sorted(moving - plant.g.free_symbols - plant.B.free_symbols, key=str)
+    names = [str(s) for s in own]
+    if uncertain == "stated":
+        spans = uncertainty.intervals(names)
+    else:
+        shares = _shares(names, uncertain)
+        values = [float(plant.numbers[s]) for s in own]
+        spans = [(v - s * abs(v), v + s * abs(v)) for v, s in zip(values, shares, strict=True)]
+    found = {s: (low, high) for s, (low, high) in zip(own, spans, strict=True) if high > low}
+    if not found:
+        raise UndertowError(
+            "--uncertain: no parameter of inertia or damping has a standard deviation, or all are zero: "
+            "state a share such as 10%"
+        )
+    return found
+
+
+def _shares(names: Sequence[str], uncertain: float | Mapping[str, float]) -> list[float]:
+    """The share by which each parameter may be off."""
+    if not isinstance(uncertain, Mapping):
+        uncertain = dict.fromkeys(names, uncertain)
+    found = dict.fromkeys(names, 0.0)
+    for name, share in uncertain.items():
+        own = [n for n in names if n in (name, f"{name}_forward", f"{name}_backward")]
+        if not own:
+            raise UndertowError(
+                f"--uncertain {name}: no such parameter of inertia or damping{nearest(name, names)}; there "
+                f"are {', '.join(names)}"
+            )
+        if not 0 < share < 1:
+            raise UndertowError(
+                f"--uncertain {name} = {share:.4g} is no share of a value: state one between 0 and 1, as 10%"
+            )
+        found |= dict.fromkeys(own, share)
+    return [found[n] for n in names]
 
 
 def _require_motion(gains: GainSet) -> None:

@@ -18,10 +18,11 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array
 
 from .attitude import ANGLES, Interval, enclose, enclosing, within
-from .problem import Problem, SignSet
+from .problem import NO_SPREAD, Problem, SignSet, Spread
 from .result import Command
 
 _ANGLES = [symbol(a) for a in ANGLES]
+_EPS = float(np.finfo(float).eps)
 
 
 class Commands:
@@ -183,13 +184,82 @@ class SlidingCommands:
         return values["K_1"] * np.sqrt(surface) + np.sqrt(2 * values["K_2"] * surface)
 
 
+# --- parameters that are known within a box -------------------------------------------------------
+def shifts(spread: Spread) -> list[sm.Symbol]:
+    """How far each uncertain parameter is from the middle of its interval, from -1 to 1."""
+    return [sm.Symbol(f"shift_{parameter}") for parameter in spread]
+
+
+class Slopes:
+    """What uncertain parameters add to a matrix: sums of their shifts times slopes, and bounds on the rest.
+
+    The mean value theorem bounds what parameters add that stand in a product with each other.
+    """
+
+    def __init__(self, signs: Sequence[sm.Symbol], matrix: sm.Matrix, spread: Spread, cases: Array) -> None:
+        own = shifts(spread)
+        here = [enclose(c) for c in cases.T]
+        none, every = [enclose(np.zeros(1))] * len(own), [within(np.ones(1))] * len(own)
+        parts = [enclosing([*signs, *own], matrix.diff(s)) for s in own]
+        self.value = enclosing([*signs, *own], matrix)(*here, *none)
+        self.each = [part(*here, *none) for part in parts]
+        wide = [part(*here, *every) for part in parts]
+        nothing = np.zeros_like(self.value.lo)
+        self.curved = sum(((w - e).size for w, e in zip(wide, self.each, strict=True)), nothing)
+        self.size = sum((w.size for w in wide), nothing)  # of all that they add
+
+
+class Inverses(NamedTuple):
+    """Inverses of M by case of the signs: middle + sum of shifts times slopes, off by `rest` at most."""
+
+    middle: Interval
+    slopes: list[Interval]
+    rest: Array
+
+    @property
+    def whole(self) -> Interval:
+        """All of them."""
+        return self.middle + within(sum((s.size for s in self.slopes), self.rest))
+
+
+def inverses_of_inertia(problem: Problem, cases: Array) -> Inverses:
+    """M^-1 of every parameter in its box.
+
+    With X what parameters add to M, times M_0^-1: M^-1 = M_0^-1 (I - X + X^2 (I + X)^-1).
+    """
+    plant, spread = problem.plant, problem.spread
+    signs = sizes_and_signs(plant)[1]
+    M = Slopes(signs, plain(plant, plant.M, spread), spread, cases)
+    middle = inverse_of_inertia(M.value)
+    if not spread:
+        return Inverses(middle, [], M.curved)
+    W, X = enclose(middle.size), enclose(M.size) @ middle.size
+    if np.abs(np.linalg.eigvals(X.hi)).max() >= 0.9:
+        raise UndertowError(
+            "the mass matrix may be singular within the uncertainty of its parameters: state a smaller one"
+        )
+    beyond = X @ X @ inverse_of_inertia(enclose(np.eye(len(plant.nu))) - X)
+    rest = W @ (beyond + enclose(M.curved) @ W)
+    return Inverses(middle, [-(middle @ one @ middle) for one in M.each], rest.size)
+
+
+def inverse_of_inertia(matrix: Interval) -> Interval:
+    """Inverses of matrices of nearly no width, enclosed by what is left of the identity."""
+    near = np.linalg.inv(matrix.middle)
+    n = near.shape[-1]
+    left = (enclose(np.eye(n)) - near @ matrix).size.sum(axis=-1).max(axis=-1) * (1 + n * _EPS)
+    if not (left < 0.5).all():
+        raise UndertowError("the mass matrix is too badly conditioned for a certificate: check [effects]")
+    return near + within((2 * left)[..., None, None] * np.abs(near).max(axis=-2, keepdims=True))
+
+
 # --- what motion does to the matrices -------------------------------------------------------------
 class Term(NamedTuple):
     """One product in an entry of a matrix."""
 
     row: int
     column: int
-    powers: tuple[int, ...]  # of the velocities, their magnitudes and their signs
+    powers: tuple[int, ...]  # of the velocities, their magnitudes, their signs, and shifts of parameters
     value: float
 
 
@@ -199,15 +269,19 @@ def sizes_and_signs(plant: Plant) -> tuple[list[sm.Symbol], list[sm.Symbol]]:
     return sizes, signs
 
 
-def plain(plant: Plant, matrix: sm.Matrix) -> sm.Matrix:
-    """Numbers for parameters, symbols for magnitudes and signs of velocities."""
-    found: dict[sm.Expr, sm.Symbol] = {}
+def plain(plant: Plant, matrix: sm.Matrix, spread: Spread = NO_SPREAD) -> sm.Matrix:
+    """Numbers for parameters, symbols for magnitudes and signs of velocities, and for what is uncertain."""
+    found: dict[sm.Expr, sm.Expr] = {}
     for v, size, sign in zip(plant.nu, *sizes_and_signs(plant), strict=True):
         found |= {sm.Abs(v): size, sm.sign(v): sign}
+    for (parameter, (low, high)), shift in zip(spread.items(), shifts(spread), strict=True):
+        middle = 0.5 * (low + high)
+        half = np.nextafter(max(high - middle, middle - low), np.inf)
+        found[parameter] = sm.Float(middle) + sm.Float(half) * shift
     return matrix.xreplace(found).xreplace(plant.numbers)
 
 
-def terms_of(plant: Plant, matrix: sm.Matrix) -> list[Term]:
+def terms_of(plant: Plant, matrix: sm.Matrix, spread: Spread = NO_SPREAD) -> list[Term]:
     """Damping and the like as a sum of products of numbers, velocities, their magnitudes and signs.
 
     Raises
@@ -215,8 +289,8 @@ def terms_of(plant: Plant, matrix: sm.Matrix) -> list[Term]:
     UndertowError
         If it is none.
     """
-    symbols = [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind)]
-    moving, found = plain(plant, matrix).applyfunc(sm.expand), []
+    symbols = [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind), *shifts(spread)]
+    moving, found = plain(plant, matrix, spread).applyfunc(sm.expand), []
     for i, j in product(range(len(plant.nu)), repeat=2):
         if not moving[i, j].is_polynomial(*symbols) or moving[i, j].free_symbols - set(symbols):
             raise UndertowError("damping is no polynomial in velocities and their magnitudes")

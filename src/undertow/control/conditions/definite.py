@@ -183,7 +183,9 @@ def _turned(stack: Interval, by: Array) -> Interval:
 
 
 def _lowest_turned(stack: Interval, by: Array) -> Array:
-    """`lowest` of `_turned`, for intervals of hardly any width: in numbers, lowered by more than rounding."""
+    """`lowest` of `_turned`; for intervals of hardly any width in numbers, lowered by more than rounding."""
+    if (stack.radius > SETTINGS.room * _norm(stack.middle)[..., None, None]).any():
+        return lowest(_turned(stack, by))
     below = lowest(stack)
     shift = SETTINGS.rounding * _norm(by) ** 2 * _norm(below)
     return np.asarray(by @ below @ np.swapaxes(by, -1, -2) - shift[..., None, None] * np.eye(by.shape[-1]))

@@ -17,8 +17,8 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, block, enclose, enclosing, within
-from .commands import Commands, Term, plain, sizes_and_signs, terms_of
-from .problem import Problem
+from .commands import Commands, Slopes, Term, inverses_of_inertia, plain, shifts, sizes_and_signs, terms_of
+from .problem import NO_SPREAD, Problem, Spread
 
 _EPS = float(np.finfo(float).eps)
 _ANGLES = [symbol(a) for a in ANGLES]
@@ -94,16 +94,6 @@ def _jet(value: Any) -> Jet:
     return Jet(value, none, none)
 
 
-def inverse_of_inertia(matrix: Interval) -> Interval:
-    """Inverses of matrices of nearly no width, enclosed by what is left of the identity."""
-    near = np.linalg.inv(matrix.middle)
-    n = near.shape[-1]
-    left = (enclose(np.eye(n)) - near @ matrix).size.sum(axis=-1).max(axis=-1) * (1 + n * _EPS)
-    if not (left < 0.5).all():
-        raise UndertowError("the mass matrix is too badly conditioned for a certificate: check [effects]")
-    return near + within((2 * left)[..., None, None] * np.abs(near).max(axis=-2, keepdims=True))
-
-
 def rotation_of(plant: Plant) -> sm.Matrix:
     """How the translations turn from body to earth: a rotation, which with some axes left out they need not.
 
@@ -171,6 +161,11 @@ class Corners:
         Velocities whose sign is that of the case; their second end is rest.
     values : sequence of ndarray
         By velocity: its value at its ends, shape (cases, ends).
+    shifted : sequence of (Matrices, Matrices)
+        By uncertain parameter, at the upper end of its interval: what it adds to the inverse of the mass
+        matrix beside C + D without motion, and to C + D.
+    beyond : Matrices
+        What parameters do to both together: A is off by up to their product.
     """
 
     rest: Matrices
@@ -178,6 +173,8 @@ class Corners:
     bend: Matrices
     switching: Sequence[int]
     values: Sequence[Array]
+    shifted: Sequence[tuple[Matrices, Matrices]]
+    beyond: Matrices
 
     @property
     def cases(self) -> int:
@@ -289,11 +286,10 @@ class Embedding:
     @cached_property
     def _moving(self) -> _Moving:
         """C + D and M as functions of velocities, their magnitudes and signs."""
-        plant, nu = self.plant, list(self.plant.nu)
+        plant, nu, spread = self.plant, list(self.plant.nu), self.problem.spread
         sizes, signs = sizes_and_signs(plant)
-        moving = plain(plant, plant.C + plant.D).applyfunc(sm.expand)
-        inertia = plain(plant, plant.M)
-        switching = _switching(plant, inertia)
+        moving = plain(plant, plant.C + plant.D, spread).applyfunc(sm.expand)
+        switching = _switching(plant, plain(plant, plant.M))
         first = [sm.Symbol(f"first_{v}") for v in nu]
         rest = moving.xreplace(dict.fromkeys([*nu, *sizes], sm.Integer(0)))
         added = (moving - rest.xreplace(dict(zip(signs, first, strict=True)))).applyfunc(sm.expand)
@@ -301,33 +297,34 @@ class Embedding:
         kinds = zip(signs, sizes, strict=True)  # a velocity turns the frame at least
         counts = [2 if i in switching else 4 if s in used else 3 if a in used else 2
                   for i, (s, a) in enumerate(kinds)]  # fmt: skip
-        return _Moving(
-            enclosing(signs, rest),
-            enclosing([*nu, *sizes, *signs, *first], added),
-            enclosing(signs, inertia),
-            switching,
-            counts,
-        )
+        added_of = enclosing([*nu, *sizes, *signs, *first, *shifts(spread)], added)
+        every = [within(np.ones(1))] * len(spread)
+        return _Moving(rest, lambda *values: added_of(*values, *every), switching, counts)
 
     def corners(self, speeds: Array) -> Corners:
         """The corners of |nu_i| <= speeds_i."""
         m, n = self._moving, self.n
-        cases = sign_cases(m.switching, n)
-        inverse = inverse_of_inertia(m.inertia(*_columns(cases)))
-        zero = np.zeros((len(cases), n))
-        rest = Matrices(
-            inverse, m.rest(*_columns(cases)), enclose(self._turning(zero)), enclose(zero[..., None])
-        )
-        ends = [self._ends(i, float(speeds[i]), cases, inverse) for i in range(n)]
+        cases, spread, signs = sign_cases(m.switching, n), self.problem.spread, sizes_and_signs(self.plant)[1]
+        inverses, still = inverses_of_inertia(self.problem, cases), Slopes(signs, m.rest, spread, cases)
+        whole, zero = inverses.whole, np.zeros((len(cases), n))
+        none = enclose(self._turning(zero)), enclose(zero[..., None])
+        rest = Matrices(inverses.middle + within(inverses.rest), still.value + within(still.curved), *none)
+        beyond = Matrices(whole - inverses.middle, within(still.size), *none)
+        shifted = [
+            (Matrices(slope, still.value, *none), Matrices(inverses.middle, each, *none))
+            for slope, each in zip(inverses.slopes, still.each, strict=True)
+        ]
+        ends = [self._ends(i, float(speeds[i]), cases, whole) for i in range(n)]
         nu, either = within(speeds[None]), within(np.ones((1, n)))
-        hull = inverse.lo.min(axis=0)[None], inverse.hi.max(axis=0)[None]
-        moving = m.rest(*_columns(either)) + m.added(
+        hull = whole.lo.min(axis=0)[None], whole.hi.max(axis=0)[None]
+        at_rest = still.value + within(still.size)
+        moving = Interval(at_rest.lo.min(axis=0)[None], at_rest.hi.max(axis=0)[None]) + m.added(
             *_columns(nu), *_columns(abs(nu)), *_columns(either), *_columns(either)
         )
         turning = within(np.abs(self._turning(np.array(speeds, dtype=float)[None])))
         bend = Matrices(Interval(*hull), moving, turning, nu[..., None])
         values = [e.yaw.middle[:, i, 0].reshape(len(cases), -1) for i, e in enumerate(ends)]
-        return Corners(rest, ends, bend, m.switching, values)
+        return Corners(rest, ends, bend, m.switching, values, shifted, beyond)
 
     def _ends(self, i: int, speed: float, cases: Array, inverse: Interval) -> Matrices:
         """What the ends of one velocity add in every case."""
@@ -360,19 +357,25 @@ class Embedding:
     # --- the loop -------------------------------------------------------------------------------
     def rest(self, at: Corners, angles: Mapping[str, Interval]) -> Interval:
         """A without motion in every case for every box of angles, shape (boxes, cases, size, size)."""
-        found = {m: self._at(m, angles) for m in self._matrices}
-        return block(self._cells(at.rest, found))  # type: ignore[no-any-return]
+        turns = {m: self._at(m, angles) for m in self._matrices}
+        found: Interval = block(self._cells(at.rest, turns))
+        return found + block(self._cells(at.beyond, turns, springs=False)) if at.shifted else found
 
     def added(self, at: Corners, angles: Mapping[str, Interval]) -> list[Interval]:
         """What the ends of each velocity add to A, each of shape (boxes, cases, ends, size, size).
 
-        With a single box where no attitude changes it.
+        With a single box where no attitude changes it. Those of each uncertain parameter follow.
         """
-        if self._turned_by_body:
+        if self._turned_by_body and not at.shifted:
             angles = {a: v[:1] for a, v in angles.items()}
         found = {m: self._at(m, angles) for m in self._matrices}
-        blocks = [block(self._cells(e, found, at_rest=False)) for e in at.ends]
-        return [b.reshape(len(b), at.cases, -1, self.size, self.size) for b in blocks]
+        blocks = [block(self._cells(e, found, springs=False)) for e in at.ends]
+        moved = [b.reshape(len(b), at.cases, -1, self.size, self.size) for b in blocks]
+        for inertia, moving in at.shifted:
+            one = block(self._cells(inertia, found, links=False))
+            one = one + block(self._cells(moving, found, springs=False))
+            moved.append(Interval(np.stack([one.lo, -one.hi], axis=2), np.stack([one.hi, -one.lo], axis=2)))
+        return moved
 
     def bend(self, at: Corners, angles: Mapping[str, Interval], by: str) -> Array:
         """Bound on |second derivative of A by one angle| in each box, shape (boxes, size, size)."""
@@ -395,8 +398,13 @@ class Embedding:
         """T with its derivatives by one angle."""
         return Jet(*(self.body(angles, by if order else "", order) for order in range(3)))
 
-    def _cells(self, at: Matrices, matrices: Mapping[str, Any], *, at_rest: bool = True) -> list[list[Any]]:
-        """A in blocks of (integral, error, velocity), intervals or with derivatives; or what motion adds."""
+    def _cells(
+        self, at: Matrices, matrices: Mapping[str, Any], *, springs: bool = True, links: bool = True
+    ) -> list[list[Any]]:
+        """A in blocks of (integral, error, velocity), intervals or with derivatives.
+
+        Without `springs` it is what motion adds, without `links` there is nothing that no parameter changes.
+        """
         L, N = matrices["L"], matrices["N"]
         K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
         push = L @ at.inverse  # L M^-1
@@ -408,17 +416,18 @@ class Embedding:
                 spin = (matrices["rate"] @ at.yaw) * self._level_turn
             swing = L @ at.turning @ L.T + spin
         brake = -(push @ at.moving @ L.T) + swing
-        none, unit = np.zeros((1, self.n, self.n)), np.eye(self.n)[None]
-        if not at_rest:
+        none, unit = np.zeros((1, self.n, self.n)), np.eye(self.n)[None] * links
+        if not springs:
             still = enclose(np.zeros_like(brake.lo))
             rows = [[spin, still], [still, brake]]
             return [[spin, still, still], *([still, *row] for row in rows)] if self.integral else rows
         spring = push @ (L.T @ N.T)
         brake = brake - spring @ K["K_V"] @ N
         pull = spring @ K["K_P"]
+        link = -N if links else none
         if not self.integral:
-            return [[spin, -N], [pull, brake]]
-        return [[spin, unit, none], [none, spin, -N], [spring @ K["K_I"], pull, brake]]
+            return [[spin, link], [pull, brake]]
+        return [[spin, unit, none], [none, spin, link], [spring @ K["K_I"], pull, brake]]
 
     @property
     def _level_turn(self) -> Array:
@@ -457,11 +466,10 @@ def _corners(speed: float, count: int) -> list[tuple[float, float]]:
 
 
 class _Moving(NamedTuple):
-    """Functions of signs and velocities."""
+    """What C + D is, by signs and velocities."""
 
-    rest: Callable[..., Interval]  # C + D without motion, of the signs
+    rest: sm.Matrix  # without motion
     added: Callable[..., Interval]  # what motion adds, of velocities, magnitudes, signs and signs at rest
-    inertia: Callable[..., Interval]  # M, of the signs
     switching: list[int]  # velocities each of whose signs is a case of its own
     counts: list[int]  # ends that each velocity has
 
@@ -471,7 +479,7 @@ def _columns(rows: Array | Interval) -> list[Interval]:
     return [own[..., i] for i in range(own.lo.shape[-1])]
 
 
-def motion_terms(plant: Plant) -> list[Term]:
+def motion_terms(plant: Plant, spread: Spread = NO_SPREAD) -> list[Term]:
     """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most.
 
     Raises
@@ -479,7 +487,7 @@ def motion_terms(plant: Plant) -> list[Term]:
     UndertowError
         If it is none.
     """
-    found = terms_of(plant, plant.C + plant.D)
+    found = terms_of(plant, plant.C + plant.D, spread)
     if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):
         raise UndertowError(
             "damping grows faster than in proportion to a velocity: no certificate is searched for"

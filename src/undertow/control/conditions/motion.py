@@ -16,9 +16,9 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, enclose, enclosing
-from .commands import Commands, plain, sizes_and_signs
+from .commands import Commands, inverse_of_inertia, inverses_of_inertia, plain, sizes_and_signs
 from .definite import SETTINGS as PROOFS
-from .embedding import inverse_of_inertia, motion_terms, rotation_of, sign_cases
+from .embedding import motion_terms, rotation_of, sign_cases
 from .problem import Problem
 
 
@@ -36,9 +36,9 @@ class Forces(NamedTuple):
     """(C + D) nu as D nu + Q(nu, nu), and what signs of velocities make of either."""
 
     D: Array  # shape (n, n)
-    D_signs: Array  # bound on what signs add to it
+    D_signs: Array  # bound on what signs, and uncertain parameters, add to it
     Q: Array  # symmetric in its last two places, shape (n, n, n)
-    Q_signs: Array  # bound on all products in which a magnitude or a sign stands
+    Q_signs: Array  # bound on all products in which a magnitude, a sign or an uncertainty stands
 
 
 class Leftover(NamedTuple):
@@ -97,7 +97,7 @@ class Motion:
     def _forces(self) -> Forces:
         n, found = self.n, Forces(*(np.zeros((self.n,) * k) for k in (2, 2, 3, 3)))
         products: dict[tuple[int, ...], float] = {}
-        for i, j, powers, value in motion_terms(self.plant):
+        for i, j, powers, value in motion_terms(self.plant, self.problem.spread):
             key = (i, *(p + (k == j) for k, p in enumerate(powers)))
             products[key] = products.get(key, 0.0) + value
         for (i, *own_powers), value in products.items():
@@ -112,11 +112,11 @@ class Motion:
 
     @cached_property
     def _inertias(self) -> Interval:
-        """M^-1 in every case of the signs, shape (cases, n, n)."""
+        """M^-1 in every case of the signs, of every parameter in its box, shape (cases, n, n)."""
         signs, M = sizes_and_signs(self.plant)[1], plain(self.plant, self.plant.M)
         switching = [i for i, s in enumerate(signs) if s in M.free_symbols]
         cases = sign_cases(switching, self.n)
-        return inverse_of_inertia(enclosing(signs, M)(*map(enclose, cases.T)))
+        return inverses_of_inertia(self.problem, cases).whole
 
     @cached_property
     def inverse(self) -> Array:

@@ -145,6 +145,9 @@ def _check(one: SignSet, plant: Plant) -> None:
 
 
 Span = tuple[float, float]
+Spread = Mapping[sm.Symbol, Span]
+"""Intervals of parameters, SI and SNAME signs."""
+NO_SPREAD: Spread = {}
 
 
 Margins = Callable[[Array], Array]
@@ -216,16 +219,19 @@ def inside(span: Span) -> float:
 
 
 class Problem:
-    """The margins of every condition of a law, for roll and pitch up to `tilt`, rad."""
+    """The margins of every condition of a law, for roll and pitch up to `tilt`, rad.
 
-    def __init__(self, gains: GainSet, tilt: float = np.pi / 3) -> None:
+    A region has to hold for every value of the parameters in `spread`; conditions have those of the file.
+    """
+
+    def __init__(self, gains: GainSet, tilt: float = np.pi / 3, spread: Spread = NO_SPREAD) -> None:
         low, high = SEARCH.tilt_range
         degrees = round(math.degrees(tilt), 9)
         if not low <= degrees <= high:
             raise UndertowError(
                 f"conditions cannot cover roll and pitch up to {degrees:g} deg: give {low:g} to {high:g}"
             )
-        self.gains, self.plant = gains, gains.plant
+        self.gains, self.plant, self.spread = gains, gains.plant, spread
         self.coordinates = gains.signals.coordinates
         self.conditions: tuple[Condition, ...] = CONDITIONS[gains.law.id]
         self.sets: list[SignSet] = sign_sets(gains.plant)
@@ -512,7 +518,7 @@ class Uncertainty:
 
     def _within(self, points: Array, covariance: Array, reach: float, one: SignSet) -> Array:
         """Points moved to physical values, those of them that are still in the ellipsoid."""
-        bounds = self._bounds(one)
+        bounds = self._bounds(one.names)
         moved = np.clip(points, bounds[:, 0], bounds[:, 1])
         away = moved - one.theta
         distance = np.einsum("ij,jk,ik->i", away, np.linalg.pinv(covariance, hermitian=True), away)
@@ -520,17 +526,26 @@ class Uncertainty:
 
     def _corners(self, one: SignSet, matters: Flags, reach: float) -> Array:
         """Corners of the box of all physical values within `reach` standard deviations."""
-        spread, bounds = reach * np.sqrt(np.diag(self.covariance(one.names))), self._bounds(one)
-        low, high = np.maximum(one.theta - spread, bounds[:, 0]), np.minimum(one.theta + spread, bounds[:, 1])
+        low, high = self._ends(one.names, one.theta, reach)
         free = [j for j in np.flatnonzero(matters) if high[j] > low[j]]
         corners = np.tile(one.theta, (2 ** len(free), 1))
         for row, choice in zip(corners, product(*[(low[j], high[j]) for j in free]), strict=True):
             row[free] = choice
         return corners
 
-    def _bounds(self, one: SignSet) -> Array:
+    def intervals(self, names: Sequence[str]) -> list[Span]:
+        """The interval of each parameter, cut at its physical bounds."""
+        values = np.array([self.vehicle.value_of(n).value for n in names])
+        low, high = self._ends(names, values, float(ndtri(0.5 + self.confidence / 2)))
+        return list(zip(map(float, low), map(float, high), strict=True))
+
+    def _ends(self, names: Sequence[str], theta: Array, reach: float) -> tuple[Array, Array]:
+        spread, bounds = reach * np.sqrt(np.diag(self.covariance(names))), self._bounds(names)
+        return np.maximum(theta - spread, bounds[:, 0]), np.minimum(theta + spread, bounds[:, 1])
+
+    def _bounds(self, names: Sequence[str]) -> Array:
         """Physical bounds of the parameters, shape (n_parameters, 2)."""
-        declared = map(self.vehicle.parameter_of, one.names)
+        declared = map(self.vehicle.parameter_of, names)
         return np.array([p.bounds if p else (-np.inf, np.inf) for p in declared]).reshape(-1, 2)
 
     def _range(

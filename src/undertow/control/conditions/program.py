@@ -48,7 +48,10 @@ class QuadraticSettings:
     looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     starts: int = 3  # eigenvectors from which that corner is looked for, and
     steps: int = 4  # turns between the corner and its eigenvector
-    most_forms: int = 3000  # matrix inequalities that the solver is given in one search: seconds
+    # Matrix inequalities of 12 rows that the solver is given in one search: seconds. Of larger ones there are
+    # fewer, as this power of the number of rows.
+    most_forms: int = 3000
+    form_power: float = 7.0
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added: int = 8  # how many
     idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
@@ -71,12 +74,16 @@ class QuadraticSettings:
     # have: the search takes seconds then instead of minutes.
     most_full: int = 4
 
+    def share(self, size: int, power: float) -> float:
+        """Which part of the work for matrices of 12 rows is for those of so many."""
+        return float(min(12 / size, 1.0) ** power)
+
 
 SETTINGS = QuadraticSettings()
 
 
 Key = tuple[int, int, tuple[int, ...]]
-"""A corner: its attitude, its case of the signs, and the end of each velocity."""
+"""A corner: its attitude, its case of the signs, and the end of each velocity and uncertain parameter."""
 
 
 class Proposal(NamedTuple):
@@ -224,14 +231,13 @@ class Program:
         return np.broadcast_to(T, (len(self._pieces[0]), *T.shape[1:]))
 
     def _added(self, P: Array, free: Array, samples: Any, cases: Any) -> list[Array]:
-        """What the ends of each velocity add to V_dot in these rows, each (rows, ends, size, size)."""
+        """What each velocity, then each parameter, adds to V_dot in these rows, (rows, ends, size, size)."""
         T = self._bodies[samples][:, None]
         turned = T @ free @ np.swapaxes(T, -1, -2)
-        parts = enumerate(zip(self._pieces[1], self.values, strict=True))
-        return [
-            doubled(P, e[samples, cases]) + v[cases][..., None, None] * turned[:, i, None]
-            for i, (e, v) in parts
-        ]
+        found = [doubled(P, e[samples, cases]) for e in self._pieces[1]]
+        for i, v in enumerate(self.values):
+            found[i] = found[i] + v[cases][..., None, None] * turned[:, i, None]
+        return found
 
     @cached_property
     def rate(self) -> float:
@@ -351,7 +357,7 @@ class Program:
         found, shift = [], self.rate * np.eye(self.loop.size)
         for key in keys:
             sample, case, places = key
-            nu = np.array([v[case, p] for v, p in zip(self.values, places, strict=True)])
+            nu = np.array([v[case, p] for v, p in zip(self.values, places, strict=False)])
             T = C.T @ self._bodies[sample]
             free = T @ np.tensordot(nu, self.identities, (0, 1)) @ T.T
             falls = -(C.T @ doubled(B, self._corner(key) + shift) @ C)
@@ -362,7 +368,7 @@ class Program:
         """What the fall of V adds to the slopes of the start's level: what a speed adds grows with it."""
         found = np.zeros(self.loop.n)
         samples, cases = np.array([key[:2] for key in keys]).T
-        for i, added in enumerate(self._added(P, free, samples, cases)):
+        for i, added in enumerate(self._added(P, free, samples, cases)[: self.loop.n]):
             moved = _growth(added, i in self.corners.switching)
             for row, (key, dual) in enumerate(zip(keys, duals, strict=False)):
                 found[i] += np.sum(dual * (C.T @ moved[row, key[2][i]] @ C))

@@ -112,7 +112,7 @@ class Search:
         bounds, proofs = self._first(), []
         for centre in self.centres:
             self.centre, self.forms = centre, 0
-            self.work = Work(int(SETTINGS.most * min(12 / self.loop.size, 1.0) ** SETTINGS.work_power))
+            self.work = Work(int(SETTINGS.most * SETTINGS.share(self.loop.size, SETTINGS.work_power)))
             self.chosen.clear()
             proof = self._in_sector(bounds)
             if proof is None:
@@ -163,7 +163,7 @@ class Search:
     def spend(self, forms: int) -> None:
         """Count what the solver is given."""
         self.forms += forms
-        if self.forms > SETTINGS.most_forms:
+        if self.forms > SETTINGS.most_forms * SETTINGS.share(self.loop.size, SETTINGS.form_power):
             raise UndertowError(_TOO_LONG)
 
     def _smaller(self, bounds: Bounds) -> Bounds:
@@ -371,13 +371,14 @@ class Proof:
         return (_doubled(self.P @ within(own)) + within(free))[:, None]
 
     def _ends(self, at: Boxes) -> Iterator[Interval]:
-        """What the ends of each velocity add to the fall of V, (attitudes, cases, ends, size, size)."""
+        """What each velocity and parameter adds to the fall of V, (attitudes, cases, ends, size, size)."""
         turn = self.loop.body(at) * self._turn_ratio
         added = self.loop.added(self.corners, at)
-        for end, N, value in zip(added, self._free_of, self.program.values, strict=True):
+        for end, N, value in zip(added, self._free_of, self.program.values, strict=False):
             turned = turn @ N @ turn.T
             every = turned[:, :, None] * value[..., None, None]
             yield -(_doubled(self.P @ self.program.scaled(end)) + every)
+        yield from (-_doubled(self.P @ self.program.scaled(end)) for end in added[self.loop.n :])
 
     @property
     def _free_of(self) -> list[Interval]:

@@ -10,6 +10,7 @@ import numpy as np
 import sympy as sm
 
 from undertow.errors import UndertowError
+from undertow.model.parameter import printed
 from undertow.typing import Array
 
 from .attitude import ANGLES
@@ -22,7 +23,7 @@ from .commands import (
     inertias,
     pd_commands,
 )
-from .problem import Problem
+from .problem import Problem, Span
 from .program import SETTINGS as PROGRAM
 from .quadratic import Search
 from .result import SETTINGS, Quadratic, Region, Transient
@@ -32,7 +33,6 @@ from .transient import bounds_in_time
 _LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
 _FAILS = "the conditions derived from the model do not hold"
-_PARAMETERS = "with parameters as in the file, not over their intervals"
 _NOTHING_FOUND = (
     "no quadratic V was found that falls and holds the start within all limits, nor bounds in time that the "
     "couplings between the axes leave closed"
@@ -59,9 +59,26 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
         found = _none(str(error))
     except np.linalg.LinAlgError:
         found = _none("V is not positive at every attitude with digits to spare")
+    found = replace(found, parameters=_intervals(problem))
     if start is None:
         return found
     return replace(found, start=dict(start), contains_start=_holds(problem, found, start))
+
+
+def _intervals(problem: Problem) -> dict[str, Span]:
+    """The parameters that are uncertain, in the signs of the vehicle file."""
+    vehicle, found = problem.plant.vehicle, {}
+    for name, ends in ((str(s), ends) for s, ends in problem.spread.items()):
+        low, high = sorted(printed(vehicle.declaration(name), e, vehicle.signs) for e in ends)
+        found[name] = low, high
+    return found
+
+
+def _parameters(problem: Problem) -> str:
+    """For which parameters something is proved, in words."""
+    if not problem.spread:
+        return "with parameters as in the file, not over their intervals"
+    return "and every value of the uncertain parameters in their intervals"
 
 
 def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None) -> Region:
@@ -71,7 +88,7 @@ def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None) ->
         return _none(fault)
     if law not in ("pd", "pid"):
         return _sliding(commands) if holds else _none(_FAILS)
-    if law == "pd" and holds:
+    if law == "pd" and holds and not problem.spread:
         found = _pd(commands)
         if found.kind != "none" and (start is None or _holds(problem, found, start)):
             return found
@@ -257,7 +274,7 @@ def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) 
         "motions that begin at rest in the start box stay within these errors and speeds and come to rest; "
         "bounded in time by variation of constants, all errors within half of these from "
         f"{found.halved:.4g} s on; proved in interval arithmetic at every attitude and every motion in them, "
-        f"{_PARAMETERS}"
+        f"{_parameters(problem)}"
     )
     return Region(
         "box",
@@ -281,13 +298,14 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     if _scales(problem) and not len(commands.limits):
         return Region(
             "everywhere",
-            f"everywhere: inertia and damping do not depend on speed or attitude; V is proved {_PARAMETERS}",
+            "everywhere: inertia and damping do not depend on speed or attitude; V is proved to fall, "
+            f"{_parameters(problem)}",
             quadratic=found,
         )
     text = (
         f"motions that begin with V = z' P z < 1 stay there and come to rest; z holds errors and velocities "
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
-        f"every attitude and every motion in it, {_PARAMETERS}"
+        f"every attitude and every motion in it, {_parameters(problem)}"
     )
     whole = Region(
         "level",

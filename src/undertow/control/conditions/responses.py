@@ -31,7 +31,8 @@ class KernelSettings:
     """How responses are bounded; none of these numbers decides what is proved."""
 
     first: float = 0.05  # of the time in which the fastest mode changes: the first piece of time
-    ratio: float = 1.04  # of the ends of a piece of time
+    # Of the ends of a piece of time: what the first does not prove, in a third of the time, is tried again.
+    ratios: tuple[float, ...] = (1.12, 1.04)
     finer: int = 4  # pieces of what a push does later, in one of these
     last: float = 20.0  # slowest time constants, after which one bound serves for all time
     dies: float = 0.02  # part of the slowest mode's rate at which everything dies out at last
@@ -180,10 +181,10 @@ def bounds_within(of: Amplitudes, exponents: Array, times: Array, growing: Ampli
     return np.asarray(found * (1 + PROOFS.level))
 
 
-def grid(rates: Array, finer: int = 1, until: float = 0.0) -> Array:
+def grid(rates: Array, ratio: float, finer: int = 1, until: float = 0.0) -> Array:
     """Ends of the pieces of time for the modes of a loop, s, the last not before `until`."""
     first, last = SETTINGS.first / finer / np.abs(rates).max(), max(SETTINGS.last / rates.real.min(), until)
-    ratio = SETTINGS.ratio ** (1 / finer)
+    ratio **= 1 / finer
     # As wide as the first one while that is wider than by the ratio.
     steady = np.arange(0.0, first / (ratio - 1), first)
     count = int(np.ceil(np.log(last / steady[-1]) / np.log(ratio))) + 1

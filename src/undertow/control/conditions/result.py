@@ -207,6 +207,8 @@ class Region:
     contains_start: bool | None = None  # whether the region holds it; None where none was asked for
     quadratic: Quadratic | None = None  # V, where it was found by a semidefinite program
     transient: Transient | None = None  # bounds in time, where the region is a box of starts
+    # Intervals of the parameters that it is for, SI, signs of the vehicle file; others are as in the file.
+    parameters: dict[str, Span] = field(default_factory=dict)
 
     @property
     def found(self) -> bool:

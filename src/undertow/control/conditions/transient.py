@@ -23,7 +23,7 @@ from undertow.typing import Array, Flags
 from .attitude import enclose, within
 from .definite import SETTINGS as PROOFS
 from .motion import Leftover, Motion
-from .problem import Problem
+from .problem import Problem, Span
 from .responses import SETTINGS as KERNELS
 from .responses import Driven, Form, Kernels, Modes, Responses, Starts, by_heading, grid, modes, second_order
 from .result import Transient
@@ -262,13 +262,13 @@ def _all(weights: Array, matrices: Array) -> Array:
 
 
 class Tubes:
-    """Bounds on the signals of some sectors, piece by piece of time."""
+    """Bounds on the signals of some sectors, piece by piece of time, whose ends have this ratio."""
 
-    def __init__(self, bounds: Bounds) -> None:
+    def __init__(self, bounds: Bounds, ratio: float) -> None:
         sectors, at = bounds.sectors, bounds.at
-        self.bounds, self.size = bounds, at.z.stop
+        self.bounds, self.size, self.ratio = bounds, at.z.stop, ratio
         rates = np.concatenate([s.modes.rates for s in sectors])
-        self.rates, self.slowest, self.times = rates, float(rates.real.min()), grid(rates)
+        self.rates, self.slowest, self.times = rates, float(rates.real.min()), grid(rates, ratio)
         coarse = [Responses(s.modes, s.rows, self.times) for s in sectors]
         self.sums = sectors[0].sums
         self.envelope = np.array([of.envelope[: at.commands.start] for of in coarse])
@@ -294,7 +294,7 @@ class Tubes:
         matters = envelope > PROOFS.room * envelope.max(axis=1, keepdims=True)
         matters[: size - 2 * n] = False  # integrals of errors stand only beside what modes miss
         self.pairs = self.signals, self.states = np.nonzero(matters)[0], size - n + np.nonzero(matters)[1]
-        finer = grid(self.rates, KERNELS.finer, self.times[-1])
+        finer = grid(self.rates, self.ratio, KERNELS.finer, self.times[-1])
         found = [Responses(s.modes, s.base, finer).kernels(*self.pairs) for s in sectors]
         self.kernels = Kernels(finer, *(np.stack([k[j] for k in found], axis=-2) for j in (1, 2)))
         self.crude = self.envelope.copy()  # what the kernels leave out, dying with the slowest mode
@@ -385,7 +385,7 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
     search = Search(Motion(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
     if not problem.heading_counts:
         return search.whole([(0.0, 0.0)], 0)
-    if not search.held([(h, 0.0) for h in _middles(SETTINGS.looks)], []).all():
+    if search.lost([(h, 0.0) for h in _middles(SETTINGS.looks)], []):
         return None
     half = 0.5 * np.pi / SETTINGS.ranges
     return search.whole([(h, half) for h in _middles(SETTINGS.ranges)], SETTINGS.cuts)
@@ -404,29 +404,41 @@ class Search:
         self.caps = _caps(motion, box)
         self.left = motion.leftover(self.caps)
 
-    def whole(self, ranges: Sequence[tuple[float, float]], cuts: int) -> Transient | None:
+    def whole(self, ranges: Sequence[Span], cuts: int) -> Transient | None:
         """Bounds for all of these (middle, half), which are cut in two where there are none; None if none."""
         found: list[Transient] = []
-        for cut in range(cuts + 1):
-            lost: list[tuple[float, float]] = []
+        while ranges:
+            # As long as ranges can be cut, that is tried before finer pieces of time.
+            ratios = KERNELS.ratios[: None if cuts == 0 else 1]
+            lost: list[Span] = []
             for k in range(0, len(ranges), SETTINGS.together):
-                own = ranges[k : k + SETTINGS.together]
-                lost += [r for r, held in zip(own, self.held(own, found), strict=True) if not held]
-                if lost and cut == cuts:
+                lost += self.lost(ranges[k : k + SETTINGS.together], found, ratios)
+                if lost and cuts == 0:
                     return None
-            ranges = [(h + side * half / 2, half / 2) for h, half in lost for side in (-1, 1)]
+            step = min(cuts, 2 if len(lost) == len(ranges) else 1)  # far too wide, or nearly narrow enough
+            parts, cuts = 2**step, cuts - step
+            middles = (np.arange(parts) + 0.5) / parts * 2 - 1
+            ranges = [(h + m * half, half / parts) for h, half in lost for m in middles]
         return _together(found)
 
-    def held(self, ranges: Sequence[tuple[float, float]], found: list[Transient]) -> Flags:
-        """Of which ranges there are bounds, which are added to those that were found."""
-        motion, widened = self.motion, 1 + PROOFS.room
-        sectors = [Sector(motion, self.starts, self.left, h, half * widened) for h, half in ranges]
-        bounds = Bounds(sectors, self.caps)
-        tubes = Tubes(bounds)
-        B, held = tubes.found()
-        if held.any():
-            found += _stated(tubes, B, held)
-        return held
+    def lost(
+        self, ranges: Sequence[Span], found: list[Transient], ratios: Sequence[float] = KERNELS.ratios
+    ) -> list[Span]:
+        """The ranges without bounds; those of the others are added to what was found."""
+        left = [
+            (r, Sector(self.motion, self.starts, self.left, r[0], r[1] * (1 + PROOFS.room))) for r in ranges
+        ]
+        for ratio in ratios:
+            tubes = Tubes(Bounds([sector for _, sector in left], self.caps), ratio)
+            B, held = tubes.found()
+            if held.any():
+                largest = tubes.bounds.commands(B)
+                held = held & _sufficient(self.motion, largest, held, refuse=ratio == KERNELS.ratios[-1])
+                found += _stated(tubes, B, largest, held)
+            left = [pair for pair, there in zip(left, held, strict=True) if not there]
+            if not left:
+                break
+        return [r for r, _ in left]
 
 
 def _caps(motion: Motion, box: Array) -> Array:
@@ -437,22 +449,27 @@ def _caps(motion: Motion, box: Array) -> Array:
     return np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(len(SETTINGS.caps), -1)
 
 
-def _stated(tubes: Tubes, B: Array, held: Flags) -> list[Transient]:
+def _sufficient(motion: Motion, largest: Array, held: Flags, *, refuse: bool) -> Flags:
+    """For which sectors all commands stay below their limits; or an error, always if the start is beyond."""
+    limits = motion.commands.limits
+    for k, limit in enumerate(limits):
+        own = largest[:, held, k].max(axis=1)
+        if own[0] >= limit or (refuse and own.max() >= limit):
+            word = "the start asks" if own[0] >= limit else "bounds in time let the law ask"
+            raise UndertowError(
+                f"{word} {own.max():.4g} of {motion.commands.names[k]}, whose limit is {limit:.4g}: state "
+                "smaller errors or lower K_P"
+            )
+    return np.asarray((largest.max(axis=0) < limits).all(axis=1))
+
+
+def _stated(tubes: Tubes, B: Array, largest: Array, held: Flags) -> list[Transient]:
     """Bounds on the signals as statements, in the coordinates of the earth."""
     bounds, motion = tubes.bounds, tubes.bounds.motion
     errors = B[..., bounds.at.error].copy()
     if motion.plane:
         errors[..., motion.plane] = np.hypot(*np.moveaxis(errors[..., motion.plane], -1, 0))[..., None]
-    largest, speeds = bounds.commands(B), bounds.speeds(B)
-    commands = motion.commands
-    for k, limit in enumerate(commands.limits):
-        own = largest[:, held, k].max(axis=1)
-        if own.max() >= limit:
-            word = "the start asks" if own[0] >= limit else "bounds in time let the law ask"
-            raise UndertowError(
-                f"{word} {own.max():.4g} of {commands.names[k]}, whose limit is {limit:.4g}: state smaller "
-                "errors or lower K_P"
-            )
+    speeds = bounds.speeds(B)
     rate = KERNELS.dies * tubes.slowest
     return [
         Transient(tubes.times, errors[:, k], speeds[:, k], largest[:, k], rate) for k in np.flatnonzero(held)

@@ -12,9 +12,8 @@ from pydantic import Field, StrictStr
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
-from undertow.model.loading import is_file, read_table
 from undertow.model.symbols import MOTION_UNITS
-from undertow.model.tables import FileTable, Quantity
+from undertow.model.tables import FileTable, Quantity, is_file, read_table
 from undertow.model.units import si_of
 
 from .line_of_sight import Guidance, LineOfSight

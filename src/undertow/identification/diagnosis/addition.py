@@ -14,11 +14,10 @@ from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.trial import Trial, try_candidate
-from undertow.identification.estimation.by_run import origins, plain
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
-from undertow.identification.estimation.residual import WeakModel, whitened
+from undertow.identification.estimation.residual import WeakModel, origins, plain, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue

@@ -12,8 +12,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy.stats import chi2, gamma
 
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle

@@ -10,24 +10,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
-from undertow.identification.estimation.adaptation import (
-    factor_of_the_rest,
-    first_part,
-    learned_from,
-    values_in,
-)
-from undertow.identification.estimation.between_runs import stated_by_run
-from undertow.identification.estimation.by_run import origins, plain, with_values_by_run
 from undertow.identification.estimation.data import WeakData, Whitening, numbered
-from undertow.identification.estimation.fitted import Fitted
-from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
+from undertow.identification.estimation.fitted import Fitted, stated_by_run
+from undertow.identification.estimation.residual import (
+    Linearised,
+    WeakModel,
+    origins,
+    plain,
+    whitened,
+    with_values_by_run,
+)
 from undertow.identification.estimation.step import moved
 from undertow.identification.estimation.weak_form import (
     WeakFit,
+    factor_of_the_rest,
+    first_part,
     fit_weak,
     fit_weak_by_run,
     free_parameters,
+    learned_from,
     mean_square,
+    values_in,
     with_process_noise,
     with_reestimated_noise,
 )

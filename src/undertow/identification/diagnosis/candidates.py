@@ -11,10 +11,9 @@ import numpy as np
 import sympy as sm
 
 from undertow.codegen.functions import Functions
-from undertow.identification.estimation.between_runs import stated_by_run
-from undertow.identification.estimation.by_run import plain, run_of, with_values_by_run
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.residual import WeakModel
+from undertow.identification.estimation.fitted import stated_by_run
+from undertow.identification.estimation.residual import WeakModel, plain, run_of, with_values_by_run
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect, Measurement

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
-from undertow.identification.estimation.between_runs import heterogeneity
-from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.fitted import Fitted, heterogeneity
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
+from undertow.identification.estimation.residual import plain
 from undertow.model.effect import Effect, Flow, Measurement
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
@@ -42,11 +41,20 @@ class Agreement:
         """Standard deviation between the parts beyond that of chance."""
         return heterogeneity(self.value, self.error**2)[1]
 
+    def absent(self, settings: Settings = DEFAULT, among: int = 1) -> Array:
+        """Whether a part has nothing of the effect: zero is possible there, and half of it is not.
+
+        Sizes that scatter are those of an approximate law; one that is zero is no scatter.
+        """
+        margin = norm.isf(settings.comparison_level / (among * len(self.value))) * self.error
+        return (self.value - margin <= 0.0) & (self.value + margin < 1.0 - settings.size_spread)
+
     def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
         """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
         q, _ = heterogeneity(self.value, self.error**2)
         by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.comparison_level
-        if by_chance or self.spread < settings.size_spread:
+        spread = self.spread >= settings.size_spread or self.absent(settings, among).any()
+        if by_chance or not spread:
             return ""
         low, high = self.value.min(), self.value.max()
         return (

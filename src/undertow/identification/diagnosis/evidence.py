@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
-from undertow.identification.estimation.by_run import plain
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.residual import Linearised
+from undertow.identification.estimation.data import WeakData, inverse_of
+from undertow.identification.estimation.residual import Linearised, plain
 from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.effect import Measurement

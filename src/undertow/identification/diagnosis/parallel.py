@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from undertow.codegen.trajectories import processors
+from undertow.codegen.engine import processors
 
 T = TypeVar("T")
 _log = logging.getLogger("undertow")

@@ -413,17 +413,16 @@ def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remain
 def unknown_to(
     own: Collection[str], left: Iterable[Remaining], vehicle: Vehicle, *, periodic: bool = False
 ) -> list[Remaining]:
-    """What of residual forces depends on nothing that an effect knows.
+    """What of residual forces depends on more than an effect knows: variables of its own are left out.
 
-    A product with a variable of its own (sway velocity times a propeller that always turns as fast) may be a
-    function of that alone in these logs.
+    A drag that grows with the time is news to thrust that fades with it.
 
     own: velocities, pose, commands and, as "t", the time, as far as the effect depends on them.
     periodic: whether the effect swings in time itself, so that a period is no news.
     """
     found = []
     for r in left:
-        others = [d for d in r.depends_on if _variables(d, vehicle).isdisjoint(own)]
+        others = [d for d in r.depends_on if not _variables(d, vehicle) <= {*own}]
         line = None if periodic else r.spectrum
         if others or line:
             found.append(r.model_copy(update={"depends_on": others, "spectrum": line, "between_runs": []}))

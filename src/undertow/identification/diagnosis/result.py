@@ -11,9 +11,8 @@ from pydantic import BaseModel, Field, ValidationError, field_validator
 
 from undertow.errors import UndertowError
 from undertow.files import json_ready, read_json
-from undertow.identification.doctor.findings import Finding
+from undertow.identification.findings import Finding, LongLogs, ResultTable
 from undertow.identification.logs.run import Run
-from undertow.identification.long_logs.result import LongLogs, ResultTable
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal[

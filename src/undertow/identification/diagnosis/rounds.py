@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undertow.identification.estimation.by_run import origins
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
+from undertow.identification.estimation.data import inverse_of
+from undertow.identification.estimation.residual import Linearised, WeakModel, origins, whitened
 from undertow.identification.estimation.step import PRIOR_WIDTH, normal_equations, prior_cost, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.catalogue import Catalogue

@@ -10,10 +10,8 @@ from itertools import combinations
 
 import numpy as np
 
-from undertow.identification.estimation.by_run import plain
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import WeakData
-from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.data import WeakData, inverse_of
+from undertow.identification.estimation.residual import plain, whitened
 from undertow.identification.estimation.step import freed
 from undertow.identification.estimation.weak_form import (
     WeakFit,

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undertow.identification.estimation.by_run import plain
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
+from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
@@ -202,6 +202,16 @@ _NOT_BEST = "other effects are better in nearly all resamples of the logs"
 _TRYING = 0.3
 
 
+def rivals_of_one(graded: Sequence[Graded]) -> list[Graded]:
+    """The effects, each without rivals that stand for one that was found after it and is needed beside it."""
+    later: set[str] = set()
+    found = []
+    for g in reversed(graded):
+        found.append(replace(g, rivals=[r for r in g.rivals if r.id not in later]))
+        later |= {f.id for f in (g.chosen, *g.rivals)} if not g.doubt else set()
+    return found[::-1]
+
+
 class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
@@ -236,7 +246,7 @@ class _Selector:
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
         kept = self._without_superfluous(graded, rounds[0].bench)
-        return Selection(kept, rounds, self._reasons, self._worth)
+        return Selection(rivals_of_one(kept), rounds, self._reasons, self._worth)
 
     def _without_superfluous(
         self, graded: list[Graded], bench: Bench, whole: dict[float, Array] | None = None

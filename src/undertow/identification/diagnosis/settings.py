@@ -257,7 +257,8 @@ class Settings:
     size_spread: float = _number(
         0.5,
         "standard deviation of the size of an effect between parts of the logs, relative to the size, above "
-        "which it is not constant; also the largest fall of its size beside a force made of the residual",
+        "which it is not constant (a part in which zero is possible and 1 minus this is not has none of it); "
+        "also the largest fall of its size beside a force made of the residual",
         "below it 97.5 % of the parts have the same sign",
         off=_NEVER,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import channel_noise
-from undertow.identification.logs.checks import check_fit
+from undertow.identification.logs.opening import check_fit
 from undertow.identification.logs.pose_velocity import as_reported, velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
@@ -82,7 +82,7 @@ def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
         if held := [d for d in vehicle.degrees_of_freedom if d in run.held]:
             raise UndertowError(
                 f"in run '{run.name}' a rig holds {', '.join(held)} of '{vehicle.name}': use undertow fit "
-                "or diagnose, or sort the logs with undertow.identification.experiments.experiments"
+                "or diagnose, or sort the logs with undertow.identification.diagnose.experiments"
             )
     return [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in runs]
 

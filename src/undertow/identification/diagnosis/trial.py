@@ -10,12 +10,16 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
-from undertow.identification.estimation.between_runs import SETTINGS as BETWEEN_RUNS
-from undertow.identification.estimation.between_runs import least_differing, may_differ
-from undertow.identification.estimation.by_run import origins, plain, with_values_by_run
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import WeakData, Whitening
-from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
+from undertow.identification.estimation.data import WeakData, Whitening, inverse_of
+from undertow.identification.estimation.fitted import BETWEEN_RUNS, least_differing, may_differ
+from undertow.identification.estimation.residual import (
+    Linearised,
+    WeakModel,
+    origins,
+    plain,
+    whitened,
+    with_values_by_run,
+)
 from undertow.identification.estimation.step import (
     bounded_step,
     bounds_of,

@@ -12,12 +12,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, wilcoxon
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.adaptation import (
-    adapted,
-    factor_of_the_rest,
-    in_runs,
-    learned_from,
-)
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import (
@@ -29,7 +23,13 @@ from undertow.identification.estimation.output_error import (
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.step import bounds_of, prior_of
-from undertow.identification.estimation.weak_form import WeakFit
+from undertow.identification.estimation.weak_form import (
+    WeakFit,
+    adapted,
+    factor_of_the_rest,
+    in_runs,
+    learned_from,
+)
 from undertow.identification.estimation.windows import (
     HORIZONS,
     Prediction,

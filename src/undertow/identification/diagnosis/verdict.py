@@ -9,9 +9,8 @@ from math import inf
 import numpy as np
 
 from undertow.errors import UndertowError, listed
-from undertow.identification.estimation.between_runs import BetweenRuns
-from undertow.identification.estimation.by_run import plain
-from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.fitted import BetweenRuns, Fitted
+from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.step import (
     NOTHING_SAID,
     PRIOR_WIDTH,

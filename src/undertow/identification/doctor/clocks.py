@@ -10,7 +10,8 @@ import numpy as np
 
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import with_reestimated_noise
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import Finding
+from undertow.identification.logs.mapping import Edits, LogMapping, as_toml, delay_edit
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
@@ -18,7 +19,6 @@ from undertow.typing import Array
 
 from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
-from .findings import Edits, Finding, as_toml, delay_edit
 from .kinematics import Kinematics, Samples, Stretch
 from .mistakes import Undo, they_are, with_channels
 from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.covariance import inverse_of
-from undertow.identification.estimation.data import Segment, WeakData, prepare
+from undertow.identification.estimation.data import Segment, WeakData, inverse_of, prepare
 from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
 from undertow.identification.estimation.residual import Linearised, whitened
 from undertow.identification.estimation.step import normal_equations, prior_of
@@ -22,15 +21,14 @@ from undertow.identification.estimation.weak_form import (
     mean_square,
     with_reestimated_noise,
 )
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import Examination, Finding
+from undertow.identification.logs.mapping import Edits, LogMapping, column_edit
 from undertow.identification.logs.run import Run
-from undertow.model.effect import Effect
-from undertow.model.hardware import Curve
+from undertow.model.effect import Curve, Effect
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .findings import Edits, Examination, Finding, column_edit
 from .kinematics import Kinematics, jacobian, most_active
 from .mistakes import (
     SPEEDS,

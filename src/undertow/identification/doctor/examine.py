@@ -10,7 +10,8 @@ from functools import cache
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.findings import SEVERITIES, Examination, Finding, percent
+from undertow.identification.logs.mapping import Edit, Edits, LogMapping, as_toml, edited
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect
@@ -30,7 +31,6 @@ from .dynamics import (
     rederived,
     wirings,
 )
-from .findings import SEVERITIES, Edit, Edits, Examination, Finding, as_toml, edited, percent
 from .forces import impossible, suspicious
 from .kinematics import Kinematics, rms
 from .mistakes import (

@@ -17,7 +17,7 @@ from undertow.identification.estimation.inputs import ActuatorStates, without_ga
 from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
-from undertow.model.hardware import Curve, Propeller
+from undertow.model.effect import Curve, Propeller
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 

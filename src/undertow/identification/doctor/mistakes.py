@@ -9,34 +9,30 @@ from itertools import product
 
 import numpy as np
 
-from undertow.identification.logs.checks import far_from_usual
-from undertow.identification.logs.conversions import SECONDS
+from undertow.identification.findings import Finding
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
-    LogMapping,
-    swap_attitude,
-    swap_body,
-    swap_position,
-    velocity_to_body,
-    velocity_to_earth,
-)
-from undertow.identification.logs.run import Run, unwrapped
-from undertow.identification.logs.series import with_reports
-from undertow.model.symbols import POSE, VELOCITY
-from undertow.model.units import scale_offset
-from undertow.typing import Array
-
-from .findings import (
+    SECONDS,
     Edit,
     Edits,
-    Finding,
+    LogMapping,
     attitude_of,
     column_edit,
     column_of,
     edited,
     frames_edits,
     reassigned,
+    swap_attitude,
+    swap_body,
+    swap_position,
+    velocity_to_body,
+    velocity_to_earth,
 )
+from undertow.identification.logs.run import Run, far_from_usual, unwrapped, with_reports
+from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.units import scale_offset
+from undertow.typing import Array
+
 from .kinematics import Kinematics
 
 Channels = dict[str, Array]

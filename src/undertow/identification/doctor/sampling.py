@@ -8,16 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undertow.identification.estimation.data import channel_noise, noise_by_order
-from undertow.identification.logs.checks import MEASURABLE
-from undertow.identification.logs.mapping import LogMapping
-from undertow.identification.logs.run import FORCES, UNITS, Run
-from undertow.identification.logs.series import with_report_noise, with_reports
+from undertow.identification.findings import DofExcitation, Finding
+from undertow.identification.logs.mapping import Edit, Edits, LogMapping, as_toml, column_edit
+from undertow.identification.logs.run import FORCES, MEASURABLE, UNITS, Run, with_report_noise, with_reports
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
-
-from .findings import DofExcitation, Edit, Edits, Finding, as_toml, column_edit
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ from itertools import combinations
 
 import numpy as np
 
+from undertow.identification.findings import Finding
 from undertow.identification.logs import mapping
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.mapping import Edit, Edits, LogMapping
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .findings import Edit, Edits, Finding
 from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch, rms
 from .mistakes import (
     PLAUSIBLE,

@@ -16,7 +16,8 @@ import sympy as sm
 from scipy.optimize import nnls
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.between_runs import heterogeneity
+from undertow.identification.estimation.fitted import heterogeneity
+from undertow.identification.findings import Finding
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect, Wrench
 from undertow.model.symbols import FORCE, VELOCITY, Signals
@@ -24,7 +25,6 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .dynamics import Dynamics, part_of, rederived
-from .findings import Finding
 from .forces import FORCES, StatedForces, without
 from .mistakes import Explanation, Mistake, Undo
 from .sensors import clustered_least_squares

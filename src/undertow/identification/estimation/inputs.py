@@ -15,8 +15,7 @@ from undertow.codegen.engine import carried, mapped
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import runge_kutta
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run
-from undertow.identification.logs.series import last_known
+from undertow.identification.logs.run import Run, last_known
 from undertow.typing import Array, Index
 
 

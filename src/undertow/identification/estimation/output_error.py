@@ -10,20 +10,17 @@ from typing import Literal
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run
-from undertow.identification.logs.series import robust_scale
+from undertow.identification.logs.run import Run, robust_scale
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .adaptation import in_runs
-from .covariance import clustered, inverse_of, summed_scores
-from .data import prepare
+from .data import clustered, inverse_of, prepare, summed_scores
 from .fitted import Fitted
 from .predictor import Predictor, predict_each
 from .residual import Linearised, WeakModel
 from .shooting import Reduced, Shooting
 from .step import Constraints, SearchSpace
-from .weak_form import WeakFit, fit_weak_by_run, free_parameters
+from .weak_form import WeakFit, fit_weak_by_run, free_parameters, in_runs
 from .windows import Windows, cut, horizons, prediction_error
 
 

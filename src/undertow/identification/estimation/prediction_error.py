@@ -16,8 +16,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
-from .covariance import clustered, inverse_of, summed_scores
-from .data import numbered
+from .data import clustered, inverse_of, numbered, summed_scores
 from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel

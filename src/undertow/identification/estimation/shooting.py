@@ -11,15 +11,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.engine import mapped
+from undertow.codegen.engine import Products, mapped, products_of
 from undertow.codegen.functions import Functions
-from undertow.codegen.trajectories import Products, products_of
 from undertow.identification.logs.run import Run
 from undertow.typing import Array, Flags, Index, Integers
 
-from .by_run import RunValues
-from .covariance import inverse_of
+from .data import inverse_of
 from .predictor import Predictor, reported_late
+from .residual import RunValues
 from .windows import Drive, Windows
 
 

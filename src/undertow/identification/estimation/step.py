@@ -16,11 +16,9 @@ from undertow.model.parameter import Parameter, printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .by_run import plain
 from .data import WeakData
-from .pointwise import Cut
-from .residual import Linearised, WeakModel
-from .scales import SETTINGS as SCALES
+from .pointwise import SCALES, Cut
+from .residual import Linearised, WeakModel, plain
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import csr_array
 
-from undertow.codegen.cache import library_for
-from undertow.codegen.compiler import Compiler, compiled_or_virtual, loaded, pointer
+from undertow.codegen.compiler import Compiler, compiled_or_virtual, library_for, loaded, pointer
 from undertow.codegen.source import EXPORTED, digest
 from undertow.typing import Array, Index
 

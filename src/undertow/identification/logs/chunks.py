@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 
-from .checks import empty, in_order
 from .formats.fieldlog import Window
 from .mapping import CommandPolicy, LogMapping
 from .opening import (
     FieldLogs,
+    empty,
     field_log,
     is_dated,
     must_have,
@@ -33,7 +33,7 @@ from .opening import (
     times_of,
 )
 from .reading import run_of_table
-from .run import Run
+from .run import Run, later_than_before
 from .table import (
     DAMAGED,
     WHOLE,
@@ -194,7 +194,7 @@ class LongLog:
     def _later(self, t: NDArray[np.float64], latest: float) -> NDArray[np.bool_]:
         """Which rows are in order, also with those of the parts before; others are refused, or left out."""
         if self.mapping.time.disorder == "drop":
-            return in_order(t) & ~(t <= latest)
+            return later_than_before(t) & ~(t <= latest)
         if len(t) and t[0] <= latest:
             raise UndertowError(
                 f"{self._where}: time column {self.mapping.time.column!r} goes back from {latest:.9g} to "

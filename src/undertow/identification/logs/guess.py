@@ -10,17 +10,18 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
 from undertow.model.symbols import DOFS, MOTION_UNITS, POSE, VELOCITY
+from undertow.model.tables import TURNS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .conversions import angles
 from .guess_clock import clock_of, times_of_rows
 from .guess_frames import (
     Axes,
+    Guess,
+    GuessedMapping,
     axes_of,
     formulas,
     place_of,
@@ -40,8 +41,7 @@ from .guess_names import (
     rows_by_number,
     with_axes,
 )
-from .guessed import Guess, GuessedMapping
-from .mapping import LogMapping
+from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
 from .table import file_bytes, is_dates, numbers, read_table, texts_in, unit_of_cells
 

@@ -11,10 +11,10 @@ import polars as pl
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
-from .checks import MEASURABLE, far_from_usual, in_order
-from .conversions import SECONDS
+from .guess_frames import Guess
 from .guess_names import is_clock, unit_of_clock
-from .guessed import Guess
+from .mapping import SECONDS
+from .run import MEASURABLE, far_from_usual, later_than_before
 from .table import has_dates, seconds
 
 
@@ -79,7 +79,7 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
 def _late(times: Array) -> float:
     """Share of the times that are no later than one before; rows without one end a log that was cut off."""
     there = times[np.isfinite(times)]
-    return 1.0 - float(np.mean(in_order(there))) if len(there) > 1 else 1.0
+    return 1.0 - float(np.mean(later_than_before(there))) if len(there) > 1 else 1.0
 
 
 def _no_dates(table: pl.DataFrame, name: str, where: str) -> str:

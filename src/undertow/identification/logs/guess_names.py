@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from undertow.model.symbols import POSE, VELOCITY
 
-from .conversions import SECONDS
+from .mapping import SECONDS
 from .run import FORCES
 
 _UNITS = {

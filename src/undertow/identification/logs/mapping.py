@@ -1,13 +1,14 @@
-"""The mapping file: how columns of a log become channels of a run, and its frames ours."""
+"""The mapping file: how columns of a log become channels of a run, and its frames ours; changes of it."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tomlkit
@@ -17,7 +18,7 @@ from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
-from undertow.model.loading import validated
+from undertow.model.tables import validated
 from undertow.model.units import to_si
 from undertow.typing import Array
 
@@ -434,3 +435,229 @@ _HOW = (
     f"write numbers, columns (column('its name') if it is not a plain word), + - * / ** and "
     f"{', '.join(_FUNCTIONS)}"
 )
+
+
+# --- what formats of logs state in other ways: quaternions, latitudes and longitudes, pressures ---
+ANGLES = ("phi", "theta", "psi")
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
+"""Seconds in the units that clocks count, the likelier first."""
+
+
+def angles(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:
+    """Roll, pitch and yaw, rad, of quaternions from body to earth axes (Fossen 2021, section 2.2).
+
+    Quaternions may have any length; one of no length gives NaN.
+    """
+    square = w**2 + x**2 + y**2 + z**2
+    length = np.where(square > 0.0, square, np.nan)
+    phi = np.arctan2(2.0 * (w * x + y * z) / length, 1.0 - 2.0 * (x**2 + y**2) / length)
+    theta = np.arcsin(np.clip(2.0 * (w * y - z * x) / length, -1.0, 1.0))
+    psi = np.arctan2(2.0 * (w * z + x * y) / length, 1.0 - 2.0 * (y**2 + z**2) / length)
+    return dict(zip(ANGLES, (phi, theta, psi), strict=True))
+
+
+_RADIUS, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563  # WGS 84: m at the equator
+
+
+def north_east(latitude: Array, longitude: Array) -> tuple[Array, Array]:
+    """Distances from the first fix on the plane that touches the ellipsoid there, m.
+
+    Ten kilometres away they are wrong by some metres. Degrees are NaN where there is no fix.
+    """
+    there = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
+    if not len(there):
+        return np.full(len(latitude), np.nan), np.full(len(latitude), np.nan)
+    lat0, lon0 = latitude[there[0]], longitude[there[0]]
+    north, east = metres_per_degree(lat0)
+    return north * (latitude - lat0), east * ((longitude - lon0 + 180.0) % 360.0 - 180.0)
+
+
+def metres_per_degree(latitude: float) -> tuple[float, float]:
+    """Metres to the north in a degree of latitude, and to the east in one of longitude, at a latitude."""
+    lat, square = np.radians(latitude), _FLATTENING * (2.0 - _FLATTENING)
+    across = _RADIUS / np.sqrt(1.0 - square * np.sin(lat) ** 2)
+    along = across * (1.0 - square) / (1.0 - square * np.sin(lat) ** 2)
+    return float(np.radians(along)), float(np.radians(across * np.cos(lat)))
+
+
+@dataclass(frozen=True)
+class PressureSettings:
+    """How a pressure becomes a depth."""
+
+    density: float = 1025.0  # kg/m^3: sea water; in fresh water a depth is 2.5 % more
+    gravity: float = 9.81  # m/s^2
+    surface: float = 101325.0  # Pa: the standard atmosphere
+
+
+PRESSURE = PressureSettings()
+
+
+def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, str]:
+    """What makes depth of a pressure, and what is to be said of it.
+
+    `pascal` is Pa in one of its unit, `absolute` whether it has the air above the water in it, `down` 1 where
+    z counts downwards in the log and -1 where it counts upwards.
+    """
+    metre = PRESSURE.density * PRESSURE.gravity
+    above = PRESSURE.surface if absolute else 0.0
+    column = Column(
+        channel="z", unit="m", scale=down * pascal / metre, offset=-down * above / metre if above else 0.0
+    )
+    assumed = f"{PRESSURE.density:g} kg/m^3 and {above:g} Pa at the surface"
+    return column, f"{assumed}: for other water change `scale` in a mapping file"
+
+
+# --- changes of a mapping file, in TOML -----------------------------------------------------------
+class Edit(NamedTuple):
+    """A key of a mapping file and its new value; `table` is empty for a key on top."""
+
+    table: str
+    key: str
+    value: Any
+
+
+Edits = tuple[Edit, ...]
+
+
+def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
+    """Change attributes of the column of a channel; `times` multiplies its scale and its offset.
+
+    Of a channel that is a formula, they change the formula.
+    """
+    name, column = column_of(mapping, channel)
+    if name in mapping.channels:
+        return _formula_edit(name, mapping.channels[name], changes)
+    times = changes.pop("times", 1.0)
+    scaled = {"scale": times * column.scale, "offset": times * column.offset}
+    changed = column.model_copy(update={**scaled, **changes})
+    content = changed.model_dump(exclude_defaults=True)
+    return Edit("columns", name, {"channel": changed.channel} | content)
+
+
+def _formula_edit(name: str, computed: Channel, changes: dict[str, Any]) -> Edit:
+    """The same of a formula, which has its scale and its offset in its arithmetic."""
+    times = changes.pop("times", 1.0) * changes.pop("scale", 1.0)
+    offset = changes.pop("offset", 0.0)
+    text = computed.expression if times == 1.0 else f"{times:.9g} * ({computed.expression})"
+    text = text if offset == 0.0 else f"{text} + {offset:.9g}"
+    changed = computed.model_copy(update={"expression": text, **changes})
+    return Edit("channels", name, changed.model_dump(exclude_defaults=True))
+
+
+def delay_edit(mapping: LogMapping, channel: str, more: float) -> Edit:
+    """Add so many seconds to the delay of the column, or of the expression, that becomes a channel."""
+    given = column_of(mapping, channel)[1].delay
+    return column_edit(mapping, channel, delay=f"{seconds_of(given, channel) + more:.3g} s")
+
+
+def reassigned(mapping: LogMapping, places: Mapping[str, tuple[str, float]]) -> Edits:
+    """Let columns of channels become others: channel to (channel that its column stands for now, sign).
+
+    Formulas are exchanged among themselves. Between a formula and a column nothing is said: the line of the
+    formula would have to go.
+    """
+    signs = {t: sign * _axis_sign(mapping, s) * _axis_sign(mapping, t) for t, (s, sign) in places.items()}
+    computed = [column_of(mapping, s)[0] in mapping.channels for s, _ in places.values()]
+    if any(computed) and not all(computed):
+        return ()
+    if any(computed):
+        moved = [(t, column_edit(mapping, s, times=signs[t]).value) for t, (s, _) in places.items()]
+        return tuple(Edit("channels", column_of(mapping, t)[0], v) for t, v in moved)
+    found = []
+    for target, (source, _) in places.items():
+        name, column = column_of(mapping, source)
+        times = signs[target]
+        turned = column.model_copy(update={"scale": times * column.scale, "offset": times * column.offset})
+        into = column_of(mapping, target)[1].channel
+        found.append(Edit("columns", name, turned.model_dump(exclude_defaults=True) | {"channel": into}))
+    return tuple(found)
+
+
+def _axis_sign(mapping: LogMapping, channel: str) -> float:
+    return -1.0 if mapping.frames.body == "FLU" and channel in FLIPPED_BODY else 1.0
+
+
+def column_of(mapping: LogMapping, channel: str) -> tuple[str, Column]:
+    """Column of the log that becomes a channel, or what stands for it.
+
+    Without a mapping it is called like the channel, as is a formula.
+    """
+    name = turned_name(channel, mapping.frames.position)
+    found = {c.channel: (n, c) for n, c in mapping.columns.items()}
+    computed = mapping.channels.get(name)
+    if computed is not None:  # a formula: its result is as a column without a scale
+        said = {"unit": computed.unit, "delay": computed.delay, "wrapped": computed.wrapped}
+        return name, Column.model_validate({"channel": name, **said})
+    return found.get(name, (name, Column(channel=name)))
+
+
+def frames_edits(mapping: LogMapping, position: str, body: str, attitude: str) -> Edits:
+    """Say the three frames; what the mapping says already, or need not say, is left out.
+
+    Velocities along the earth have the axes of the position, which they turn with.
+    """
+    spec = mapping.frames
+    implied = position if (position == "ENU") == (body == "FLU") else None
+    frames = {"position": position, "body": body, "attitude": None if attitude == implied else attitude}
+    if frames["attitude"] is None and spec.attitude not in (None, attitude):
+        frames["attitude"] = attitude
+    if spec.velocity != "body" and position != spec.position:
+        frames["velocity"] = "ENU" if spec.velocity == "NED" else "NED"
+    changed = {k: v for k, v in frames.items() if v is not None and v != getattr(spec, k)}
+    return tuple(Edit("frames", k, v) for k, v in changed.items())
+
+
+def attitude_of(mapping: LogMapping) -> str:
+    """How the angles of a log count, "NED" or "ENU"."""
+    return mapping.frames.attitude or mapping.frames.position
+
+
+def edited(mapping: LogMapping, edits: Iterable[Edit]) -> LogMapping:
+    """The mapping with changes."""
+    content = mapping.model_dump(by_alias=True, exclude_defaults=True)
+    for table, key, value in edits:
+        (content.setdefault(table, {}) if table else content)[key] = value
+    return LogMapping.model_validate(content | {"schema": SCHEMA})
+
+
+def as_toml(edits: Iterable[Edit]) -> str:
+    """Changes as lines of a mapping file."""
+    tables: dict[str, dict[str, Any]] = {}
+    for table, key, value in edits:
+        tables.setdefault(table, {})[key] = value
+    parts = [_toml_lines(tables.pop("", {}))]
+    parts += [f"[{table}]\n{_toml_lines(content)}" for table, content in tables.items()]
+    return "\n".join(part for part in parts if part).strip()
+
+
+def read_edits(lines: str) -> Edits:
+    """The changes that the lines of a finding stand for: the way back of `as_toml`."""
+    content = tomllib.loads(lines)
+    tables = {key: value for key, value in content.items() if isinstance(value, dict)}
+    on_top = [Edit("", key, value) for key, value in content.items() if key not in tables]
+    inside = [Edit(table, key, value) for table, own in tables.items() for key, value in own.items()]
+    return (*on_top, *inside)
+
+
+def _toml_lines(content: dict[str, Any]) -> str:
+    return "\n".join(f"{tomlkit.key(k).as_string()} = {_toml_value(v)}" for k, v in content.items())
+
+
+def _toml_value(value: Any) -> str:
+    """One TOML value on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_toml_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
+    if isinstance(value, float):
+        return f"{value:.6g}" if "." in f"{value:.6g}" or "e" in f"{value:.6g}" else f"{value:.6g}.0"
+    return str(tomlkit.item(value).as_string())
+
+
+def into_file(text: str, edits: Iterable[Edit]) -> str:
+    """The text of a mapping file with changes; comments and order are kept."""
+    document = tomlkit.parse(text)
+    for table, key, value in edits:
+        place: Any = document.setdefault(table, tomlkit.table()) if table else document
+        place[key] = tomlkit.value(_toml_value(value))
+    return tomlkit.dumps(document)

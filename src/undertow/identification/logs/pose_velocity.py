@@ -15,9 +15,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .mapping import to_body
-from .run import UNITS, Run
-from .series import SETTINGS as SERIES
-from .series import with_reports
+from .run import SERIES, UNITS, Run, with_reports
 
 ORDER = 3  # position, velocity, acceleration
 # Samples at the start of a lane that say more about `diffuse` than about the ratio.

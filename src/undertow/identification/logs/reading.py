@@ -27,30 +27,50 @@ from undertow.identification.logs.table import (
     numbers,
     taken_as_missing,
 )
-from undertow.model.actuators import TURNS
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY
+from undertow.model.tables import TURNS
 from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
 
-from . import checks
 from .formats.fieldlog import Window
-from .mapping import Column, CommandPolicy, Held, LogMapping, mapping_beside, seconds_of
+from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,
+    check_channel,
+    check_finite,
+    check_time,
     computed,
+    constant_channels,
+    disorder,
     dropping_disorder,
     field_log,
+    fill_commands,
     must_have,
     opened_field_log,
     opened_table,
+    refuse_too_many,
+    refuse_twins,
     stretches_of,
     times_of,
+    with_distinct_names,
 )
 from .pose_velocity import velocities_from_pose
-from .run import FORCES, UNITS, Run, unwrapped
-from .series import OneClock, Series, are_several, in_gaps, on_one_clock, with_report_noise
+from .run import (
+    FORCES,
+    MEASURABLE,
+    UNITS,
+    OneClock,
+    Run,
+    Series,
+    are_several,
+    in_gaps,
+    later_than_before,
+    on_one_clock,
+    unwrapped,
+    with_report_noise,
+)
 
 Commands = dict[str, float]
 
@@ -67,7 +87,7 @@ def read_log(
 ) -> Run:
     """Read a log: in SI, NED and forward-starboard-down axes; gaps are NaN.
 
-    A table with blanks in a regular pattern is read as several series (see `logs.series`).
+    A table with blanks in a regular pattern is read as several series (see `on_one_clock`).
     Of other logs nothing is interpolated.
 
     `channels` are commands that must be in the log, `also` those that are read where it has them. Without a
@@ -163,15 +183,15 @@ def read_logs(
         needed, also = ((), vehicle.command_names) if part else (vehicle.command_names, ())
         limits, time = WHOLE, (meaning or LogMapping()).time
         if to_fit and window == (None, None) and time.disorder != "drop":
-            most = checks.MEASURABLE
+            most = MEASURABLE
             limits = replace(WHOLE, rows=most.rows_per_sample * time.every * most.samples)
         asked = _Asked(meaning, needed, window, missing_commands, also, limits, in_any_order, field_logs)
         read = [_told_of_newtons(run, vehicle) for run in _runs_of(path, asked)]
         if to_fit:
-            checks.refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
+            refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
         runs += read if part else [_with_velocities(run, vehicle) for run in read]
-    checks.refuse_twins(runs)
-    return checks.with_distinct_names(runs)
+    refuse_twins(runs)
+    return with_distinct_names(runs)
 
 
 def mapping_for(
@@ -339,11 +359,11 @@ def _time(
     spec = mapping.time
     t, _, notes = times_of(table, mapping, where, origin)
     if spec.disorder == "drop":
-        later = checks.in_order(t)
-        notes += checks.disorder(t, later)
+        later = later_than_before(t)
+        notes += disorder(t, later)
         table, t = table.filter(later), t[later]
     notes += [f"one row in {spec.every} used"] if spec.every > 1 else []
-    checks.check_time(t, spec.column, where)
+    check_time(t, spec.column, where)
     return table, t, notes
 
 
@@ -376,7 +396,7 @@ def _on_rows(
     late |= {n: seconds_of(c.delay, f"{where}: delay of channel {n!r}") for n, c in mapping.channels.items()}
     slow = any(column.fresh is not None for column in sources.values())
     table = np.abs(list(read.values()))
-    unreadable = np.isnan(table).all() or (table > checks.MEASURABLE.largest).any()  # refused by name, later
+    unreadable = np.isnan(table).all() or (table > MEASURABLE.largest).any()  # refused by name, later
     if unreadable or not (slow or any(late.values()) or are_several(t, read)):
         return OneClock(t, read, {}, several=False)
     # Where a delay moves reports into a gap of the log, nothing is known of what else happened.
@@ -470,7 +490,7 @@ def _attitude(mapping: LogMapping) -> str:
             "attitude = "
             '"NED" (heading from north, clockwise) or attitude = "ENU" (heading from east, anticlockwise)'
         )
-    return spec.attitude or spec.position
+    return attitude_of(mapping)
 
 
 def _unwrapped(run: Run, mapping: LogMapping) -> Run:
@@ -530,7 +550,7 @@ def _checked(
         raise UndertowError(f"{where} has one sample in the time window, at least 2 are needed: widen it")
     if before is not None:
         where = f"{where}, part from t = {run.t[0]:g} to {run.t[-1]:g} s"
-    check = checks.check_channel if before is None else checks.check_finite
+    check = check_channel if before is None else check_finite
     for name, data in run.channels.items():
         check(name, run.t, data, where)
     notes, filled, known = [], dict(run.channels), before or {}
@@ -541,9 +561,9 @@ def _checked(
             if name in sensed:  # a sensor reports now and then: its first report holds from the start
                 first = data[np.isfinite(data)][:1]
                 rule, earlier = "hold", known.get(name, float(first.sum()) if first.size else np.nan)
-            filled[name], note = checks.fill_commands(name, run.t, data, rule, where, earlier)
+            filled[name], note = fill_commands(name, run.t, data, rule, where, earlier)
             notes += [note] if note else []
-    constant = checks.constant_channels(run)
+    constant = constant_channels(run)
     if constant:
         text = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
         notes.append(f"constant channels (unused, or a dead sensor): {text}")

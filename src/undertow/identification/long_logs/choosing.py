@@ -14,21 +14,20 @@ import numpy as np
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.files import json_ready
-from undertow.identification.estimation.adaptation import adapted
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import WeakModel
-from undertow.identification.estimation.weak_form import free_parameters
+from undertow.identification.estimation.weak_form import adapted, free_parameters
 from undertow.identification.estimation.windows import HORIZONS, Prediction, cut, geometric_mean
-from undertow.identification.logs.checks import MEASURABLE, refuse_twins, with_distinct_names
+from undertow.identification.findings import ChosenStretch, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
 from undertow.identification.logs.chunks import LongLog
+from undertow.identification.logs.opening import refuse_twins, with_distinct_names
 from undertow.identification.logs.pose_velocity import velocities_from_pose
-from undertow.identification.logs.run import Run
+from undertow.identification.logs.run import MEASURABLE, Run
 from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .result import ChosenStretch, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
 from .thinning import Band, Spool, Stretch, band, joined, merged, stretches, thinned, without
 
 

@@ -17,8 +17,7 @@ from undertow.identification.estimation.windows import time_constants_by_run
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
-from undertow.identification.logs.run import Run
-from undertow.identification.logs.series import with_reports
+from undertow.identification.logs.run import Run, with_reports
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from undertow.figures import AFTER, BEFORE, FAINT, FLOOR, INK, figure, look, plain
 from undertow.typing import Array
 
-from .result import Plan, PlannedParameter
+from .problem import Plan, PlannedParameter
 from .search import SEPARATION, Planned
 
 # Lines that stand side by side, told apart by colour and by dashes.

@@ -29,16 +29,23 @@ from .manoeuvres import Design
 from .problem import (
     Knowledge,
     Manoeuvre,
+    Plan,
     PlanningProblem,
     PlanRequest,
     Plant,
+    Rival,
+    Separation,
+    commands_of,
     depth_spread,
+    extremes_of,
     gram_along,
     knowledge,
     log_determinant,
+    noise_of,
+    parameters_of,
     remarks_on,
+    safety_remarks,
 )
-from .result import Plan, Rival, Separation, commands_of, extremes_of, noise_of, parameters_of, safety_remarks
 from .rivals import RivalModel, RivalSpec, rival_models
 
 

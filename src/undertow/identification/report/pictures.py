@@ -1,31 +1,118 @@
-"""Pictures of a diagnosis and of a comparison; every function returns a matplotlib figure of its own."""
+"""What a report shows beside the diagnosis, as plain arrays and words, and the pictures of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from scipy.stats import chi2
 
 from undertow.errors import UndertowError
 from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, look, plain, with_unit
+from undertow.identification.comparison import Profile
 from undertow.identification.diagnosis.result import Ranked, Step
 from undertow.identification.doctor.examine import Examined
-from undertow.identification.doctor.findings import percent
 from undertow.identification.doctor.kinematics import Kinematics
+from undertow.identification.findings import percent
 from undertow.identification.logs.formats.fieldlog import FieldLog
-from undertow.identification.logs.run import UNITS, Run
-from undertow.identification.observe import Observed
-from undertow.model.symbols import MOTION_UNITS
+from undertow.identification.logs.run import UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .data import Budget, ErrorMap, ResidualCurve, RunTraces, Trace
 
+# --- what is shown --------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Trace:
+    """One channel of one run, measured and simulated by two models; arrays of shape (n,).
+
+    `given` is simulated by the model before any fit. NaN breaks a line, None leaves it out.
+    """
+
+    channel: str
+    unit: str
+    t: Array
+    measured: Array
+    before: Array
+    after: Array | None = None
+    given: Array | None = None
+
+
+@dataclass(frozen=True)
+class RunTraces:
+    """All channels of one run; `how` says how they were simulated."""
+
+    run: str
+    traces: tuple[Trace, ...]
+    how: str = ""
+
+
+@dataclass(frozen=True)
+class ErrorMap:
+    """An error of two models by degree of freedom and regime, arrays of shape (n_rows, n_regimes).
+
+    NaN where there are no data. `quantity` is what the numbers are, with their unit; `floor` what noise alone
+    gives.
+    """
+
+    rows: tuple[str, ...]
+    regimes: tuple[str, ...]
+    before: Array
+    after: Array | None = None
+    quantity: str = "error / noise"
+    floor: float | None = 1.0
+
+
+@dataclass(frozen=True)
+class ResidualCurve:
+    """Mean residual force, in `unit`, of one degree of freedom in bins of one variable, by two models."""
+
+    unit: str
+    before: Profile
+    after: Profile | None = None
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Root mean square of every effect's force in one degree of freedom, by effect id, in `unit`."""
+
+    degree_of_freedom: str
+    unit: str
+    shares: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table in words: first row of `head`, then `rows`; every number in it carries its unit."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything that a report draws of two models, `before` and `after`, on the validation runs.
+
+    `headlines` say where the models fail most, `budgets` are those of the final model, `settings` and
+    `versions` record how it was worked out.
+    """
+
+    before: str = "model as given"
+    after: str = "with what is missing"
+    headlines: tuple[str, ...] = ()
+    maps: tuple[ErrorMap, ...] = ()
+    runs: tuple[RunTraces, ...] = ()
+    residuals: tuple[ResidualCurve, ...] = ()
+    budgets: tuple[Budget, ...] = ()
+    fits: Listing | None = None
+    settings: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+
+
+# --- pictures -------------------------------------------------------------------------------------
 _MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"
 _LOST = 3.0  # usual times between samples without one that break a line
@@ -372,39 +459,3 @@ def _panel(axis: Any, points: tuple[Array, Array], name: str, title: str, colour
     axis.set_ylabel(f"rate of {plain(name)} [{unit}]")
     axis.set_title(title)
     axis.grid(visible=True)
-
-
-_NIS_WINDOW = 50
-
-
-def observed_picture(found: Observed, run: Run) -> Figure:
-    """Every pose and velocity with a band of two standard deviations and its reports, then the NIS over time.
-
-    The NIS is the mean of fifty normalised squared innovations that follow each other, with its 95 % band.
-    """
-    names = [n for n in found.estimate.names if n in MOTION_UNITS]
-    with look():
-        picture, axes = figure(1.5 * len(names) / 2 + 2.5, len(names) // 2 + 1, 2)
-        for axis, name in zip(axes[:-1].T.ravel(), names, strict=True):
-            i = found.estimate.names.index(name)
-            mean, spread = found.estimate.mean[:, i], 2 * found.estimate.deviation[:, i]
-            axis.fill_between(found.estimate.t, mean - spread, mean + spread, color=AFTER, alpha=0.25, lw=0)
-            if run.has(name) and name not in run.derived:
-                axis.plot(run.t, run.reports(name), ".", color=FAINT, ms=1.5)
-            axis.plot(found.estimate.t, mean, color=AFTER)
-            axis.set_ylabel(f"{name}, {MOTION_UNITS[name]}")
-        _nis_panel(axes[-1, 0], found)
-        axes[-1, 1].set_axis_off()
-        axes[-1, 0].set_xlabel("time, s")
-    return picture
-
-
-def _nis_panel(axis: Any, found: Observed) -> None:
-    used = found.filtered.used
-    square = (found.filtered.innovation**2 / found.filtered.variance)[used]
-    t = np.broadcast_to(found.filtered.t[:, None], used.shape)[used]
-    k = min(_NIS_WINDOW, max(len(square) // 4, 1))
-    low, high = chi2.ppf([0.025, 0.975], k) / k
-    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0)
-    axis.plot(t[k - 1 :], np.convolve(square, np.full(k, 1 / k), "valid"), color=INK, lw=0.8)
-    axis.set_ylabel("NIS")

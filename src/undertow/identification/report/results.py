@@ -9,13 +9,13 @@ from typing import Literal
 
 from pydantic import Field
 
-from undertow.identification.compare.comparison import finite
+from undertow.identification.comparison import finite
 from undertow.identification.diagnosis.addition import Addition
 from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, ValuesByRun
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.verdict import estimates
 from undertow.identification.estimation.output_error import NO_WORSE
-from undertow.identification.long_logs.result import LongLogs, ResultTable
+from undertow.identification.findings import LongLogs, ResultTable
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 

@@ -12,7 +12,7 @@ from pathlib import PurePath
 from undertow.errors import listed
 from undertow.identification.diagnosis.result import Diagnosis, Ranked, Step
 from undertow.identification.diagnosis.settings import DEFAULT
-from undertow.identification.doctor.findings import Finding
+from undertow.identification.findings import Finding
 from undertow.model.symbols import DOFS, VELOCITY
 
 

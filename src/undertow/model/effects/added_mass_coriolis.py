@@ -4,7 +4,7 @@ import sympy as sm
 
 from undertow.model.effect import Signals, Wrench
 from undertow.model.effects.added_mass import AddedMass
-from undertow.model.kinematics import coriolis
+from undertow.model.symbols import coriolis
 
 
 class AddedMassCoriolis(Wrench):

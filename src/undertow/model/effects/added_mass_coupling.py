@@ -3,7 +3,7 @@
 import sympy as sm
 
 from undertow.model.effect import UPPER_TRIANGLE, DerivativeMatrix, Signals, Wrench
-from undertow.model.kinematics import coriolis
+from undertow.model.symbols import coriolis
 
 
 class AddedMassCoupling(Wrench):

@@ -4,9 +4,8 @@ from math import inf, pi
 
 import sympy as sm
 
-from undertow.model.effect import Parameter, PerSurface, Signals, Wrench, column, symbol
+from undertow.model.effect import Parameter, PerSurface, Signals, Surface, Wrench, column, symbol
 from undertow.model.effects.propellers import thrust_of
-from undertow.model.hardware import Surface
 
 _HALF = sm.Rational(1, 2)
 _AHEAD = sm.Matrix([1, 0, 0])

@@ -5,7 +5,7 @@ from math import inf
 import sympy as sm
 
 from undertow.model.effect import Parameter, Signals, Wrench
-from undertow.model.kinematics import coriolis, inertia_matrix, inertia_tensor
+from undertow.model.symbols import coriolis, inertia_matrix, inertia_tensor
 
 
 class EntrainedWater(Wrench):

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Set
 import sympy as sm
 
 from undertow.model.effect import Limits, Parameter, Signals, Wrench
-from undertow.model.kinematics import rotation
+from undertow.model.symbols import rotation
 
 
 class NetBuoyancy(Wrench):

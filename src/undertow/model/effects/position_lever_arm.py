@@ -3,7 +3,7 @@
 import sympy as sm
 
 from undertow.model.effect import Measurement, Parameter, Signals
-from undertow.model.kinematics import rotation
+from undertow.model.symbols import rotation
 
 
 class PositionLeverArm(Measurement):

@@ -5,9 +5,8 @@ from typing import Self
 
 import sympy as sm
 
-from undertow.model.effect import Effect, PerThruster, Signals, Wrench, column
+from undertow.model.effect import Effect, PerThruster, Propeller, Signals, Wrench, column
 from undertow.model.effects.thrusters import at_rest
-from undertow.model.hardware import Propeller
 
 
 class Propellers(Wrench):

@@ -6,7 +6,7 @@ from math import inf
 import sympy as sm
 
 from undertow.model.effect import Limits, Parameter, Signals, Taken, Wrench, symbol
-from undertow.model.kinematics import rotation
+from undertow.model.symbols import rotation
 
 _ARMS = {f"{axis}_{point}": "m" for axis in "xyz" for point in "gb"}
 

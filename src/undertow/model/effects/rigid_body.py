@@ -7,7 +7,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.effect import Limits, Parameter, Signals, Taken, VehicleSize, Wrench, symbol
-from undertow.model.kinematics import failing_pivot, inertia_matrix, inertia_tensor
+from undertow.model.symbols import failing_pivot, inertia_matrix, inertia_tensor
 
 
 class RigidBody(Wrench):

@@ -4,7 +4,7 @@ import sympy as sm
 
 from undertow.model.effect import Signals, Wrench
 from undertow.model.effects.rigid_body import RigidBody
-from undertow.model.kinematics import coriolis
+from undertow.model.symbols import coriolis
 
 
 class RigidBodyCoriolis(Wrench):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import sympy as sm
 
 from undertow.model.effect import Parameter, Place, Signals, Wrench, column, symbol
-from undertow.model.kinematics import rotation
+from undertow.model.symbols import rotation
 
 _PULL, _REACH = column(["pull_x", "pull_y", "pull_z"]), column(["reach_x", "reach_y", "reach_z"])
 _SPAN, _STRETCH = symbol("span"), symbol("stretch")

@@ -2,8 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import Effect, PerThruster, Signals, Wrench, column
-from undertow.model.hardware import Curve, Propeller
+from undertow.model.effect import Curve, Effect, PerThruster, Propeller, Signals, Wrench, column
 
 
 class Thrusters(Wrench):

@@ -4,7 +4,7 @@ import sympy as sm
 
 from undertow.model.effect import Parameter, Signals, Wrench
 from undertow.model.effects.restoring import Restoring
-from undertow.model.kinematics import rotation
+from undertow.model.symbols import rotation
 
 
 class TrimOffset(Wrench):

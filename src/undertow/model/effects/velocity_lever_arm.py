@@ -3,7 +3,7 @@
 import sympy as sm
 
 from undertow.model.effect import Measurement, Parameter, Signals
-from undertow.model.kinematics import skew
+from undertow.model.symbols import skew
 
 
 class VelocityLeverArm(Measurement):

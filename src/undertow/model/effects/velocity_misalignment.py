@@ -3,7 +3,7 @@
 import sympy as sm
 
 from undertow.model.effect import Measurement, Parameter, Signals
-from undertow.model.kinematics import rotation, skew
+from undertow.model.symbols import rotation, skew
 
 
 class VelocityMisalignment(Measurement):

@@ -6,7 +6,7 @@ import sympy as sm
 
 from undertow.model.effect import Flow, Parameter, Signals, Wrench, column
 from undertow.model.effects.rigid_body import RigidBody
-from undertow.model.kinematics import rotation
+from undertow.model.symbols import rotation
 
 _NUMBER, _AHEAD, _UP = column(["wave_number", "swing_ahead", "swing_up"])
 _GROUND, _WATER = (column([f"{what}_{way}" for way in "NED"]) for what in ("ground", "water"))

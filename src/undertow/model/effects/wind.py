@@ -5,7 +5,7 @@ from math import atan2, hypot, inf
 import sympy as sm
 
 from undertow.model.effect import LoggedOnly, Parameter, Signals, Wrench, column
-from undertow.model.kinematics import rotation
+from undertow.model.symbols import rotation
 
 _AIR_X, _AIR_Y = column(["air_x", "air_y"])
 _HALF = sm.Rational(1, 2)

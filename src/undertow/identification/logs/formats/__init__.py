@@ -1,1 +1,1 @@
-"""Formats that vehicles write: one format is one module with a `FORMAT`; `registry` finds them."""
+"""Formats that vehicles write: one format is one module with a `FORMAT`; `fieldlog` finds them."""

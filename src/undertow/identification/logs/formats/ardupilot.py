@@ -15,8 +15,8 @@ from tomlkit.items import Table
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column
-from undertow.model.actuators import bundled_curves
 from undertow.model.loading import resolve_vehicle
+from undertow.model.tables import bundled_curves
 from undertow.typing import Array
 
 from .fieldlog import OFF, FieldLog, Series, switched_off

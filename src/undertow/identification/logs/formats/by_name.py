@@ -10,9 +10,8 @@ import polars as pl
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.guess import SETTINGS, guess_table, no_column, without_motion
-from undertow.identification.logs.guess_frames import Axes
+from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
 from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
-from undertow.identification.logs.guessed import Guess, GuessedMapping
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
 from undertow.identification.logs.run import MEASURED, UNITS
 from undertow.model.catalogue import catalogue, logged_quantities

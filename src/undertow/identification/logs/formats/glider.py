@@ -18,8 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.conversions import depth, north_east
-from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.identification.logs.mapping import Column, Frames, LogMapping, depth, north_east
 from undertow.typing import Array
 
 from .fieldlog import FieldLog, Format, Series

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.conversions import SECONDS
 from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
+from undertow.identification.logs.mapping import SECONDS
 from undertow.identification.logs.run import FORCES
 from undertow.model.symbols import POSE
 from undertow.typing import Array

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.conversions import north_east
 from undertow.identification.logs.guess_names import is_time
-from undertow.identification.logs.mapping import Column
+from undertow.identification.logs.mapping import Column, north_east
 from undertow.model.units import scale_offset
 from undertow.typing import Array
 

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.conversions import north_east
-from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.identification.logs.mapping import Column, Frames, LogMapping, north_east
 from undertow.typing import Array
 
 from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorter_by_pymavlink

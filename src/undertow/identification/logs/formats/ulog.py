@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.conversions import ANGLES, angles
-from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.identification.logs.mapping import ANGLES, Column, Frames, LogMapping, angles
 from undertow.typing import Array
 
 from .fieldlog import (

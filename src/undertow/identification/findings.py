@@ -1,13 +1,12 @@
-"""Which stretches of long logs were used, and why, as it is printed and written to JSON."""
+"""What was found in logs, and which stretches of long ones were used, as it is written to JSON."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
-
-Role = Literal["train", "holdout"]
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class ResultTable(BaseModel):
@@ -18,6 +17,10 @@ class ResultTable(BaseModel):
     def to_json(self) -> str:
         """Text of a file with the result."""
         return self.model_dump_json(indent=1) + "\n"
+
+
+# --- long logs ------------------------------------------------------------------------------------
+Role = Literal["train", "holdout"]
 
 
 class WholeLog(ResultTable):
@@ -156,3 +159,74 @@ def _between(model: ModelOnTheRest) -> str:
         return ""
     lost = f", {model.diverged} windows diverged" if model.diverged else ""
     return f" ({100 * model.lowest:.3g} to {100 * model.highest:.3g} %{lost})"
+
+
+# --- what the doctor finds ------------------------------------------------------------------------
+EXAMINATION_SCHEMA = "undertow/doctor/1"
+Severity = Literal["mistake", "warning", "note"]
+SEVERITIES: tuple[Severity, ...] = ("mistake", "warning", "note")
+
+
+class Finding(ResultTable):
+    """One thing that the logs show."""
+
+    id: str  # kind of finding; stable between versions
+    # A mistake is certain and spoils every result; a warning may; a note is for information.
+    severity: Severity
+    text: str  # one line with the numbers
+    evidence: dict[str, float] = Field(default_factory=dict)  # the numbers behind it, SI
+    mapping: str = ""  # lines for the mapping file that correct it, in TOML; empty if none can
+    # Alternative correction in the vehicle file; empty if there is none.
+    vehicle: str = ""
+    alternatives: list[str] = Field(default_factory=list)  # other explanations that these logs do not exclude
+
+    def clause(self, runs: Iterable[str] = ()) -> str:
+        """What is wrong, without the evidence and the name of the run in front of it."""
+        parts = [part for part in self.text.split(": ") if part not in runs]
+        return parts[0].partition(":")[0]
+
+
+class DofExcitation(ResultTable):
+    """What happened in one degree of freedom."""
+
+    # degree_of_freedom, velocity, unit: which one, the channel of its velocity, and the unit of that.
+    degree_of_freedom: str
+    velocity: str
+    unit: str
+    # rms, noise: of the velocity.
+    rms: float
+    noise: float
+    # Share of the time in which it stands out of its noise and exceeds a tenth of its usual largest value.
+    moving: float
+    positive: float  # share of that time in the positive direction
+    reversals: int  # changes of direction
+    # Span of the force that the commands ask for, over the largest that they could; None: no limit is known
+    # or nothing acts there.
+    command_range: float | None
+    cannot: list[str]  # what cannot be identified from it
+
+
+class Examination(ResultTable):
+    """Outcome of `undertow doctor`."""
+
+    schema_id: str = EXAMINATION_SCHEMA
+    undertow: str
+    vehicle: str
+    runs: list[str]
+    findings: list[Finding]  # the most serious first
+    excitation: list[DofExcitation]
+    seconds: float
+    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    long_logs: LongLogs | None = None
+
+    @property
+    def mistakes(self) -> list[Finding]:
+        """The findings that are mistakes."""
+        return [f for f in self.findings if f.severity == "mistake"]
+
+
+def percent(share: float) -> str:
+    """A share in percent, with two digits where that says something."""
+    if share < 1e-4:
+        return "< 0.01 %"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
