@@ -84,7 +84,7 @@ _ABOUT = {
     "LogMapping.columns": "by the name of the column; the channel name alone is enough",
     "LogMapping.time": "the clock",
     "LogMapping.frames": "the axes",
-    "LogMapping.delimiter": "separator between the cells of a text file",
+    "LogMapping.delimiter": "separator between the cells of a text file; several blanks count as one",
     "LogMapping.decimal": "decimal separator",
     "LogMapping.comment": "beginning of comment lines",
     "Column.scale": "factor applied to the cell, before its unit is converted",

@@ -179,6 +179,23 @@ def _guessed(**amplitudes: float) -> GuessedMapping:
     return guess_table(pl.DataFrame({"t_s": t} | swings), Path("own.csv"))
 
 
+@pytest.mark.parametrize(
+    ("column", "command", "sure"),
+    [
+        ("f1", "f1", True),
+        ("/thrusters/f1.data", "f1", True),
+        ("port_cmd", "port", True),
+        ("FTN.DnF1", "f1", False),
+        ("left_force", "port", False),
+    ],
+)
+def test_a_column_with_other_words_beside_those_of_a_command_is_asked_about(
+    column: str, command: str, sure: bool
+) -> None:
+    """The frequency of a filter is called DnF1 by an autopilot."""
+    assert Name.of(column).is_surely(command, {}) is sure
+
+
 def test_speeds_to_north_and_east_are_along_the_earth() -> None:
     found = _guessed(N_m=5.0, E_m=4.0, yaw_deg=90.0, **SPEEDS)
     entries = {g.channel: g.entry for g in found.columns}
@@ -637,4 +654,4 @@ def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Pa
     assert {n: guesses[n].column for n in wrench} == dict(zip(wrench, reversed(columns), strict=True))
     assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
     assert [guesses[n].entry["unit"] for n in wrench] == ["N", "N", "N m"]
-    assert not any("looks like '" in question for question in found.questions)
+    assert not any(name in question for question in found.questions for name in wrench)

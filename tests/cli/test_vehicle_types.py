@@ -180,7 +180,7 @@ def test_a_mass_that_no_hull_of_the_dimensions_has_is_refused(
 ) -> None:
     size = ["--length", 1.5, "--beam", 0.22, "--height", 0.22, "--mass", mass]
     said = refusal(["vehicle", "new", "--type", "glider", *size], capsys, tmp_path)
-    assert f"mass = {mass} kg {what}: a hull of these dimensions, without wings, displaces" in said
+    assert f"mass = {mass} kg {what}: a hull of these dimensions displaces" in said
 
 
 def test_a_rudder_is_refused_without_a_speed_that_gives_it_force(capsys: Capture, tmp_path: Path) -> None:

@@ -258,8 +258,8 @@ def _spindle(size: MainDimensions, stations: int = 37, around: int = 32) -> Mesh
     if not fullness[0] <= share <= fullness[-1]:
         low, high = (size.mass / share * f for f in (fullness[0], fullness[-1]))
         raise UndertowError(
-            f"mass = {size.mass:g} kg {'rises' if size.mass < low else 'sinks'}: a hull of these dimensions, "
-            f"without wings, displaces {low:.3g} to {high:.3g} kg; correct one of them"
+            f"mass = {size.mass:g} kg {'rises' if size.mass < low else 'sinks'}: a hull of these dimensions "
+            f"displaces {low:.3g} to {high:.3g} kg; correct one of them"
         )
     radius = _profile(places, float(np.interp(share, fullness, grid)))[1:-1]
     angle = 2 * pi * np.arange(around) / around

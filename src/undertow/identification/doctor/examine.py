@@ -118,6 +118,7 @@ def examine(
     examiner.findings += alone.values()
     report(0.0, "checking clock and samples")
     examiner.look_at_samples()
+    examiner.undo_repeats()
     report(0.1, "comparing pose rates with velocities")
     if examiner.is_timed:
         examiner.undo_reading_mistakes()
@@ -221,10 +222,10 @@ class _Examiner:
             text = f"{unit.clause}: only then do pose rates and velocities have the same size"
             self._undo(Explanation(unit, text, {}), impossible=True)
         self._mend_angles([n for n in self.vehicle.pose_names if n not in self.kinematics.rows])
-        self._read_when_new(names)
 
-    def _read_when_new(self, names: Sequence[str]) -> None:
-        """Undo the repeats of sensors slower than the log: held values would look like a delay."""
+    def undo_repeats(self) -> None:
+        """Read sensors that are slower than the log where they are new: held values look like a delay."""
+        names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         held = held_channels(self.runs, names, self.mapping)
         if held:
             self.runs = [self._afresh(run, lambda r: read_when_new(r, held)) for run in self.runs]

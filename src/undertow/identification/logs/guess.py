@@ -161,10 +161,14 @@ def without_motion(vehicle: Vehicle | None, channels: Container[str]) -> list[st
     """Ask for the motions of a vehicle of which no channel is known."""
     dofs = vehicle.dof_indices if vehicle else ()
     lacking = [i for i in dofs if POSE[i] not in channels and VELOCITY[i] not in channels]
-    if not lacking:
-        return []
-    wanted = ", ".join(f"{DOFS[i]} ({VELOCITY[i]} or {POSE[i]})" for i in lacking)
-    return [f"no column looks like {wanted} of the vehicle: which ones are they, in what unit?"]
+    return no_column([f"{DOFS[i]} ({VELOCITY[i]} or {POSE[i]})" for i in lacking])
+
+
+def no_column(lacking: Sequence[str]) -> list[str]:
+    """Ask for what a vehicle has and no column looks like."""
+    which = "which one is it" if len(lacking) == 1 else "which ones are they"
+    asked = f"no column looks like {', '.join(lacking)} of the vehicle: {which}, in what unit?"
+    return [asked] if lacking else []
 
 
 def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Name]) -> list[str]:
@@ -172,11 +176,10 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in left if n.force]
-    asked = without_motion(vehicle, {g.channel for g in read}) + [NO_COLUMN.format(c) for c in lacking]
+    asked = without_motion(vehicle, {g.channel for g in read}) + no_column(lacking)
     return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
-NO_COLUMN = "no column looks like '{}' of the vehicle: which one is it, in what unit?"
 _WRENCH = (
     "{} may be the force on the whole vehicle. Where it was computed or measured, state generalised_forces "
     "in the vehicle file; if a controller asked for it, state a thruster with a wrench for each, whose "
@@ -482,7 +485,7 @@ def _command(
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
-    doubt, asked = "", f"is it command '{command}'? " if name.drives(command, axes) >= 2.0 else ""
+    doubt, asked = "", "" if name.is_surely(command, axes) else f"is it command '{command}'? "
     low, high = SETTINGS.pulse
     pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off
     if command in FORCES:

@@ -66,6 +66,7 @@ _DRIVES = {
     "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
     "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
+_CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller", "actuator"}
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
     "wind",
@@ -277,6 +278,11 @@ class Name:
             return 2.0 + 0.1 * known[0]
         alike = any(w.startswith(other) for w in self.words for other in [*wanted, *also] if len(other) > 3)
         return 3.0 if alike else NO_FIT
+
+    def is_surely(self, command: str, axes: Mapping[str, str]) -> bool:
+        """Whether a column is called like a command, with no more than one word of another meaning beside."""
+        words = {word.removesuffix("s") for word in self.words} - {*command.lower().split("_")}
+        return self.drives(command, axes) < 2.0 and len(words - _DRIVES - _CONTAINERS) < 2
 
     @property
     def is_command(self) -> bool:

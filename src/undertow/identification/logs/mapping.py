@@ -100,7 +100,7 @@ class Time(_Strict):
     """The time column."""
 
     column: str = "t"  # name of the time column
-    unit: str = "s"  # ``"s"``, ``"ms"``, ``"ns"`` … or ``"iso"``
+    unit: str = "s"  # ``"s"``, ``"ms"``, ``"ns"``, ``"min"``, ``"h"``, ``"day"`` … or ``"iso"``
     offset: float = 0.0  # added to all times, s
     # What to do with rows whose time is not later than that of all rows before.
     disorder: Literal["refuse", "drop"] = "refuse"

@@ -248,7 +248,9 @@ def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
 def refuse_no_file(path: Path) -> None:
     """Refuse what is no file, and a file without a byte."""
     if path.is_dir():
-        raise UndertowError(f"log {path} is a folder, not a file: give the path of a file in it")
+        several = len([*path.glob("*.csv")]) > 1
+        joined = "; tables of one run belong into one, by their times, with empty cells" if several else ""
+        raise UndertowError(f"log {path} is a folder, not a file: give the path of a file in it{joined}")
     if not path.is_file():
         there = [p.name for p in path.parent.iterdir() if p.is_file()] if path.parent.is_dir() else []
         alike = nearest(path.name, there)

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.guess import NO_COLUMN, SETTINGS, guess_table, without_motion
+from undertow.identification.logs.guess import SETTINGS, guess_table, no_column, without_motion
 from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
 from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
@@ -81,7 +81,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
         held if found else meaning,
         (
             *([] if moving else without_motion(vehicle, {guess.channel for guess in known})),
-            *(_motors(log, unknown) if log.actuators else map(NO_COLUMN.format, unknown)),
+            *(_motors(log, unknown) if log.actuators else no_column(unknown)),
             *([_VELOCITIES.format(", ".join(moving))] if moving else []),
         ),
     )
