@@ -12,6 +12,7 @@ import pytest
 import undertow
 from benchmarks.observer_log import auv, log
 from undertow.cli.main import main
+from undertow.observer.design import load_observer
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,12 @@ def test_a_log_gets_velocities_with_deviations(dive: Path, tmp_path: Path, capsy
 
 
 @pytest.mark.slow
-def test_json_has_the_numbers(dive: Path, capsys) -> None:
-    assert main(["observe", "mini-auv", str(dive), "--process", "model", "--current", "--json"]) == 0
+def test_json_has_the_numbers_and_the_file_the_current(dive: Path, tmp_path: Path, capsys) -> None:
+    save = tmp_path / "observer.toml"
+    words = ["--process", "model", "--current", "--json", "--save", str(save)]
+    assert main(["observe", "mini-auv", str(dive), *words]) == 0
+    saved = load_observer(save, undertow.load_vehicle("mini-auv"))
+    assert saved.process.estimated == ("V_N", "V_E")
     content = json.loads(capsys.readouterr().out)
     assert content["parameters"]["V_N"]["sigma"] > 0
     assert abs(content["parameters"]["V_N"]["value"]) < 4 * content["parameters"]["V_N"]["sigma"]

@@ -211,8 +211,10 @@ def say(line: str, style: str = "") -> None:
     console().print(text(line, style), soft_wrap=True)
 
 
-def write_files(*files: tuple[Path | None, Callable[[Path], Any] | str | Figure]) -> None:
-    """Write files that are asked for, all or none, and say where they are.
+def write_files(
+    *files: tuple[Path | None, Callable[[Path], Any] | str | Figure], silent: bool = False
+) -> None:
+    """Write files that are asked for, all or none, and say where they are, unless JSON is printed (`silent`).
 
     With each path stands its text or picture, what makes its text, bytes or picture, or what writes it.
     """
@@ -228,7 +230,7 @@ def write_files(*files: tuple[Path | None, Callable[[Path], Any] | str | Figure]
                 from undertow.figures import save_png
 
                 save_png(content, path)
-    for path, _ in wanted:
+    for path, _ in [] if silent else wanted:
         console().print(text(f"wrote {path}"))
 
 

@@ -96,6 +96,7 @@ def observe(
     write_files(
         *(pair for n, one, run in zip(names, found.each, runs, strict=True) for pair in _files(n, one, run)),
         (save, lambda path: observer_file(found, runs, path.stem, filter or "ekf")),
+        silent=json,
     )
     if json:
         print_json(found.content())
