@@ -178,6 +178,14 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not known" in words
 
 
+@pytest.mark.parametrize(("error", "said"), [(0.8, "is not known from these logs"), (0.1, "")])
+def test_a_limit_of_the_commands_that_may_be_any_is_not_named(error: float, said: str) -> None:
+    effect = catalogue()["thruster_saturation"](())
+    words = undetermined(effect, {"saturation_limit": 0.66}, {"saturation_limit": error})
+    assert words.endswith(said)
+    assert bool(words) is bool(said)
+
+
 @pytest.mark.parametrize("name", ["X_udot", "X_udot_forward"])
 @pytest.mark.parametrize(
     ("without", "beside", "said"), [(-5.0, 0.0, True), (-5.0, -1.0, False), (0.0, 0.0, False)]

@@ -177,9 +177,10 @@ def undetermined(
     """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
 
     A memory without a time of its own is a spring or a damper, and so is one that is as slow or as quick as
-    it may be; what has run into a bound is not what it is called. Where an effect is there beyond chance but
-    nothing that it is proportional to is known, only a product is, which another effect may be: a soft spring
-    to a far point pulls like a constant force.
+    it may be. A limit of the commands that is not known may leave all of the thrust, or none. What has run
+    into a bound is not what it is called. Where an effect is there beyond chance but nothing that it is
+    proportional to is known, only a product is, which another effect may be: a soft spring to a far point
+    pulls like a constant force.
 
     values, errors: those of its free parameters, by name, with standard errors.
     """
@@ -195,6 +196,8 @@ def undetermined(
         if np.isclose(values[p.name], ends, rtol=1e-6).any():
             return f"{p.name} = {values[p.name]:.3g} is at its bound"
     sizes = [p.name for p in own if p.linear]
+    if own and not sizes and not known:
+        return f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not known from these logs"
     if sizes and len(own) > len(sizes) and not known & {*sizes}:
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not known from these logs, only its product with other parameters"
