@@ -14,7 +14,7 @@ from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.residual import remaining, unknown_to
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.selection import size_beside
+from undertow.identification.diagnosis.selection import kept_beside
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.scaffold import effect_of
@@ -44,7 +44,7 @@ class _Tried(NamedTuple):
         assert effect.about().startswith("a force that goes with")
         other = try_all(self.bench, {effect.id: effect}, lambda done, words: None).findings[0]
         assert other.explained > 0.15
-        return size_beside([self.finding], other, self.bench, self.validator)
+        return kept_beside([self.finding], other, base, self.bench, self.validator).size
 
 
 @cache

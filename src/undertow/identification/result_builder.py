@@ -41,7 +41,7 @@ from .diagnosis.result import (
 )
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
-from .diagnosis.selection import Graded, Selection, size_beside
+from .diagnosis.selection import Graded, Selection, kept_beside
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,
@@ -485,20 +485,24 @@ def _unknown_to(found: Sequence[FoundEffect], left: list[Remaining], vehicle: Ve
 def _hardly_there(
     found: Sequence[FoundEffect], before: Fitted, bench: Bench, validator: SimulationValidator
 ) -> str:
-    """Whether effects lose their size beside a force made of what the model leaves, in words; empty if not.
+    """Whether effects lose size or worth beside a force made of what the model leaves; empty if not.
 
     It is the force that `undertow effects new` makes, of what the effects do not know, found on the training
-    data. What only stood in for such a force is hardly there beside it, what is the cause stays.
+    data. What only stood in for such a force is hardly there beside it, or worth little; what is the cause
+    stays.
     """
     left = _unknown_to(found, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
     if not left:
         return ""
     effect = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
     other = try_all(bench, {effect.id: effect}, lambda done, words: None).findings[0]
-    size = size_beside(found, other, bench, validator) if other.trial.kept else 1.0
-    if size >= 1.0 - bench.settings.size_spread:
+    if not other.trial.kept:
         return ""
-    return (
-        f"beside {effect.about().rstrip('.')} its size would drop to {max(size, 0.0):.0%} of the fitted "
-        "value (undertow effects new makes an effect of that force)"
-    )
+    kept, force = kept_beside(found, other, before, bench, validator), effect.about().rstrip(".")
+    if kept.size < 1.0 - bench.settings.size_spread:
+        lost = f"its size would drop to {max(kept.size, 0.0):.0%} of the fitted value"
+    elif kept.gain < bench.settings.kept_gain:
+        lost = f"predictions would gain only {max(kept.gain, 0.0):.0%} of what they gain by it alone"
+    else:
+        return ""
+    return f"beside {force} {lost} (undertow effects new makes an effect of that force)"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -125,30 +126,53 @@ def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
 Beside = Callable[[FoundEffect, FoundEffect], Worth]
 
 
-def size_beside(
-    found: Sequence[FoundEffect], other: FoundEffect, bench: Bench, validator: SimulationValidator
-) -> float:
-    """Size of effects beside another one, as a share of that without it.
+class Kept(NamedTuple):
+    """What effects keep beside another one, as shares of what they have without it.
 
-    One where predictions do not get better with the other one beside them, or are clearly worse with that one
-    alone: what stands in for something predicts no better than it.
+    size: of their parameters.
+    gain: of what predictions gain by them.
+    """
+
+    size: float
+    gain: float
+
+
+def kept_beside(
+    found: Sequence[FoundEffect],
+    other: FoundEffect,
+    before: Fitted,
+    bench: Bench,
+    validator: SimulationValidator,
+) -> Kept:
+    """What effects keep of their size and of their gain beside another one.
+
+    All of it where predictions do not get better with the other one beside them, or are clearly worse with
+    that one alone: what stands in for something predicts no better than it.
+
+    before: the model without any of them, fitted as the result will be.
     """
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
 
     def final(findings: Sequence[FoundEffect]) -> Fitted:
         return validator.final(fitted(vehicle, findings, bench).fit)[0]
 
+    def worth(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> Worth:
+        return gained(without, with_it, found, validator)
+
     given = final(found)
-    ahead = validator.squares_ahead(given)
-    pair = [compared(each, found, validator) for each in (ahead, validator.squares_ahead(final([other])))]
+    ahead, rival = validator.squares_ahead(given), validator.squares_ahead(final([other]))
+    pair = [compared(each, found, validator) for each in (ahead, rival)]
     if best_in_resamples(pair, settings)[0] >= settings.best_share:
-        return 1.0
+        return Kept(1.0, 1.0)
     both = final([other, *found])
-    if not gained(ahead, validator.squares_ahead(both), found, validator).enough(settings.worth):
-        return 1.0
+    joint = validator.squares_ahead(both)
+    if not worth(ahead, joint).enough(settings.worth):
+        return Kept(1.0, 1.0)
     names = {p.name: p.linear for f in found for p in f.trial.candidate.effect(()).parameters}
     own = [n for n in given.model.free if plain(n) in names]
-    return _size(given, both, [n for n in own if names[plain(n)]] or own)
+    size = _size(given, both, [n for n in own if names[plain(n)]] or own)
+    alone = worth(validator.squares_ahead(before), ahead).gain
+    return Kept(size, worth(rival, joint).gain / alone if alone > 0.0 else 1.0)
 
 
 def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
