@@ -14,7 +14,7 @@ from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.residual import remaining, unknown_to
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.selection import kept_beside
+from undertow.identification.diagnosis.selection import Kept, kept_beside
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.scaffold import effect_of
@@ -35,8 +35,8 @@ class _Tried(NamedTuple):
         return contradiction([self.finding], fits, self.bench, self.validator)
 
     @property
-    def size(self) -> float:
-        """Size of the effect beside a force made of what else remains, as a share of that without it."""
+    def kept(self) -> Kept:
+        """Size and gain of the effect beside a force made of what else remains, as shares of those alone."""
         vehicle, train = self.bench.base.model.functions.vehicle, self.bench.train
         base = self.validator.final(self.bench.base)[0]
         left = unknown_to({"u", "v"}, remaining(base, train, train), vehicle)
@@ -44,7 +44,7 @@ class _Tried(NamedTuple):
         assert effect.about().startswith("a force that goes with")
         other = try_all(self.bench, {effect.id: effect}, lambda done, words: None).findings[0]
         assert other.explained > 0.15
-        return kept_beside([self.finding], other, base, self.bench, self.validator).size
+        return kept_beside([self.finding], other, base, self.bench, self.validator)
 
 
 @cache
@@ -63,12 +63,15 @@ def test_an_effect_that_leaves_the_force_as_large_is_in_doubt() -> None:
 
 
 def test_what_makes_up_for_a_part_of_a_periodic_force_is_not_there_beside_it() -> None:
-    assert abs(_tried(("periodic_side_force",), "lift").size) < 0.2
+    kept = _tried(("periodic_side_force",), "lift").kept
+    assert abs(kept.size) < 0.2
+    assert kept.gain < 0.2
 
 
 def test_a_periodic_force_beside_an_effect_takes_nothing_of_it() -> None:
     tried = _tried(("lift", "periodic_side_force"), "lift")
-    assert tried.size == pytest.approx(1.0, abs=0.45)
+    assert tried.kept.size == pytest.approx(1.0, abs=0.45)
+    assert tried.kept.gain > 0.7
     assert tried.doubt == ""
 
 
