@@ -20,7 +20,7 @@ from undertow.identification.diagnosis.selection import (
     Graded,
     alternatives,
     dominated,
-    rivals_of_one,
+    rivals_beside_later,
     without_inertia,
 )
 from undertow.identification.diagnosis.settings import DEFAULT
@@ -118,7 +118,7 @@ def test_what_is_needed_beside_an_effect_is_no_rival_of_it(doubt: str, left: lis
         return Graded(_effect(chosen), [_effect(r) for r in rivals], _gain(0.2), doubt)
 
     angle = graded("angle", "buoyancy", "force", "drag")
-    first, second = rivals_of_one([angle, graded("buoyancy", "force", doubt=doubt)])
+    first, second = rivals_beside_later([angle, graded("buoyancy", "force", doubt=doubt)])
     assert [r.id for r in first.rivals] == left
     assert [r.id for r in second.rivals] == ["force"]
 

@@ -15,7 +15,7 @@ from undertow.identification.estimation.residual import plain
 from undertow.model.effect import Effect, Flow, Measurement
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 from .bench import Bench
 from .candidates import Candidate
@@ -41,7 +41,7 @@ class Agreement:
         """Standard deviation between the parts beyond that of chance."""
         return heterogeneity(self.value, self.error**2)[1]
 
-    def absent(self, settings: Settings = DEFAULT, among: int = 1) -> Array:
+    def absent(self, settings: Settings = DEFAULT, among: int = 1) -> Flags:
         """Whether a part has nothing of the effect: zero is possible there, and half of it is not.
 
         Sizes that scatter are those of an approximate law; one that is zero is no scatter.
@@ -53,8 +53,8 @@ class Agreement:
         """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
         q, _ = heterogeneity(self.value, self.error**2)
         by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.comparison_level
-        spread = self.spread >= settings.size_spread or self.absent(settings, among).any()
-        if by_chance or not spread:
+        differs = self.spread >= settings.size_spread or self.absent(settings, among).any()
+        if by_chance or not differs:
             return ""
         low, high = self.value.min(), self.value.max()
         return (

@@ -293,11 +293,12 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
         return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
-    if step_time(column) is not None and not column[1:]:
-        return f"{coefficients[0]:+.2g} {unit} from then on"
     if step_time(column) is not None:
-        rest = {"columns": [column[1:]], "term": label_of(tuple(column[1:]))}
-        return how(dependence.model_copy(update=rest), degree_of_freedom, unit)
+        rest = tuple(column[1:])
+        if not rest:
+            return f"{coefficients[0]:+.2g} {unit} from then on"
+        begun = dependence.model_copy(update={"columns": [rest], "term": label_of(rest)})
+        return how(begun, degree_of_freedom, unit)
     own = VELOCITY[DOFS.index(degree_of_freedom)]
     others = [f for f in column if f != own]
     even = all(f == "t" or f.startswith("|") for f in others)

@@ -226,7 +226,7 @@ _NOT_BEST = "other effects are better in nearly all resamples of the logs"
 _TRYING = 0.3
 
 
-def rivals_of_one(graded: Sequence[Graded]) -> list[Graded]:
+def rivals_beside_later(graded: Sequence[Graded]) -> list[Graded]:
     """The effects, each without rivals that stand for one that was found after it and is needed beside it."""
     later: set[str] = set()
     found = []
@@ -270,7 +270,7 @@ class _Selector:
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
         kept = self._without_superfluous(graded, rounds[0].bench)
-        return Selection(rivals_of_one(kept), rounds, self._reasons, self._worth)
+        return Selection(rivals_beside_later(kept), rounds, self._reasons, self._worth)
 
     def _without_superfluous(
         self, graded: list[Graded], bench: Bench, whole: dict[float, Array] | None = None
