@@ -578,6 +578,25 @@ def test_ctrl_c_is_heard_where_a_library_drops_it(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_what_tidies_up_after_ctrl_c_is_not_interrupted(
+    capsys: pytest.CaptureFixture[str], usual_signals: None
+) -> None:
+    tidied = []
+
+    def tidy() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            for _ in range(3):  # what is due comes while this waits
+                signal.sigtimedwait([signal.SIGUSR1], 0.1)
+            tidied.append(1)
+
+    assert run(tidy) == 130
+    assert tidied
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_real_ctrl_c_while_a_diagnosis_runs(quick: Path) -> None:
     case = quick
     (case / "own.py").write_text(_INTERRUPTING.format("print('searching', flush=True)"))

@@ -442,8 +442,9 @@ def talk(verbose: bool) -> None:
     logging.getLogger("matplotlib").setLevel(logging.WARNING if verbose else logging.ERROR)
 
 
-# Seconds after which an interruption that came to nothing is repeated.
-_PATIENCE = 0.5
+# Seconds after which an interruption that came to nothing is repeated: short against the time that a command
+# takes after its last call of a library, or the result would be written in spite of it.
+_PATIENCE = 0.05
 
 
 @contextmanager
@@ -458,7 +459,7 @@ def insisting() -> Iterator[None]:
         yield
         return
     signal.signal(signal.SIGINT, _raise)
-    signal.signal(signal.SIGALRM, _raise)
+    signal.signal(signal.SIGALRM, _repeat)
     try:
         yield
     finally:
@@ -477,6 +478,19 @@ def _free() -> bool:
 def _raise(number: int, frame: FrameType | None) -> None:
     signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
     raise KeyboardInterrupt
+
+
+def _repeat(number: int, frame: FrameType | None) -> None:
+    if _under_way(sys.exception()):
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE)  # what tidies up is left to finish
+    else:
+        _raise(number, frame)
+
+
+def _under_way(failure: BaseException | None) -> bool:
+    while failure is not None and not isinstance(failure, KeyboardInterrupt):
+        failure = failure.__context__
+    return failure is not None
 
 
 # --- findings of the doctor -----------------------------------------------------------------------
