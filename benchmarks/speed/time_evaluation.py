@@ -155,8 +155,13 @@ def _of_size(effects: int, dofs: tuple[str, ...]) -> Vehicle:
     names = tuple(t.name for t in thrusters)
     known = catalogue()
     first = ("rigid_body", "rigid_body_coriolis", "added_mass", "linear_damping", "restoring")
-    others = [i for i, cls in known.items() if not cls.built_in and not issubclass(cls, Measurement)]
-    chosen = [*first, *(i for i in others if i not in first)][:effects]
+    others = [
+        i
+        for i, cls in known.items()
+        if i not in first
+        and not (cls.built_in or issubclass(cls, Measurement) or "control_surfaces" in cls.requires)
+    ]
+    chosen = [*first, *others][:effects]
     return Vehicle("grown", dofs, tuple(known[i](names) for i in chosen), {}, thrusters)
 
 

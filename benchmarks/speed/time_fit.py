@@ -96,8 +96,8 @@ def first() -> np.ndarray:
 
 @cache
 def descent() -> Descent:
-    """Our search, until the sum of squares (some 14 000) falls by no more than 1e-7."""
-    return Descent(WeakModel(functions(), FREE), windows(), True, enough=1e-7)
+    """Our search, until the sum of squares falls by no more than is negligible."""
+    return Descent(WeakModel(functions(), FREE), windows(), compiled=True)
 
 
 def ours() -> np.ndarray:
