@@ -10,9 +10,20 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
 VEHICLE, HIDDEN, SEED = "rov", "lift", 3
+HALF = 600.0  # s: the longer log is one to fit to and one to judge by, 20 minutes together
+
+Material = tuple[Vehicle, list[Run], list[Run]]
 
 
 @cache
-def material() -> tuple[Vehicle, list[Run], list[Run]]:
+def material() -> Material:
     """The model as the user believes it, three runs to fit to, one to judge by."""
     return written_to_memory(make_case(VEHICLE, (HIDDEN,), SEED))
+
+
+@cache
+def long_material() -> Material:
+    """The same vehicle in a log of 20 minutes."""
+    return written_to_memory(
+        make_case(VEHICLE, (HIDDEN,), SEED, duration=HALF, runs=("multisine", "holdout"))
+    )

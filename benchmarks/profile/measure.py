@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -14,7 +15,7 @@ from undertow.identification.doctor import examine
 from undertow.identification.estimation import data
 from undertow.model.catalogue import Catalogue, catalogue
 
-from .case import HIDDEN, material
+from .case import HIDDEN, Material, material
 from .clock import OTHER, Place, processor_seconds, sampled
 
 SIZES = (5, 10, 20)
@@ -85,9 +86,9 @@ def profiled(known: Catalogue) -> Profile:
     return Profile(inside, list(outcome.diagnosis.effects))
 
 
-def found(known: Catalogue) -> list[str]:
+def found(known: Catalogue, logs: Callable[[], Material] = material) -> list[str]:
     """What a diagnosis with these effects names."""
-    vehicle, train, test = material()
+    vehicle, train, test = logs()
     return list(module.diagnose(vehicle, train, test, known=known).diagnosis.effects)
 
 

@@ -11,6 +11,7 @@ BATCH = "1000 rollouts"
 REGRESSION = "regression, 10^6 samples x 6 rows x 30 parameters"
 FIT = "output-error fit, 60 s at 20 Hz, 20 parameters"
 DIAGNOSIS = "whole-catalogue diagnosis, 6 DOF, 4 x 100 s at 20 Hz"
+LONG = "whole-catalogue diagnosis, 6 DOF, 20 minutes at 20 Hz"
 COLD = "derive, generate and compile, nothing in the cache"
 OURS = "undertow"
 
@@ -52,4 +53,5 @@ GOALS = (
     Goal(FIT, "IPOPT multiple shooting, virtual machine", 100, "fit"),
     Goal(FIT, "SciPy, finite differences on the same simulation", 4, "fit"),
     Goal(DIAGNOSIS, "", 15, "diagnose"),
+    Goal(LONG, "", 60, "diagnose"),
 )
