@@ -351,11 +351,12 @@ def _without_outlier(y: Array, at: Index, sigma: float) -> Array:
     if len(y) < 2 * SETTINGS.widths[0] + 1:
         return np.asarray(y[at])
     near = around(at, SETTINGS.widths[0], len(y))
-    neighbours = np.where(near == at[:, None], np.nan, y[near])
-    low, high = np.nanmin(neighbours, axis=1), np.nanmax(neighbours, axis=1)
+    # Each row without its own sample; NumPy's functions for NaN take five times as long.
+    neighbours = np.sort(y[near][near != at[:, None]].reshape(len(at), -1), axis=1)
+    low, high = neighbours[:, 0], neighbours[:, -1]
     margin = SETTINGS.outlier * (high - low + 2 * sigma)
     lone = (y[at] < low - margin) | (y[at] > high + margin)
-    return np.where(lone, np.nanmedian(neighbours, axis=1), y[at])
+    return np.where(lone, np.median(neighbours, axis=1), y[at])
 
 
 S = TypeVar("S", bound=np.generic)
