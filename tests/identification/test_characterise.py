@@ -29,7 +29,7 @@ from undertow.identification.diagnosis.associations import (
     without_waves,
 )
 from undertow.identification.diagnosis.force_rows import ForceRows
-from undertow.identification.diagnosis.residual import how, remaining, sentence
+from undertow.identification.diagnosis.residual import how, remaining, sentence, unknown_to
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
 from undertow.identification.diagnosis.splitting import split_into_pieces
 from undertow.identification.estimation.data import WeakData, prepare
@@ -175,6 +175,26 @@ def test_a_drag_that_comes_suddenly_is_told_from_one_that_grows(monkeypatch: pyt
     assert float(step[1]) == pytest.approx(35.0, abs=2 * 60.0 / SETTINGS.step_times)
     assert f"{' '.join(column[1:])} from {step[1]} s on" in left["surge"].summary
     assert "(slows surge" in left["surge"].summary
+
+
+def test_thrust_that_is_lost_suddenly_is_told_from_one_that_fades(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes with commands; with a speed that follows them it goes less."""
+
+    def apply(world: World, draw: Draw) -> dict[str, float]:
+        world.stages.append(lambda f, t: f * (0.6 if t >= 35.0 else 1.0))
+        return {}
+
+    monkeypatch.setitem(EFFECTS, "late_loss", HiddenEffect("late_loss", None, "alien", ALL, apply))
+    _, fit, aside = _fitted(("late_loss",), 1, "usv")
+    vehicle, left = fit.model.functions.vehicle, remaining(fit, fit.data, aside)
+    dependence = left[1].depends_on[0]
+    step = STEP.fullmatch(dependence.columns[0][0])
+    assert step is not None
+    assert float(step[1]) == pytest.approx(35.0, abs=2 * 60.0 / SETTINGS.step_times)
+    assert any("command" in factor for factor in dependence.columns[0])
+    # Thrust that fades knows the time and all commands, and no step.
+    own = {"t", *vehicle.velocity_names, *vehicle.command_names}
+    assert [r.depends_on for r in unknown_to(own, left, vehicle)] == [[dependence]]
 
 
 def test_a_complete_model_shows_nothing() -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from undertow.cli.identification.diagnose import show
 from undertow.identification.diagnosis.result import (
+    NO_EVIDENCE,
     Dependence,
     Diagnosis,
     Indistinguishable,
@@ -146,7 +147,12 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
         "validation runs."
     )
     assert first_sentence(found) == said
-    assert summarised(found).headline == f"{said} What was tried."
+    of_what = said.replace("1.6 %", "1.6 % of the motion")
+    assert summarised(found).headline == f"{of_what} What was tried."
+    nothing = _diagnosis("unexplained").model_copy(update={"headline": NO_EVIDENCE})
+    assert summarised(nothing).headline.count("effect of the catalogue") == 1
+    doubted = nothing.model_copy(update={"headline": "Unexplained: the sensors contradict each other."})
+    assert summarised(doubted).headline.endswith(". The sensors contradict each other.")
     useless_one = BETTER.model_copy(update={"channels": {"u": 0.5, "r": 2.0}})
     poor = found.model_copy(update={"steps": [*found.steps[:-1], useless_one]})
     assert summarised(poor).headline.startswith(

@@ -80,7 +80,7 @@ def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
 
 def _by_commands(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Column]:
     for c in commands:
-        yield from ((c,), (f"|{c}|", c), (c, c))
+        yield from ((c,), (f"|{c}|", c), (c, c), ("t", c), ("t", f"|{c}|", c))
         yield from ((c, a) for a in velocities)
         yield from ((f"|{c}|", a) for a in velocities)
     for c, d in combinations(commands, 2):

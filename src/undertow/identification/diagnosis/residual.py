@@ -432,7 +432,7 @@ def unknown_to(
 ) -> list[Remaining]:
     """What of residual forces depends on more than an effect knows: variables of its own are left out.
 
-    A drag that grows with the time is news to thrust that fades with it.
+    A drag that grows with the time is news to thrust that fades with it, and so is what begins suddenly.
 
     own: velocities, pose, commands and, as "t", the time, as far as the effect depends on them.
     periodic: whether the effect swings in time itself, so that a period is no news.
@@ -447,8 +447,8 @@ def unknown_to(
 
 
 def _variables(dependence: Dependence, vehicle: Vehicle) -> set[str]:
-    """Pose, velocities, commands and the time, as far as a dependence is one on them."""
-    names = {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names, "t"}
+    """Pose, velocities, commands, the time and a step in it, as far as a dependence is one on them."""
+    names = {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names, "t", "step"}
     return names & {word for columns in dependence.columns for c in columns for word in re.findall(r"\w+", c)}
 
 

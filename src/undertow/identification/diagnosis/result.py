@@ -26,6 +26,12 @@ Verdict = Literal[
 Content = TypeVar("Content", bound=BaseModel)
 Role = Literal["train", "holdout", "blocks"]
 
+#: What is said where more than noise is left and nothing was found.
+NO_EVIDENCE = (
+    "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect of the "
+    "catalogue has enough evidence in the validation data."
+)
+
 
 class RunInfo(ResultTable):
     """A log and what it was used for."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -298,19 +298,23 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     No start is one from which the states of a candidate grow without bound, as those of a lag do that is much
     shorter than the time between samples.
     """
-    starts = candidate.starts(bench.command_scale, bench.seen)
-    if len(starts) > bench.settings.fitted_starts:
+    starts, most = candidate.starts(bench.command_scale, bench.seen), bench.settings.fitted_starts
+    if len(starts) > most:
         starts = _promising(candidate, bench, starts)
+    found = _bounded(Screened(candidate, bench, start) for start in starts)
     if bench.stated:
-        starts = [*starts, *(bench.stated | start for start in starts)]
-    every = (Screened(candidate, bench, start) for start in starts)
-    found = sorted((s for s in every if np.isfinite(s.cost)), key=lambda s: s.cost)
+        # As many from either end, for what the refit promises may come from what ran away.
+        stated = _bounded(Screened(candidate, bench, bench.stated | start) for start in starts)
+        found = sorted([*found[: most // 2], *stated[: most // 2]], key=lambda s: s.cost)
     if len(found) < 2:
         return found
     # What a step promises may not come true; what some steps have reached has.
-    closer = [s.closer() for s in found]
-    bounded = [s for s in closer if np.isfinite(s.cost)]
-    return sorted(bounded or found, key=lambda s: s.start.cost)
+    return sorted(_bounded(s.closer() for s in found) or found, key=lambda s: s.start.cost)
+
+
+def _bounded(screened: Iterable[Screened]) -> list[Screened]:
+    """Those whose cost is finite, the most promising first."""
+    return sorted((s for s in screened if np.isfinite(s.cost)), key=lambda s: s.cost)
 
 
 def best_start(

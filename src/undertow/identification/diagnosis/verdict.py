@@ -29,7 +29,7 @@ from undertow.typing import Array
 from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
-from .result import Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
+from .result import NO_EVIDENCE, Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
 from .rounds import other_values
 from .search import Search
 from .selection import Graded, Selection
@@ -132,19 +132,15 @@ def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
     if residual_is_noise:
         text = "Nothing is missing: the residual of the refitted model is sensor noise."
         return Judgement("adequate", text, [], [], share)
-    text = (
-        "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect of the "
-        "catalogue has enough evidence in the validation data."
-    )
-    return Judgement("unexplained", text, [], [], share)
+    return Judgement("unexplained", NO_EVIDENCE, [], [], share)
 
 
 def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
     """That nothing is missing which the logs could show, although more than noise is left."""
     rest = [f"{p.disturbance_rms:.2g} {p.unit} in {p.degree_of_freedom}" for p in left if p.disturbance_rms]
     text = (
-        "These logs show nothing missing: the residual of the refitted model correlates with "
-        f"none of the logged signals. A disturbance remains: {', '.join(rest)} (rms)."
+        "The residual of the refitted model correlates with none of the logged signals. "
+        f"A disturbance remains: {', '.join(rest)} (rms)."
     )
     return Judgement("adequate", text, [], [], share)
 

@@ -10,7 +10,7 @@ from math import floor, inf, isfinite, log10
 from pathlib import PurePath
 
 from undertow.errors import listed
-from undertow.identification.diagnosis.result import Diagnosis, Ranked, Step
+from undertow.identification.diagnosis.result import NO_EVIDENCE, Diagnosis, Ranked, Step
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.findings import Finding
 from undertow.model.symbols import DOFS, VELOCITY
@@ -215,10 +215,16 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
         return diagnosis
     parts = (
         useless(diagnosis.last_step.channels, diagnosis.doctor),
-        first_sentence(diagnosis),
-        diagnosis.headline,
+        first_sentence(diagnosis).replace(" %", " % of the motion", 1),
+        _beside_the_first(diagnosis.headline),
     )
     return diagnosis.model_copy(update={"headline": " ".join(filter(None, parts))})
+
+
+def _beside_the_first(headline: str) -> str:
+    """What a verdict says that the first sentence does not."""
+    text = "" if headline == NO_EVIDENCE else headline.removeprefix("Unexplained: ")
+    return text[:1].upper() + text[1:]
 
 
 def first_sentence(diagnosis: Diagnosis) -> str:
