@@ -88,7 +88,7 @@ def test_a_slow_disturbance_lends_no_effect_its_name() -> None:
     runs = runs_of(case)
     found = diagnose(vehicle_of(case), runs[:-1], runs[-1:]).diagnosis
     assert found.verdict == "unexplained"
-    assert "the sensors contradict each other. attitude_bias removes" in found.headline
+    assert "The sensors contradict each other. attitude_bias removes" in found.headline
     by_effect = {r.effect: r for r in found.ranking}
     assert not by_effect["quadratic_damping_coupling"].significant
     bias = by_effect["attitude_bias"].parameters[0]

@@ -102,11 +102,6 @@ class Bench:
         return self.judge(self.base)
 
     @cached_property
-    def base_on_test(self) -> Linearised:
-        """The model without any candidate on the validation data."""
-        return self.on_test(self.base)
-
-    @cached_property
     def stated(self) -> dict[str, float]:
         """Stated values of the free parameters, where the refit of the model as it is moved one of them far.
 
@@ -121,7 +116,7 @@ class Bench:
 
     def work_out(self) -> None:
         """What all candidates look at, once; processes that share this bench then need not."""
-        for name in ("base_score", "base_on_test", "seen", "stated"):
+        for name in ("base_score", "seen", "stated"):
             getattr(self, name)
 
     def judge(self, fit: WeakFit) -> Score:

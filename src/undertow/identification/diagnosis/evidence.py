@@ -13,7 +13,7 @@ from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
 from undertow.identification.estimation.data import WeakData, inverse_of
-from undertow.identification.estimation.residual import Linearised, plain
+from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.effect import Measurement
@@ -351,12 +351,11 @@ def inclusion(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Arr
     return np.bincount(np.argmin(squares, axis=0), minlength=len(candidates)) / draws
 
 
-def linear(at: WeakFit, bench: Bench, on_test: Linearised | None = None) -> Linear:
+def linear(at: WeakFit, bench: Bench) -> Linear:
     """Linearise a model with a candidate where a fit of it stands, beside the model without it."""
     base = bench.base
     own = len(at.model.free) - len(base.model.free)
-    train = bench.on_train(at)
-    test = bench.on_test(at) if on_test is None else on_test
+    train, test = bench.on_train(at), bench.on_test(at)
     return Linear(
         Blocks.of(train.J, train.r - base.at.r, base.at.r, bench.train.block),
         Blocks.of(test.J, test.r - bench.base_score.r, bench.base_score.r, bench.test.block),

@@ -155,7 +155,7 @@ def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, flo
     looks = screen(candidate, bench)
     if not looks:
         return None
-    return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench, looks[0].on_test)
+    return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench)
 
 
 def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Bench, list[Trial]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -204,15 +204,12 @@ def _without(i: int, estimate: Array, information: Array, bounds: Array) -> _Wit
     return _Without(values, 2.0 * float(found.cost))
 
 
-# Relative difference of two residuals up to which they are the same, and of a column from what stands in.
-_SAME, _REDUNDANT = 1e-9, 1e-6
+# Relative difference of a column from what stands in for it.
+_REDUNDANT = 1e-6
 
 
 class Screened:
     """A candidate at one start, and what one Gauss-Newton step from there promises.
-
-    Where the candidate changes nothing yet, the columns of the model without it are what they were, and only
-    its own are worked out.
 
     start: the model at the start, not fitted.
     cost: sum of squares after the step.
@@ -224,44 +221,23 @@ class Screened:
         self, candidate: Candidate, bench: Bench, start: Mapping[str, float], steps: int = 0
     ) -> None:
         self._candidate, self._bench, self._values = candidate, bench, start
-        known = (bench.base.at, bench.train, bench.train_whitening)
         model = candidate.model_from(start)
-        at = None if steps or model.values.split != bench.base.model.values.split else self._beside(*known)
-        noise = (bench.train_whitening, bench.base.disturbance)
+        noise, enough = (bench.train_whitening, bench.base.disturbance), bench.settings.first_step
         begin = bench.base.values | dict(start)
-        self.start = start_fit(model, bench.train, begin, *noise, at=at, steps=steps)
+        self.start = start_fit(model, bench.train, begin, *noise, steps=steps, enough=enough)
         self.cost, after = predicted_cost(self.start)
         if names := _better_by_run(self.start.model, self.start.at, self.cost, candidate, bench.train):
             free = with_values_by_run(self.start.model.free, names, candidate.runs)
-            split, at = self.start.model.with_free(free), None
-            self.start = start_fit(split, bench.train, self.start.values, *noise, steps=steps)
+            split = self.start.model.with_free(free)
+            self.start = start_fit(split, bench.train, self.start.values, *noise, steps=steps, enough=enough)
             self.cost, after = predicted_cost(self.start)
         own = [n for n in self.start.model.values.by_run if n not in bench.base.model.values.by_run]
         self.cost += _by_chance(own, candidate.runs)
         self.values = self.start.values if steps else after
-        self._changes_nothing = at is not None
 
     def closer(self) -> Screened:
         """The same from where the step leads, after some more."""
         return Screened(self._candidate, self._bench, self.values, self._bench.settings.steps_per_start)
-
-    @property
-    def on_test(self) -> Linearised:
-        """The start on the validation data."""
-        bench = self._bench
-        known = (bench.base_on_test, bench.test, bench.test_whitening)
-        at = self._beside(*known) if self._changes_nothing else None
-        return bench.on_test(self.start) if at is None else at
-
-    def _beside(self, known: Linearised, data: WeakData, noise: list[Whitening]) -> Linearised | None:
-        """The columns of the model without the candidate and its own; None where the start changes things."""
-        own = _own_columns(self._candidate, self._bench, self._values, data)
-        if any(np.any(part.start) for part in own):
-            return None
-        at, size = whitened(own, noise), float(np.max(np.abs(known.r), initial=0.0))
-        if not np.allclose(at.r, known.r, rtol=_SAME, atol=_SAME * size):
-            return None
-        return Linearised(known.r, np.hstack([known.J, at.J]), at.start)
 
 
 def _better_by_run(
@@ -298,23 +274,19 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     No start is one from which the states of a candidate grow without bound, as those of a lag do that is much
     shorter than the time between samples.
     """
-    starts, most = candidate.starts(bench.command_scale, bench.seen), bench.settings.fitted_starts
-    if len(starts) > most:
+    starts = candidate.starts(bench.command_scale, bench.seen)
+    if len(starts) > bench.settings.fitted_starts:
         starts = _promising(candidate, bench, starts)
-    found = _bounded(Screened(candidate, bench, start) for start in starts)
     if bench.stated:
-        # As many from either end, for what the refit promises may come from what ran away.
-        stated = _bounded(Screened(candidate, bench, bench.stated | start) for start in starts)
-        found = sorted([*found[: most // 2], *stated[: most // 2]], key=lambda s: s.cost)
+        starts = [*starts, *(bench.stated | start for start in starts)]
+    every = (Screened(candidate, bench, start) for start in starts)
+    found = sorted((s for s in every if np.isfinite(s.cost)), key=lambda s: s.cost)
     if len(found) < 2:
         return found
     # What a step promises may not come true; what some steps have reached has.
-    return sorted(_bounded(s.closer() for s in found) or found, key=lambda s: s.start.cost)
-
-
-def _bounded(screened: Iterable[Screened]) -> list[Screened]:
-    """Those whose cost is finite, the most promising first."""
-    return sorted((s for s in screened if np.isfinite(s.cost)), key=lambda s: s.cost)
+    closer = [s.closer() for s in found]
+    bounded = [s for s in closer if np.isfinite(s.cost)]
+    return sorted(bounded or found, key=lambda s: s.start.cost)
 
 
 def best_start(

@@ -250,14 +250,11 @@ def start_fit(
     whitening: list[Whitening],
     disturbance: Array,
     *,
-    at: Linearised | None = None,
     steps: int = 0,
+    enough: float = 0.0,
 ) -> WeakFit:
-    """A model at the start of a search, after a few steps if any; `at` is its residual there if known."""
-    p = model.started(start)
-    if at is not None:
-        return WeakFit(model, p, data, whitening, at, disturbance, 0)
-    return _solved(model, p, data, whitening, disturbance, steps)
+    """A model at the start of a search, after a few steps if any, as long as one promises enough."""
+    return _solved(model, model.started(start), data, whitening, disturbance, steps, enough)
 
 
 def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
