@@ -220,7 +220,7 @@ class Screened:
     def __init__(
         self, candidate: Candidate, bench: Bench, start: Mapping[str, float], steps: int = 0
     ) -> None:
-        self._candidate, self._bench, self._values = candidate, bench, start
+        self._candidate, self._bench = candidate, bench
         model = candidate.model_from(start)
         noise, enough = (bench.train_whitening, bench.base.disturbance), bench.settings.first_step
         begin = bench.base.values | dict(start)
