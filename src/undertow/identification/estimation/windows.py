@@ -352,7 +352,7 @@ def _without_outlier(y: Array, at: Index, sigma: float) -> Array:
         return np.asarray(y[at])
     near = around(at, SETTINGS.widths[0], len(y))
     # Each row without its own sample; NumPy's functions for NaN take five times as long.
-    neighbours = np.sort(y[near][near != at[:, None]].reshape(len(at), -1), axis=1)
+    neighbours = np.sort(y[near][near != at[:, None]].reshape(len(at), 2 * SETTINGS.widths[0]), axis=1)
     low, high = neighbours[:, 0], neighbours[:, -1]
     margin = SETTINGS.outlier * (high - low + 2 * sigma)
     lone = (y[at] < low - margin) | (y[at] > high + margin)
