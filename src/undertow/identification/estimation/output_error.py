@@ -172,6 +172,7 @@ class Descent:
             dispersion = found
             self._weigh(dispersion)
             state = self._roughly(state.p, state.starts)
+            self._space.weigh_priors(state.at.inflation)
         state = self._minimised(state, _negligible_fall)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps, self._known
@@ -199,6 +200,7 @@ class Descent:
             self._progress(round_ / SETTINGS.robust_rounds, "output error, outliers down-weighted")
             scale = self._weighed(state, loss)
             before, state = state.p, self.minimise(state.p, state.starts)
+            self._space.weigh_priors(state.at.inflation)
             if self._moved(state, before) < SETTINGS.converged:
                 break
         return self._robust(state, scale, loss)

@@ -201,7 +201,18 @@ class SearchSpace:
         self.bounds, self.prior = bounds_of(model), search_prior(model)
         if known is not None:
             self.prior = _together(self.prior, known)
+        self._priors = self.prior
         self._limits = step_limits(model) if limited else None
+
+    def weigh_priors(self, inflation: float) -> None:
+        """Let priors weigh as much as they should beside residuals that go together.
+
+        Each of these counts for one although so many (`Reduced.inflation`) say the same: what a poor model
+        leaves would otherwise move a mass ten standard deviations away from what is stated, and what is
+        missing would not show.
+        """
+        centre, weight = self._priors
+        self.prior = centre, weight * np.sqrt(inflation)
 
     def nearest(self, p: Array) -> Array:
         """All parameters, the free ones moved as little as makes the model physical."""
