@@ -15,7 +15,7 @@ from undertow.identification.diagnosis.bench import Bench, noise_ratio, open_ben
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import EffectSet
 from undertow.identification.diagnosis.search import last_fit
-from undertow.identification.diagnosis.trial import Screened, screen, try_candidate, without_redundant
+from undertow.identification.diagnosis.trial import screen, try_candidate, without_redundant
 from undertow.identification.diagnosis.validation import (
     Contender,
     SimulationValidator,
@@ -23,7 +23,6 @@ from undertow.identification.diagnosis.validation import (
     worse_by_rank_test,
 )
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -64,27 +63,6 @@ def _candidate(effect: str) -> Candidate:
 def _validator() -> SimulationValidator:
     vehicle, runs, _ = _case()
     return SimulationValidator(vehicle, runs[:-1], runs[-1:], _bench().train.sigma)
-
-
-@pytest.mark.parametrize(
-    ("effect", "start"),
-    [("quadratic_damping", {}), ("ocean_current", {}), ("waves", {"wave_frequency": 2.0}),
-     ("thruster_lag", {"T_lag": 0.3}), ("radiation_memory", {"T_memory": 2.0})],
-)  # fmt: skip
-def test_own_columns_beside_those_known_are_the_whole_linearised_model(
-    effect: str, start: dict[str, float]
-) -> None:
-    candidate, bench = _candidate(effect), _bench()
-    found = Screened(candidate, bench, start)
-    model = candidate.model()
-    for at, data, noise, beside in (
-        (found.start.at, bench.train, bench.train_whitening, None),
-        (found.on_test, bench.test, bench.test_whitening, bench.base_score.r),
-    ):
-        whole = whitened(model.linearise(data, found.start.p), noise, beside)
-        scale = np.linalg.norm(whole.J, axis=0)
-        np.testing.assert_allclose(at.r, whole.r, atol=1e-7 * np.max(np.abs(whole.r)))
-        assert np.all(np.linalg.norm(at.J - whole.J, axis=0) <= 1e-6 * scale)
 
 
 def test_a_last_fit_drops_nothing_and_takes_back_what_is_more_likely_there() -> None:
