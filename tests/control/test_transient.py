@@ -16,10 +16,9 @@ from benchmarks.attacks import Attack, BoxTarget
 from tests.control.test_certificates import loaded
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import enclose
-from undertow.control.conditions.motion import Motion
+from undertow.control.conditions.motion import SETTINGS as KERNELS
+from undertow.control.conditions.motion import Driven, Motion, Responses, Starts, grid, modes
 from undertow.control.conditions.problem import Problem
-from undertow.control.conditions.responses import SETTINGS as KERNELS
-from undertow.control.conditions.responses import Driven, Responses, Starts, grid, modes
 from undertow.control.conditions.result import Transient
 from undertow.control.conditions.transient import Bounds, Known, Search, Sector, _caps, bounds_in_time
 from undertow.control.conditions.whole import certify

@@ -22,10 +22,22 @@ from undertow.typing import Array, Flags
 
 from .attitude import enclose, within
 from .definite import SETTINGS as PROOFS
-from .motion import Leftover, Motion
+from .motion import SETTINGS as KERNELS
+from .motion import (
+    Driven,
+    Form,
+    Kernels,
+    Leftover,
+    Modes,
+    Motion,
+    Responses,
+    Starts,
+    by_heading,
+    grid,
+    modes,
+    second_order,
+)
 from .problem import Problem, Span
-from .responses import SETTINGS as KERNELS
-from .responses import Driven, Form, Kernels, Modes, Responses, Starts, by_heading, grid, modes, second_order
 from .result import Transient
 
 
