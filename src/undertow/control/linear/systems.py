@@ -403,7 +403,7 @@ def close_loop(
     trim : Trim or mapping
         The steady motion, or what it holds (see `find_trim`).
     pade : int
-        Order of the approximation of a dead time between command and thrust.
+        Order of the approximation of dead times, of those that the observer knows, too.
     dt : float
         Sampling time, s: the law runs as its C code does, its commands are held; 0 is continuous time.
     observer : Design, optional
@@ -421,7 +421,7 @@ def close_loop(
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     law = law_for(gains, vehicle, found.direction)
     plant = with_commands(linearize(vehicle, found, pade=pade, dt=dt), law.commands)
-    return LinearLoop(plant, law, found, observer)
+    return LinearLoop(plant, law, found, observer, pade)
 
 
 def with_commands(plant: ct.StateSpace, commands: Sequence[str]) -> ct.StateSpace:
@@ -445,12 +445,17 @@ class LinearLoop:
     """
 
     def __init__(
-        self, plant: ct.StateSpace, system: LawSystem, trim: Trim, observer: Design | None = None
+        self,
+        plant: ct.StateSpace,
+        system: LawSystem,
+        trim: Trim,
+        observer: Design | None = None,
+        pade: int = 0,
     ) -> None:
         self.plant, self._system, self.trim = plant, system, trim
         self.law = _sampled(system.linear(trim), period(plant))
         if observer is not None:
-            self.law = _behind(self.law, system, SettledObserver(observer, trim))
+            self.law = _behind(self.law, system, SettledObserver(observer, trim, pade))
 
     @cached_property
     def _reference(self) -> Array:
@@ -529,10 +534,10 @@ class SettledObserver:
     Reports every T s with variance r say as much as a continuous report with spectral density r T (Simon
     2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`. Deviations from
     the trim follow dx/dt = a x + b u, with reports c x; `gain`, shape (nx, k), is that of the innovations.
+    Where reports are late, what Padé's approximation of their delay keeps is among the states.
     """
 
-    def __init__(self, observer: Design, trim: Trim) -> None:
-        observer.require_on_time()
+    def __init__(self, observer: Design, trim: Trim, pade: int = 0) -> None:
         own = observer.process
         process = process_of(in_direction(own.vehicle, trim.direction), own.estimated, own.kind)
         self.observer, self.names = observer, process.state_names
@@ -546,10 +551,26 @@ class SettledObserver:
             [ca.densify(ca.jacobian(process.rates, process.u))],
         )
         self.a, self.b, self.c = a, np.asarray(slope(x, u, process.values, 0.0)), c[list(observer.channels)]
-        noise = np.zeros((len(x), len(x)))
+        if observer.late:
+            self._add_delays(pade)
+        noise = np.zeros_like(self.a)
         noise[process.driven, process.driven] = observer.densities
         r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, DESIGN.sample))
         self.gain = self._steady_gain(noise, r)
+
+    def _add_delays(self, order: int) -> None:
+        name, age = next(iter(self.observer.late.items()))
+        if not order:
+            raise UndertowError(
+                f"{name} is reported {age:g} s late, and a filter in continuous time has that approximately: "
+                "give the order of Padé's approximation, --pade 3 (pade=3)"
+            )
+        delays, own = _delays(self.observer.sensors, self.observer.late, order, 0.0)
+        lacking = np.zeros((len(self.a), len(own)))
+        self.a = np.block([[self.a, lacking], [delays.B @ self.c, delays.A]])
+        self.b = np.vstack([self.b, np.zeros((len(own), self.b.shape[1]))])
+        self.c = np.hstack([delays.D @ self.c, delays.C])
+        self.names = (*self.names, *own)
 
     def _steady_gain(self, noise: Array, r: Array) -> Array:
         try:
