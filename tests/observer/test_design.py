@@ -322,6 +322,15 @@ def test_late_reports_leave_the_poles_of_law_and_filter_apart() -> None:
     assert np.prod(at - found) == pytest.approx(np.prod(at - both), rel=1e-6)
 
 
+@pytest.mark.parametrize("delay", [0.03, 0.3, 3.0])
+def test_the_filter_of_late_reports_converges_with_the_order_of_the_approximation(delay: float) -> None:
+    sensors = {n: SENSORS[n] for n in ("x", "y", "z", "psi")} | {n: {"noise": "1 cm/s"} for n in ("u", "w")}
+    observer = design(table(sensors=sensors), auv(velocity_delay=delay))
+    trim, n = find_trim(observer.process.vehicle), observer.process.x.numel()
+    six, eight = (SettledObserver(observer, trim, order).gain[:n] for order in (6, 8))
+    np.testing.assert_allclose(six, eight, rtol=1e-4, atol=1e-9)
+
+
 def test_gains_are_judged_with_late_reports() -> None:
     observer = behind()
     assert observed_loop(load_gains("paper-pd", observer.process.vehicle), observer).verdict == "stable"

@@ -11,6 +11,7 @@ from math import isfinite
 import casadi as ca
 import control as ct
 import numpy as np
+from scipy.linalg import matrix_balance
 from scipy.signal import cont2discrete
 
 from undertow.codegen.compiler import Evaluator
@@ -35,11 +36,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class DelaySettings:
-    """Up to where dead times are approximated."""
+    """Up to where dead times are approximated, and filters settle."""
 
     # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
     pade: int = 8
     samples: int = 1000  # of a delay, each of which is a state for every signal that comes late
+    # Of the iteration for a filter beside them: rounds at most, and the relative change that is rounding.
+    rounds: int = 100
+    alike: float = 1e-13
 
 
 SETTINGS = DelaySettings()
@@ -121,10 +125,19 @@ def _delays(
 ) -> tuple[ct.StateSpace, list[str]]:
     """Delays of signals, whole samples or Padé's, those without one straight through, and their states."""
     straight = ct.ss([], [], [], 1.0, dt=dt)
-    made = {n: _shift(s, dt) if dt else ct.ss(ct.tf(*ct.pade(s, order))) for n, s in seconds.items()}
+    made = {n: _shift(s, dt) if dt else _pade(s, order) for n, s in seconds.items()}
     each = [made.get(n, straight) for n in names]
     states = [f"late_{n}_{k}" for n, own in zip(names, each, strict=True) for k in range(own.nstates)]
     return ct.append(*each), states
+
+
+def _pade(seconds: float, order: int) -> ct.StateSpace:
+    """Padé's approximation, its states scaled alike: where they span decades, a filter loses its digits."""
+    found = ct.ss(ct.tf(*ct.pade(seconds, order)))
+    whole = np.block([[found.A, found.B], [found.C, np.zeros((1, 1))]])
+    *scale, last = np.diag(matrix_balance(whole, permute=False)[1])
+    by = np.array(scale) / last
+    return ct.ss(found.A * by / by[:, None], found.B / by[:, None], found.C * by, found.D)
 
 
 def _shift(seconds: float, dt: float) -> ct.StateSpace:
@@ -574,14 +587,36 @@ class SettledObserver:
 
     def _steady_gain(self, noise: Array, r: Array) -> Array:
         try:
-            covariance, _, _ = ct.care(self.a.T, self.c.T, noise, r)
-        except (ValueError, np.linalg.LinAlgError, ct.ControlArgument) as error:
+            gain = np.linalg.solve(r, self.c @ _settled(self.a, self.c, noise, r)).T
+            settles = bool((np.linalg.eigvals(self.a - gain @ self.c).real < 0).all())
+        except np.linalg.LinAlgError:
+            settles = False
+        if not settles:
             sensors = ", ".join(self.observer.sensors)
             raise UndertowError(
                 f"observer '{self.observer.name}' does not converge: its sensors ({sensors}) do not observe "
                 "everything that drifts; add one, or estimate less"
-            ) from error
-        return np.asarray(covariance @ self.c.T @ np.linalg.inv(r))
+            )
+        return gain
+
+
+@np.errstate(all="ignore")  # what does not converge is no filter
+def _settled(a: Array, c: Array, noise: Array, r: Array) -> Array:
+    """Covariance of a filter that has settled, by the sign of its Hamiltonian matrix (Roberts 1980).
+
+    Ordered Schur forms fail where eigenvalues are as close to one another as those of delays are.
+    """
+    n, identity = len(a), np.eye(len(a))
+    sign = np.block([[a.T, -c.T @ np.linalg.solve(r, c)], [-noise, -a]])
+    for _ in range(SETTINGS.rounds):
+        scale = np.exp(-np.linalg.slogdet(sign)[1] / (2 * n))
+        before, sign = sign, 0.5 * (scale * sign + np.linalg.inv(sign) / scale)
+        if np.linalg.norm(sign - before, 1) <= SETTINGS.alike * np.linalg.norm(sign, 1):
+            break
+    left = np.vstack([sign[:n, n:], sign[n:, n:] + identity])
+    right = np.vstack([sign[:n, :n] + identity, sign[n:, :n]])
+    found = np.linalg.lstsq(left, -right, rcond=None)[0]
+    return np.asarray((found + found.T) / 2)
 
 
 def _sampled(law: ct.StateSpace, dt: float) -> ct.StateSpace:
