@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
-Report = Callable[[float, str], None]
+from undertow.typing import Progress
 
 
-def progress_line(part: str) -> Report:
+def progress_line(part: str) -> Progress:
     """A line on stderr that is rewritten on a terminal; one line per step elsewhere.
 
     The step is what stands before the colon in what is told.
@@ -24,6 +23,11 @@ def progress_line(part: str) -> Report:
         last[0] = words.partition(":")[0]
 
     return tell
+
+
+def part_of(report: Progress, number: int, count: int, before: str = "") -> Progress:
+    """Progress of one of `count` equal parts, numbered from zero, as progress of the whole."""
+    return lambda done, words: report((number + done) / count, before + words)
 
 
 def clear() -> None:

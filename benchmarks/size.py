@@ -139,7 +139,7 @@ def entered(sources: Path) -> dict[str, int]:
         "a log column to a verdict": ["diagnose", str(demo / "vehicle.toml"), *logs],
         "a gain to its conditions": ["gains", "mini-auv", "paper-pid"],
     }
-    numbers = {}
+    numbers: dict[str, int] = {}
     for name, words in commands.items():
         done = subprocess.run(
             [sys.executable, "-c", _ENTERED, *words],

@@ -14,8 +14,7 @@ from undertow.control.gains import GainTable, load_gains
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Thruster, Value, Vehicle
-
-from ..progress import Report
+from undertow.typing import Progress
 
 PAPER = ("paper-pd", "paper-pid", "paper-smc")
 CORIOLIS = ("rigid_body_coriolis", "added_mass_coriolis")
@@ -148,7 +147,7 @@ class Read:
         return None if None in times else max(t for t in times if t is not None)
 
 
-def read(report: Report) -> list[Read]:
+def read(report: Progress) -> list[Read]:
     """Every reading."""
     found = []
     for i, reading in enumerate(READINGS):
@@ -182,7 +181,7 @@ _INTERVALS = (1e-3, 1e-4, 1e-5)
 
 
 # --- six degrees of freedom ------------------------------------------------------------------------------
-def six(report: Report) -> list[tuple[str, list[Record]]]:
+def six(report: Progress) -> list[tuple[str, list[Record]]]:
     """The three controllers on variants of the vehicle in six degrees of freedom."""
     vehicle = load_vehicle(SIX)
     level, deep = _below(vehicle, 0.0), _below(vehicle, 0.02)

@@ -160,11 +160,11 @@ def main(arguments: list[str] | None = None) -> int:
     if lacks := board.missing():
         print(f"needs {', '.join(lacks)}: apt-get install {board.PACKAGES}")
         return 1
-    found = []
+    found: list[tuple[Call, Cost, Cost]] = []
     with TemporaryDirectory() as folder:
-        for call, *both in costs(Path(folder)):
-            found.append((call, *both))
-            print(call.words, *both, flush=True)
+        for row in costs(Path(folder)):
+            found.append(row)
+            print(row[0].words, *row[1:], flush=True)
     made = table(found)
     if page is None:
         print(made)

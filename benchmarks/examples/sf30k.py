@@ -29,13 +29,13 @@ WAYS = tuple(
 #: Where Neptune.xml puts the Doppler log, m; the vehicle files do not say so.
 DOPPLER_LOG = {"x_s": 0.54, "y_s": -0.56, "z_s": 0.0}
 #: What a second look takes for granted: the sensor where it is published to be, and a buoyancy of its own.
-SECOND = {
+SECOND: Tables = {
     "velocity_lever_arm": {n: f"{place:g} m" for n, place in DOPPLER_LOG.items()},
     "net_buoyancy": {"B_net": 0.0},
 }
 THRUSTERS = ("lateral", "vertical", "port", "starboard")
-_REVERSE = {"thruster_asymmetry": {"reverse_loss": 0.2}}
-_GAINS = {"thruster_gain": {f"gain_error_{n}": 0.0 for n in THRUSTERS}}
+_REVERSE: Tables = {"thruster_asymmetry": {"reverse_loss": 0.2}}
+_GAINS: Tables = {"thruster_gain": {f"gain_error_{n}": 0.0 for n in THRUSTERS}}
 #: Models fitted by hand.
 BY_HAND: dict[str, Tables] = {
     "second look": SECOND,

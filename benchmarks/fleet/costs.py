@@ -40,7 +40,7 @@ def material(logs: int, rows: int) -> Iterator[Material]:
         folder = Path(name)
         vehicle = folder_with_vehicle(folder)
         first = date(2026, 1, 1)
-        days = [(first + timedelta(days=i), {}) for i in range(logs)]
+        days: list[tuple[date, dict[str, float]]] = [(first + timedelta(days=i), {}) for i in range(logs)]
         write(folder / "logs", vehicle, "one", days, seconds=rows // 10)
         paths = tuple(str(p) for p in sorted((folder / "logs").rglob("*.parquet")))
         yield Material(with_fingerprint(Job(str(vehicle)))[0], paths, rows // 10 * 10 + 1)

@@ -7,6 +7,7 @@ import io
 import tempfile
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -137,9 +138,9 @@ def diagnosis(seed: int = 0) -> Diagnosis:
         Estimate(name=n, effect=e, value=number(), standard_error=abs(number()), unit="m/s", about="water")
         for n, e in (("V_N", "ocean_current"), ("V_E", "ocean_current"), ("X_0", "constant_force"))
     ]
-    shares = {"explained": 0.9, "improvement": 0.5, "interval": (0.4, 0.6), "p_value": 0.002}
-    errors = {"error_before": 9.0, "error_after": 1 + abs(number())}
-    ranked = {"family": "water", "about": "", "significant": bool(rng.integers(2)), **shares, **errors}
+    alike: dict[str, Any] = {"family": "water", "about": "", "significant": bool(rng.integers(2))}
+    alike |= {"explained": 0.9, "improvement": 0.5, "interval": (0.4, 0.6), "p_value": 0.002}
+    alike |= {"error_before": 9.0, "error_after": 1 + abs(number())}
     return Diagnosis(
         undertow="0.1.0",
         vehicle="usv",
@@ -150,8 +151,8 @@ def diagnosis(seed: int = 0) -> Diagnosis:
         headline="ocean_current or constant_force is missing",
         effects=["ocean_current"],
         ranking=[
-            Ranked(effect="ocean_current", parameters=found[:2], **ranked),
-            Ranked(effect="constant_force", parameters=found[2:], **ranked),
+            Ranked(effect="ocean_current", parameters=found[:2], **alike),
+            Ranked(effect="constant_force", parameters=found[2:], **alike),
         ],
         steps=[Step(added=[], error=9.0), Step(added=["ocean_current"], error=1.0, ahead={"1 s": 0.02})],
         indistinguishable=[Indistinguishable(effects=["ocean_current", "constant_force"], reason="alike")],
@@ -170,14 +171,16 @@ def _diagnosis() -> bytes:
 
 def _snapshot() -> bytes:
     """What `undertow update` remembers."""
-    of = {
-        "parameters": {"m": "7.5 kg", "X_u": "-0.142 kg/s"},
-        "eigenvalues": {"vehicle, hovering": {"u": "-0.1", "v, r": "-0.2 ± 0.5i"}},
-        "margins": {"paper-pd, x: gain": "2", "paper-pd, x: phase": "any"},
-        "verdicts": {"paper-pd, condition 1": "holds"},
-    }
-    text = Snapshot("mini-auv", ["paper-pd"], ["u=0.5"], **of).to_json()
-    return text.encode()
+    snapshot = Snapshot(
+        "mini-auv",
+        ["paper-pd"],
+        ["u=0.5"],
+        parameters={"m": "7.5 kg", "X_u": "-0.142 kg/s"},
+        eigenvalues={"vehicle, hovering": {"u": "-0.1", "v, r": "-0.2 ± 0.5i"}},
+        margins={"paper-pd, x: gain": "2", "paper-pd, x: phase": "any"},
+        verdicts={"paper-pd, condition 1": "holds"},
+    )
+    return snapshot.to_json().encode()
 
 
 def _manifest() -> bytes:

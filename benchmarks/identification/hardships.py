@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +9,12 @@ from numpy.typing import NDArray
 
 from undertow.identification.api import Estimator
 from undertow.identification.logs.run import Run
+from undertow.typing import Progress
 
 from .profile import EXACT, vehicle
 from .variables import INTERVAL, driven, numbers, steps
 
 Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 SAMPLES, NOISE, FORCE = 600, 0.005, 2.0
 NOTHING, OUTLIERS, WHITE, WALK = (
     "noise only",
@@ -73,10 +72,10 @@ def log(what: str, seed: int) -> Run:
     hit = (rng.random(SAMPLES) < 0.01) * (what == OUTLIERS)
     spikes = hit * 20 * NOISE * rng.choice([-1.0, 1.0], SAMPLES)
     reading = driven(force + push, 0.0) + noise + spikes
-    return Run("steps", INTERVAL * np.arange(SAMPLES), {"u": reading, "tau_X": force})
+    return Run("steps", INTERVAL * np.arange(SAMPLES, dtype=float), {"u": reading, "tau_X": force})
 
 
-def hardships(draws: int, report: Report) -> list[Hardship]:
+def hardships(draws: int, report: Progress) -> list[Hardship]:
     """All estimators in all that is wrong."""
     kinds = (NOTHING, OUTLIERS, WHITE, WALK)
     found = []

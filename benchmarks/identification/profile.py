@@ -61,7 +61,7 @@ def _drag(u: Array) -> Array:
 @cache
 def _path() -> Array:
     """Velocity without noise every 0.01 s from rest, by the classical Runge-Kutta method."""
-    grid = np.arange(round(DURATION / STEP) + 1) * STEP
+    grid = STEP * np.arange(round(DURATION / STEP) + 1, dtype=float)
     u = np.zeros(1)
     path = [u]
     for push in force(grid[:-1] + STEP / 2):
@@ -76,7 +76,7 @@ def _path() -> Array:
 
 def times(with_jumps: bool) -> Array:
     """t = 0.2 s ... 30 s, with a sample at every jump of the force or without."""
-    grid = np.arange(1, round(DURATION / INTERVAL) + 1) * INTERVAL
+    grid = INTERVAL * np.arange(1.0, round(DURATION / INTERVAL) + 1)
     return np.union1d(np.round(grid, 6), JUMPS) if with_jumps else np.round(grid, 6)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -18,11 +17,12 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.paper.least_squares import Experiment, estimate, experiments, selected
 from undertow.paper.regression import CASES
+from undertow.typing import Progress
 
+from ..progress import part_of
 from .profile import EXACT, MASS, NOISES, logs, spread, vehicle
 
 Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 RULE, WEAK, OUTPUT = "case by the rule", "weak form", "output error"
 METHODS = (*(f"case {name}" for name in CASES), RULE, WEAK, OUTPUT)
 
@@ -66,15 +66,12 @@ class Level:
         return np.min([self.rmse(f"case {name}") for name in CASES], axis=0)
 
 
-def study(draws: int, report: Report) -> list[Level]:
+def study(draws: int, report: Progress) -> list[Level]:
     """All noise levels."""
-    return [
-        _level(noise, draws, lambda done, words, i=i: report((i + done) / len(NOISES), words))
-        for i, noise in enumerate(NOISES)
-    ]
+    return [_level(noise, draws, part_of(report, i, len(NOISES))) for i, noise in enumerate(NOISES)]
 
 
-def _level(noise: float, draws: int, report: Report) -> Level:
+def _level(noise: float, draws: int, report: Progress) -> Level:
     model = vehicle()
     (surge,) = experiments(model, [logs(noise, 0, False)[0]])
     found: dict[str, list[Array]] = {method: [] for method in METHODS}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -183,7 +183,7 @@ def _named(
 
 
 def _row(
-    source: str, method: str, values: Sequence[float], errors: Sequence[float], known: tuple[str, ...]
+    source: str, method: str, values: Iterable[float], errors: Iterable[float], known: tuple[str, ...]
 ) -> Towed:
     linear, quadratic = (float(v) for v in values)
     force = linear * SPEEDS + quadratic * SPEEDS**2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +14,11 @@ from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle
 from undertow.paper.least_squares import estimate, experiments
 from undertow.paper.regression import CASES
+from undertow.typing import Progress
 
 from .profile import EXACT, MASS, vehicle
 
 Array = NDArray[np.float64]
-Report = Callable[[float, str], None]
 DURATION, INTERVAL, HOLD, FORCE, FINE = 300.0, 0.1, 4.0, 0.6, 4
 NOISES, CURRENTS, CURRENT_NOISE = (0.02, 0.05, 0.10, 0.20), (0.1, 0.2), 0.02
 SQUARES, SMOOTHED = "least squares, case 1", "least squares, case 11"
@@ -101,7 +101,7 @@ def with_current() -> Vehicle:
     return vehicle().with_effect(catalogue()["ocean_current"], {"V_N": Value(0.0, estimate=True)})
 
 
-def biases(draws: int, report: Report) -> list[Bias]:
+def biases(draws: int, report: Progress) -> list[Bias]:
     """All noise levels, then all currents without and with the current in the model."""
     settings = [(n, 0.0) for n in NOISES] + [(CURRENT_NOISE, c) for c in CURRENTS]
     found = []

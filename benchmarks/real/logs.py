@@ -152,10 +152,10 @@ SETS: dict[str, LogSet] = {
 
 def tanker(folder: Path) -> LogSet:
     """The zigzags of a 7 m tanker (HSVA), which nobody may hand on: from a folder of one's own."""
-    files = (str((folder / name).resolve()) for name in ("vehicle.toml", "log.toml"))
+    ship, columns = (str((folder / name).resolve()) for name in ("vehicle.toml", "log.toml"))
     train, test = TANKER
     return LogSet(
-        Judged("KVLCC2 zigzags", *files, train, test),
+        Judged("KVLCC2 zigzags", ship, columns, train, test),
         str(folder.resolve()),
         (5.0, 30.0, 60.0),
         _TANKER,
@@ -170,10 +170,10 @@ def tanker(folder: Path) -> LogSet:
 
 def pond(folder: Path) -> LogSet:
     """Free runs of a 3 m ship in a pond, with the wind as it was measured aboard."""
-    files = (str(Path(__file__).parent / "esso" / name) for name in ("vehicle.toml", "log.toml"))
+    ship, columns = (str(Path(__file__).parent / "esso" / name) for name in ("vehicle.toml", "log.toml"))
     train, test = ESSO
     return LogSet(
-        Judged("Esso Osaka, wind measured", *files, train, test),
+        Judged("Esso Osaka, wind measured", ship, columns, train, test),
         str(folder.resolve()),
         (15.0, 60.0, 100.0),
         {"speed": 0.17, "rate": 0.024, "length": 3.0, "command": 0.35, "time": 1.0},

@@ -327,7 +327,7 @@ def abkowitz(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerat
 
 def sindy(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerating:
     """STLSQ of PySINDy on all products, its threshold chosen on the last part of the training logs."""
-    from pysindy.optimizers import STLSQ  # type: ignore[import-untyped]
+    from pysindy.optimizers import STLSQ
 
     delay, terms = delay_of(vehicle, runs), polynomial_terms(vehicle, symmetric=False)
     known = samples(vehicle, runs, delay)
@@ -350,7 +350,7 @@ def sindy(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerating
 
 def boosting(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> Accelerating:
     """Gradient-boosted trees of scikit-learn on velocities, tilts and commands, one for each acceleration."""
-    from sklearn.ensemble import HistGradientBoostingRegressor  # type: ignore[import-untyped]
+    from sklearn.ensemble import HistGradientBoostingRegressor
 
     delay, n = delay_of(vehicle, runs), len(vehicle.velocity_names)
     known = samples(vehicle, runs, delay)
@@ -449,7 +449,7 @@ def state_space(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> StateS
 def _identified(u: Array, y: Array) -> list[tuple[Array, Array, Array, Array, Array]]:
     """A, B, C, D and K of all orders."""
     import pandas
-    from nfoursid.nfoursid import NFourSID  # type: ignore[import-untyped]
+    from nfoursid.nfoursid import NFourSID
 
     inputs, outputs = ([f"{name}{i}" for i in range(t.shape[1])] for name, t in (("u", u), ("y", y)))
     frame = pandas.DataFrame(np.column_stack([u, y]), columns=[*inputs, *outputs])

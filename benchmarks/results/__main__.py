@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.progress import clear, progress_line
+from benchmarks.progress import clear, part_of, progress_line
 from undertow import __version__
 from undertow.errors import UndertowError
 from undertow.files import write_whole
@@ -58,8 +58,7 @@ def _parser() -> argparse.ArgumentParser:
 def _diagnosed(data: Path) -> list[CaseResult]:
     report, results = progress_line(FOLDER), []
     for i, case in enumerate(CASES):
-        results.append(run_case(data, case, lambda done, words, i=i, case=case: report(
-            (i + done) / len(CASES), f"{case}: {words}")))  # fmt: skip
+        results.append(run_case(data, case, part_of(report, i, len(CASES), f"{case}: ")))
     return results
 
 

@@ -13,8 +13,9 @@ from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.typing import Progress
 
-from .reading import Report, quiet, read
+from .reading import quiet, read
 from .text import MISSING, errors, estimate, lengths, listed, number, table, within_runs
 
 CASES = (
@@ -73,7 +74,7 @@ def _said(right: bool) -> str:
     return "right" if right else "wrong"
 
 
-def run_case(data: Path, name: str, report: Report = quiet) -> CaseResult:
+def run_case(data: Path, name: str, report: Progress = quiet) -> CaseResult:
     """Diagnose one case.
 
     Parameters

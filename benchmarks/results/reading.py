@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from undertow.identification.logs.mapping import LogMapping
@@ -10,9 +10,6 @@ from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
-
-#: Given what share is done, and what is being done.
-Report = Callable[[float, str], None]
 
 
 def quiet(done: float, words: str) -> None:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from undertow.shape.bodies import AddedMass, box, cylinder, ellipsoid, equivalent, prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, mended
 from undertow.shape.panels import added_mass_of_hull
+from undertow.typing import Progress
 
-from ..progress import Report
 from .hulls import ball, box_mesh, cylinder_mesh, revolved, spheroid_mesh, torpedo_mesh
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def _cases() -> list[tuple[str, str, Mesh, Callable[[Mesh], AddedMass]]]:
     ]
 
 
-def measure(finest: int, report: Report) -> list[Measured]:
+def measure(finest: int, report: Progress) -> list[Measured]:
     """Every body by both ways, about its centre of volume."""
     found, cases = [], _cases()
     for i, (group, body, drawn, simple) in enumerate(cases):

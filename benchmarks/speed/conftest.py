@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
@@ -25,7 +25,7 @@ class Speed:
         limit: float | None = None,
         size: float | None = None,
         rounds: int | None = None,
-        **more: float | str,
+        more: Mapping[str, float | str] | None = None,
     ) -> None:
         """Time `action`.
 
@@ -47,23 +47,26 @@ class Speed:
             Size of the problem, for tables of growth.
         rounds : int, optional
             How often a slow action is run; by default the runner decides.
-        more
+        more : mapping, optional
             Other figures for the page ("megabytes").
         """
         if apart is not None and limit is not None:
             assert apart <= limit, f"{what}, {who}: {apart:.3g} apart, at most {limit:.3g}"
         reported = {"what": what, "who": who, "calls": calls, "apart": apart, "limit": limit, "size": size}
-        self._benchmark.extra_info.update({k: v for k, v in reported.items() if v is not None}, **more)
+        known = {k: v for k, v in reported.items() if v is not None}
+        self._benchmark.extra_info.update(known, **(more or {}))
         self._benchmark.group = what
         if rounds is None:
             self._benchmark(action)
         else:
             self._benchmark.pedantic(action, rounds=rounds, iterations=1, warmup_rounds=int(rounds > 1))
 
-    def elsewhere(self, what: str, who: str, seconds: float, **more: float | str) -> None:
-        """Tell what another process has measured; `more` as for a call."""
+    def elsewhere(
+        self, what: str, who: str, seconds: float, *, apart: float, limit: float, more: Mapping[str, float]
+    ) -> None:
+        """Tell what another process has measured; the rest as for a call."""
         self._benchmark.extra_info["seconds"] = seconds
-        self(what, who, lambda: None, rounds=1, **more)  # type: ignore[arg-type]
+        self(what, who, lambda: None, apart=apart, limit=limit, rounds=1, more=more)
 
 
 @pytest.fixture

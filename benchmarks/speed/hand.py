@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from undertow.codegen.compiler import find_compiler
 from undertow.model.symbols import FORCE, VELOCITY
@@ -28,7 +29,7 @@ def parameters() -> np.ndarray:
     quadratic = [value[f"{f}_{m}abs{m}"] for f, m in zip(FORCE, VELOCITY, strict=True)]
     thrust = [value[f"thrust_{t.name}"] for t in vehicle.vehicle().thrusters]
     allocation = np.array([t.wrench for t in vehicle.vehicle().thrusters]).T * thrust
-    parts = [
+    parts: list[ArrayLike] = [
         *(_columns(m) for m in (mass, np.linalg.inv(mass), _derivatives(value, "{}_{}"), allocation)),
         _padded(quadratic, _ROWS),
         _padded([value["S_x"], value["S_y"], value["S_z"]], 4),

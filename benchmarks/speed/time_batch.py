@@ -43,7 +43,7 @@ def time_ours(speed: Speed, threads: str, apart: float) -> None:
         apart=apart,
         limit=LIMIT,
         rounds=ROUNDS,
-        lanes=loop.stepper.lanes,
+        more={"lanes": loop.stepper.lanes},
     )
 
 
@@ -59,7 +59,7 @@ def time_hand(speed: Speed, threads: str, by_hand: loops.HandLoop) -> None:
         lambda: by_hand.rerun(p, SAMPLES, log, THREADS[threads]),
         calls=PART / RUNS,
         rounds=3 * ROUNDS,
-        scaled_up_from=f"{PART} runs",
+        more={"scaled_up_from": f"{PART} runs"},
     )
 
 

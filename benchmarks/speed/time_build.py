@@ -52,4 +52,4 @@ def time_build(speed: Speed, tmp_path: Path) -> None:
     best = min(runs, key=lambda run: sum(run["seconds"]))
     apart = float(np.abs(np.array(best["end"]) - runs[0]["end"]).max())
     steps = {k: round(v, 4) for k, v in zip(_STEPS, best["seconds"], strict=True)}
-    speed.elsewhere(COLD, OURS, sum(best["seconds"]), apart=apart, limit=_ROUNDING, **steps)
+    speed.elsewhere(COLD, OURS, sum(best["seconds"]), apart=apart, limit=_ROUNDING, more=steps)

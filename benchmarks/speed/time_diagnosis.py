@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ def time_whole_catalogue(speed: Speed) -> None:
     warmed_up()
     named: list[list[str]] = []
     more: dict[str, float | str] = {"effects tried": float(len(effects_to_try())), "named": HIDDEN}
-    speed(DIAGNOSIS, OURS, lambda: named.append(found(catalogue())), rounds=1, **more)
+    speed(DIAGNOSIS, OURS, lambda: named.append(found(catalogue())), rounds=1, more=more)
     assert named[-1] == [HIDDEN]
 
 
@@ -46,7 +47,7 @@ def time_stepwise(speed: Speed) -> None:
         "effects tried": float(len(terms.effects)),
         "named": ", ".join(named) or "nothing",
     }
-    speed(DIAGNOSIS, PEER, lambda: _selected(_terms()), rounds=1, **more)
+    speed(DIAGNOSIS, PEER, lambda: _selected(_terms()), rounds=1, more=more)
 
 
 @pytest.mark.parametrize("size", [5, 10, 20, 40])
@@ -94,7 +95,7 @@ def _aside(terms: Terms, effects: Sequence[str]) -> float:
     return terms.aside(coefficients)
 
 
-def _fit(terms: Terms, effects: Sequence[str]) -> object:
+def _fit(terms: Terms, effects: Sequence[str]) -> Any:
     from statsmodels.api import OLS
 
     return OLS(terms.y, terms.columns[:, terms.of(effects)]).fit()

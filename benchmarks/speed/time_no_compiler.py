@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -33,7 +34,8 @@ class Work:
     def done(self, who: str, samples: int) -> np.ndarray:
         """States, or sensitivities, at the last sample."""
         simulator = _simulator(who)
-        t, u = np.arange(samples + 1) * 0.05, 0.1 * np.repeat(vehicle.commands(1), samples + 1, 0)
+        t, commands = 0.05 * np.arange(samples + 1, dtype=float), 0.1 * vehicle.commands(1)
+        u = np.repeat(commands, samples + 1, 0)
         x0, p = np.zeros(len(vehicle.functions().state_names)), np.array(vehicle.functions().values())
         if self.columns:
             return simulator.run_with_sensitivities(x0, t, u, p, range(self.columns))[1][-1]
@@ -81,5 +83,5 @@ def _gains() -> GainSet:
     return load_gains("paper-pid", load_vehicle("mini-auv"))
 
 
-def _ends(state: dict[str, np.ndarray]) -> np.ndarray:
+def _ends(state: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.array([values[-1] for values in state.values()])

@@ -6,6 +6,7 @@ in units of the regressor's columns. PySINDy does a piece of the work, and its t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from threading import Thread
@@ -32,7 +33,7 @@ SAMPLES, PIECE, LIMIT = 1_000_000, 50_000, 1e-8
 GROWTH = "regression, by samples"
 # As many samples as NumPy builds the rows of fastest.
 _AT_A_TIME = 5_000
-_ODD = {
+_ODD: dict[str, Callable[..., np.ndarray]] = {
     **{"OP_SIN": np.sin, "OP_COS": np.cos, "OP_FABS": np.abs, "OP_SQ": np.square},
     **{"OP_ADD": np.add, "OP_SUB": np.subtract, "OP_MUL": np.multiply, "OP_DIV": np.divide},
     **{"OP_NEG": np.negative, "OP_TWICE": lambda a: 2 * a, "OP_INV": lambda a: 1 / a},
@@ -202,7 +203,7 @@ def time_ours(speed: Speed) -> None:
         apart=apart(found),
         limit=LIMIT,
         rounds=20,
-        megabytes=megabytes,
+        more={"megabytes": megabytes},
     )
 
 
@@ -218,7 +219,7 @@ def time_sindy(speed: Speed) -> None:
         calls=PIECE / SAMPLES,
         apart=apart(by_sindy()),
         rounds=3,
-        measured_on=f"{PIECE} samples",
+        more={"measured_on": f"{PIECE} samples"},
     )
 
 

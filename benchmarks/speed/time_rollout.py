@@ -130,7 +130,7 @@ def time_casadi(speed: Speed, tmp_path: Path) -> None:
         apart=apart,
         limit=LIMIT,
         rounds=3,
-        samples_per_call=CHUNK,
+        more={"samples_per_call": CHUNK},
     )
 
 
@@ -156,7 +156,7 @@ def time_python(
         apart=apart,
         limit=LIMIT,
         rounds=3,
-        scaled_up_from=f"{piece:g} s",
+        more={"scaled_up_from": f"{piece:g} s"},
     )
 
 

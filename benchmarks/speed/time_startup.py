@@ -59,7 +59,7 @@ def _time(speed: Speed, what: str, who: str, folder: Path, *words: str) -> None:
     def action() -> None:
         _run(*words, folder=folder)
 
-    speed(what, who, action, rounds=ROUNDS, **{"CPU time, s": _processor_seconds(action)})
+    speed(what, who, action, rounds=ROUNDS, more={"CPU time, s": _processor_seconds(action)})
 
 
 def _run(*words: str, folder: Path) -> None:

@@ -76,7 +76,7 @@ def _left(terms: Terms, effects: Sequence[str]) -> float:
 
 def sindy(terms: Terms) -> Answer:
     """STLSQ of PySINDy; of all thresholds the sparsest model that predicts the validation data as well."""
-    from pysindy.optimizers import STLSQ  # type: ignore[import-untyped]
+    from pysindy.optimizers import STLSQ
 
     tried = []
     for threshold in THRESHOLDS * np.sqrt(np.mean(terms.y**2)):
@@ -101,7 +101,7 @@ def available() -> dict[str, Method]:
     """The methods that are installed, by name."""
     methods: dict[str, Method] = {"stepwise F test": stepwise}
     try:
-        import pysindy  # type: ignore[import-untyped]  # noqa: F401
+        import pysindy  # noqa: F401
     except ImportError:
         return methods
     return {**methods, "PySINDy": sindy}

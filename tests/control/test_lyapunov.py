@@ -9,7 +9,7 @@ import pytest
 import sympy as sm
 
 from tests.quick import first_quick
-from undertow.control.conditions.lyapunov import (
+from undertow.control.conditions.by_law import (
     CANDIDATES,
     IOTA,
     along_the_loop,

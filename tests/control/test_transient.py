@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -15,17 +15,18 @@ from scipy.linalg import expm
 from benchmarks.attacks import Attack, BoxTarget
 from tests.control.test_certificates import loaded
 from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.conditions import transient
 from undertow.control.conditions.attitude import enclose
-from undertow.control.conditions.motion import Motion
-from undertow.control.conditions.problem import Problem
-from undertow.control.conditions.responses import SETTINGS as KERNELS
-from undertow.control.conditions.responses import Driven, Responses, Starts, grid, modes
+from undertow.control.conditions.motion import SETTINGS as KERNELS
+from undertow.control.conditions.motion import Driven, Motion, Responses, Starts, grid, modes
+from undertow.control.conditions.problem import Problem, Span
 from undertow.control.conditions.result import Transient
 from undertow.control.conditions.transient import Bounds, Known, Search, Sector, _caps, bounds_in_time
 from undertow.control.conditions.whole import certify
-from undertow.control.gains import GainSet, GainTable, gains_from_table
+from undertow.control.gains import GainSet, GainTable, ScheduleTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
 from undertow.errors import UndertowError
+from undertow.model.loading import load_vehicle
 
 FINE = KERNELS.ratios[-1]
 NAMES = ("x", "y", "z", "phi", "theta", "psi")
@@ -338,3 +339,40 @@ def test_what_coarse_pieces_of_time_do_not_prove_finer_ones_may() -> None:
     assert len(found) == 1
     begun = np.abs(found[0].errors[0])
     assert np.all(begun >= search.starts.box)
+
+
+class _Told(Search):
+    """A search that is told which ranges have bounds: those up to a width, in pieces of time fine enough."""
+
+    def __init__(self, half: float, ratio: float) -> None:
+        self.half, self.ratio = half, ratio
+        self.looked: list[tuple[int, float]] = []  # how many ranges at a time, and by which last ratio
+
+    def lost(
+        self, ranges: Sequence[Span], found: list, ratios: Sequence[float] = KERNELS.ratios
+    ) -> list[Span]:
+        self.looked.append((len(ranges), ratios[-1]))
+        there = [h <= self.half and ratios[-1] <= self.ratio for _, h in ranges]
+        found += [there] * sum(there)
+        return [span for span, holds in zip(ranges, there, strict=True) if not holds]
+
+
+def test_a_search_is_given_up_where_a_narrowest_range_has_no_bounds() -> None:
+    coarse, fine = KERNELS.ratios
+    hopeless = _Told(0.0, fine)
+    assert hopeless.whole([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) is None
+    assert hopeless.looked == [(3, coarse), (3, fine)]
+
+
+def test_pieces_of_time_too_coarse_for_single_headings_are_tried_of_no_range(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    coarse, fine = KERNELS.ratios
+    told = _Told(np.pi, fine)
+    for name, of in {"Search": lambda *_: told, "Motion": lambda *_: None, "_together": len}.items():
+        monkeypatch.setattr(transient, name, of)
+    monkeypatch.setattr(Problem, "heading_counts", True)
+    gains = load_gains("paper-pd", load_vehicle("mini-auv"))
+    problem = Problem(replace(gains, schedule=ScheduleTable()))
+    assert bounds_in_time(problem, {"x": 0.1}) == 16
+    assert told.looked == [(8, coarse), (8, fine), (16, fine)]

@@ -11,8 +11,8 @@ import pytest
 import sympy as sm
 
 from tests.quick import first_quick
+from undertow.control.conditions.by_law import CANDIDATES, IOTA, along_the_loop, in_numbers
 from undertow.control.conditions.channels import coupled, coupled_roots, zero_dynamics
-from undertow.control.conditions.lyapunov import CANDIDATES, IOTA, along_the_loop, in_numbers
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
 from undertow.control.conditions.region import region
 from undertow.control.conditions.whole import certify

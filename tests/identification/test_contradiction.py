@@ -32,7 +32,7 @@ class _Tried(NamedTuple):
     @property
     def doubt(self) -> str:
         fits = self.bench.base, self.finding.trial.fit
-        return contradiction([self.finding], fits, self.bench, self.validator)
+        return contradiction(self.finding, fits, self.bench, self.validator)
 
     @property
     def kept(self) -> Kept:
@@ -44,7 +44,7 @@ class _Tried(NamedTuple):
         assert effect.about().startswith("a force that goes with")
         other = try_all(self.bench, {effect.id: effect}, lambda done, words: None).findings[0]
         assert other.explained > 0.15
-        return kept_beside([self.finding], other, base, self.bench, self.validator)
+        return kept_beside(self.finding, other, base, self.bench, self.validator)
 
 
 @cache

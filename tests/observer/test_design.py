@@ -5,17 +5,21 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import control as ct
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.linalg import solve_continuous_lyapunov
 
 from benchmarks.observer_log import auv
 from undertow.codegen.compiler import find_compiler
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import identifier, slug
 from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.conditions.whole import observed_loop
 from undertow.control.gains import load_gains
 from undertow.control.linear.systems import SettledObserver, close_loop
 from undertow.control.linear.trim import find_trim
@@ -47,6 +51,13 @@ def table(**more: object) -> ObserverTable:
         "disturbance": DISTURBANCE,
     }
     return ObserverTable.model_validate(content | more)
+
+
+def behind(method: Method = "ekf", period: str = "0.2 s") -> Design:
+    """An observer whose velocities are 0.3 s late, beside positions on time."""
+    sensors = {n: SENSORS[n] for n in ("x", "y", "z", "psi")} | {"u": {"noise": "1 cm/s"}}
+    sensors["w"] = {"noise": "1 cm/s", "period": period}
+    return design(table(name=f"late {method}", filter=method, sensors=sensors), auv(velocity_delay=0.3))
 
 
 @pytest.mark.parametrize(
@@ -212,17 +223,44 @@ def test_the_controller_sees_the_estimate(record) -> None:
     assert np.std(record.reported["x"] - record.state["x"]) == pytest.approx(0.05, rel=0.15)
 
 
-def test_compiled_loops_with_an_observer_are_those_of_the_virtual_machine() -> None:
+@pytest.mark.parametrize("observer", [design(table(), load_vehicle("mini-auv")), behind()], ids=["", "late"])
+def test_compiled_loops_with_an_observer_are_those_of_the_virtual_machine(observer: Design) -> None:
     if find_compiler() is None:
         pytest.skip("no C compiler on this machine")
-    gains, observer = (
-        load_gains("paper-pd", load_vehicle("mini-auv")),
-        design(table(), load_vehicle("mini-auv")),
-    )
+    gains, moving = load_gains("paper-pd", load_vehicle("mini-auv")), observer.process.vehicle
     scenario = Scenario((0.2, 0.0, 0.3, 0.5), 2.0, 0.1)
-    runs = [ClosedLoop(gains, observer=observer, compiled=c).run(scenario) for c in (True, False)]
+    loops = [ClosedLoop(gains, moving, observer=observer, compiled=c) for c in (True, False)]
+    runs = [loop.run(scenario) for loop in loops]
     for name, values in runs[0].estimated.items():
         np.testing.assert_allclose(values, runs[1].estimated[name], rtol=1e-8, atol=1e-10)
+    several = loops[0].run_many(scenario, starts={"z": np.linspace(0.0, 0.2, 5)})
+    for name, values in runs[0].state.items():
+        np.testing.assert_allclose(several.state(name)[0], values, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("method", ["ekf", "ukf"])
+def test_a_loop_uses_late_reports_when_they_were_true(method: Method) -> None:
+    """Python has the reports that had come in at a sample, in the rows of when they were true."""
+    observer, dt, lags = behind(method), 0.1, (0, 0, 0, 0, 3, 3)
+    process = observer.process
+    gains = load_gains("paper-pd", load_vehicle("mini-auv"))
+    loop = ClosedLoop(gains, process.vehicle, observer=observer, compiled=False)
+    record = loop.run(Scenario((0.2, 0.1, 0.5, 0.3), 3.0, dt))
+    u = np.column_stack([record.commands[n] for n in process.vehicle.command_names])
+    variance, n = np.ones(len(process.channels)), process.x.numel()
+    variance[list(observer.channels)] = observer.variance
+    for k in (0, 1, 2, 3, 4, 17, 29):
+        y = np.full((k + 2, len(process.channels)), np.nan)
+        for i, period, lag in zip(observer.channels, observer.period, lags, strict=True):
+            for came in range(0, k + 1, max(round(period / dt), 1)):
+                if came >= lag:
+                    y[came - lag, i] = record.reported[process.channels[i]][came]
+        given = Reports(dt * np.arange(k + 2), u[: k + 2], y, variance)
+        found = Observer(process, observer.densities).run(
+            given, np.zeros(n), AT_REST.covariance(process), method
+        )
+        estimated = [record.estimated[name][k] for name in process.state_names]
+        np.testing.assert_allclose(estimated, found.mean[-1], rtol=1e-9, atol=1e-12)
 
 
 def test_a_loop_with_sigma_points_finds_the_current() -> None:
@@ -268,6 +306,57 @@ def test_a_filter_that_settles_has_the_gain_of_the_loop() -> None:
     np.testing.assert_allclose(gain[[0, 3, 7]], settled.gain[[0, 3, 7]], rtol=0.05, atol=1e-4)
 
 
+def test_late_reports_leave_the_poles_of_law_and_filter_apart() -> None:
+    """A filter that knows Padé's approximation of the delays obeys the separation principle with it."""
+    observer, order = behind(), 3
+    vehicle = observer.process.vehicle
+    gains, trim = load_gains("paper-pid", vehicle), find_trim(vehicle)
+    loop = close_loop(vehicle, gains, trim, observer=observer, pade=order)
+    filter = SettledObserver(observer, trim, order)
+    of_the_error = np.linalg.eigvals(filter.a - filter.gain @ filter.c)
+    of_a_delay = np.linalg.eigvals(ct.ss(ct.tf(*ct.pade(0.3, order))).A)
+    on_time = close_loop(load_vehicle("mini-auv"), gains, find_trim(load_vehicle("mini-auv")))
+    both = np.concatenate([np.linalg.eigvals(on_time.closed.A), of_the_error, *[of_a_delay] * 3])
+    found = np.linalg.eigvals(loop.closed.A)
+    at = 0.3 + 0.7j
+    assert np.prod(at - found) == pytest.approx(np.prod(at - both), rel=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0.03, 0.3, 3.0])
+def test_the_filter_of_late_reports_converges_with_the_order_of_the_approximation(delay: float) -> None:
+    sensors = {n: SENSORS[n] for n in ("x", "y", "z", "psi")} | {n: {"noise": "1 cm/s"} for n in ("u", "w")}
+    observer = design(table(sensors=sensors), auv(velocity_delay=delay))
+    trim, n = find_trim(observer.process.vehicle), observer.process.x.numel()
+    six, eight = (SettledObserver(observer, trim, order).gain[:n] for order in (6, 8))
+    np.testing.assert_allclose(six, eight, rtol=1e-4, atol=1e-9)
+
+
+def test_gains_are_judged_with_late_reports() -> None:
+    observer = behind()
+    assert observed_loop(load_gains("paper-pd", observer.process.vehicle), observer).verdict == "stable"
+
+
+def test_a_settled_filter_of_late_reports_is_as_sure_as_the_one_in_a_loop() -> None:
+    """Quickly sampled, with velocities 0.3 s late, against Padé's approximation of fourth order."""
+    observer, dt, lag, rows = behind(period="0.02 s"), 0.02, 15, 3000
+    observer = replace(observer, period=np.full(6, dt), variance=np.full(6, 1e-2))
+    process, trim = observer.process, find_trim(observer.process.vehicle)
+    settled = SettledObserver(observer, trim, 4)
+    noise = np.zeros_like(settled.a)
+    noise[process.driven, process.driven] = observer.densities
+    noise += dt * settled.gain @ np.diag(observer.variance) @ settled.gain.T
+    P = solve_continuous_lyapunov(settled.a - settled.gain @ settled.c, -noise)
+    y, variance = np.full((rows, 8), np.nan), np.ones(8)
+    y[:, list(observer.channels)], variance[list(observer.channels)] = 0.0, observer.variance
+    y[-lag:, list(observer.channels)[4:]] = np.nan
+    u = np.tile([trim.commands[c] for c in process.vehicle.command_names], (rows, 1))
+    given = Reports(dt * np.arange(rows), u, y, variance)
+    found = Observer(process, observer.densities).run(given, np.zeros(8), 0.01 * np.eye(8))
+    for name in process.state_names:
+        i = process.index(name)
+        assert found.covariance[-1, i, i] == pytest.approx(P[i, i], rel=0.05), name
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
@@ -283,13 +372,16 @@ def test_files_that_do_not_fit_are_refused(more, words) -> None:
         design(table(**more), load_vehicle("mini-auv"))
 
 
-def test_late_reports_and_laws_without_samples_are_refused(tmp_path: Path) -> None:
-    late = auv(velocity_delay=0.2)
-    behind = design(table(sensors={"u": {"noise": 0.01}}), late)
-    with pytest.raises(UndertowError, match=r"u is reported 0\.2 s late, and a loop"):
-        ClosedLoop(load_gains("paper-pd", late), observer=behind, compiled=False)
-    with pytest.raises(UndertowError, match=r"u is reported 0\.2 s late, and a loop"):
-        close_loop(late, load_gains("paper-pid", late), find_trim(late), observer=behind)
+def test_late_reports_are_refused_without_an_approximation_and_where_they_are_too_many() -> None:
+    observer, vehicle = behind(), behind().process.vehicle
+    with pytest.raises(UndertowError, match=r"u is reported 0\.3 s late, .*: give the order .*--pade 3"):
+        close_loop(vehicle, load_gains("paper-pid", vehicle), find_trim(vehicle), observer=observer)
+    loop = ClosedLoop(load_gains("paper-pd", vehicle), observer=observer, compiled=False)
+    with pytest.raises(UndertowError, match=r"3000 samples of 0\.0001 s late, .* keeps 500: lengthen dt to"):
+        loop.run(Scenario((1, 1, 1, 0), 1.0, 1e-4))
+
+
+def test_laws_without_samples_and_unknown_keys_are_refused(tmp_path: Path) -> None:
     vehicle = load_vehicle("mini-auv")
     loop = ClosedLoop(load_gains("paper-pd", vehicle), observer=design(table(), vehicle), compiled=False)
     with pytest.raises(UndertowError, match="needs a sampled law"):

@@ -220,10 +220,10 @@ def test_a_wrong_model_is_seen_in_the_innovations() -> None:
 
 def test_ljung_box_holds_its_level() -> None:
     rng = np.random.default_rng(0)
-    p = np.array([ljung_box("x", rng.standard_normal(300)).p_value for _ in range(400)])
+    p = np.array([ljung_box(rng.standard_normal(300), SETTINGS.lags).p_value for _ in range(400)])
     assert 0.02 < np.mean(p < 0.05) < 0.09
     walk = np.convolve(rng.standard_normal(301), [1.0, 0.4], "valid")
-    assert ljung_box("x", walk).p_value < 1e-4
+    assert ljung_box(walk, SETTINGS.lags).p_value < 1e-4
 
 
 @pytest.mark.parametrize(

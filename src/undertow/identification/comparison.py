@@ -12,12 +12,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from scipy.sparse import bsr_array, csr_array
-from scipy.special import chdtrc
 
 from undertow.codegen.engine import mapped
 from undertow.codegen.functions import Functions
 from undertow.model.symbols import FORCE_UNITS
 from undertow.model.vehicle import Vehicle
+from undertow.observer.consistency import LjungBox, ljung_box
 from undertow.typing import Array, Flags, Index, Progress
 from undertow.version import __version__
 
@@ -690,30 +690,9 @@ def _budget(forces: Forces, vehicle: Vehicle) -> list[BudgetShare]:
 
 
 # --- whether what is left is noise ----------------------------------------------------------------
-@dataclass(frozen=True)
-class Whiteness:
-    """Autocorrelation of a series and the test of Ljung and Box (1978) on it."""
-
-    autocorrelation: Array  # (lags,) at lags 1, 2, ...
-    statistic: float  # Q = n (n + 2) sum of autocorrelation^2 / (n - lag)
-    p_value: float  # Chance of a Q at least as large if the series is white
-
-
-def whiteness(r: Array, segment: Index, lags: int = SETTINGS.lags) -> Whiteness:
+def whiteness(r: Array, segment: Index, lags: int = SETTINGS.lags) -> LjungBox:
     """Test a series (K,) for whiteness over at most a quarter of it; products never reach across a gap."""
-    count = len(r)
-    lags = min(lags, count // 4)
-    centred = r - r.mean()
-    power = float(np.sum(centred**2))
-    if lags < 1 or power == 0.0:
-        return Whiteness(np.zeros(0), 0.0, 1.0)
-    rho = np.array([_product(centred, segment, k) for k in range(1, lags + 1)]) / power
-    q = float(count * (count + 2) * np.sum(rho**2 / (count - np.arange(1, lags + 1))))
-    return Whiteness(rho, q, float(chdtrc(lags, q)))
-
-
-def _product(r: Array, segment: Index, lag: int) -> float:
-    return float(np.sum((r[lag:] * r[:-lag])[segment[lag:] == segment[:-lag]]))
+    return ljung_box(r - r.mean(), min(lags, len(r) // 4), segment)
 
 
 def correlation(a: Array, b: Array) -> float:

@@ -124,7 +124,7 @@ class ResultBuilder:
         """
         for i, effect in enumerate(named):
             bench = replace(self.bench, base=self._weak[i])
-            doubt = contradiction([effect], (self._weak[i], self._weak[i + 1]), bench, self.validator)
+            doubt = contradiction(effect, (self._weak[i], self._weak[i + 1]), bench, self.validator)
             if doubt:
                 beside = f"it was found beside {effect.id}, which is not established either"
                 words = [doubt, *[beside] * (len(graded) - i - 1)]
@@ -455,50 +455,48 @@ def _only(effect_set: EffectSet, places: list[int]) -> EffectSet:
 
 # --- what in the forces speaks against effects that would be named -------------------------------
 def contradiction(
-    found: Sequence[FoundEffect],
+    effect: FoundEffect,
     fits: tuple[WeakFit, WeakFit],
     bench: Bench,
     validator: SimulationValidator,
 ) -> str:
-    """Why effects are not established as the cause, in words; empty where no force speaks against them.
+    """Why an effect is not established as the cause, in words; empty where no force speaks against it.
 
     Of the sensors forces say nothing.
 
-    fits: the models without them and with them.
+    fits: the models without it and with it.
     """
-    if all(f.of_sensors for f in found):
+    if effect.of_sensors:
         return ""
-    without, with_them = (bench.judge(f) for f in fits)
-    if share_explained((without, with_them), bench.noise_level, bench) <= 0.0:
+    without, with_it = (bench.judge(f) for f in fits)
+    if share_explained((without, with_it), bench.noise_level, bench) <= 0.0:
         return ONLY_SIMULATIONS
-    return _hardly_there(found, validator.final(fits[0])[0], bench, validator)
+    return _hardly_there(effect, validator.final(fits[0])[0], bench, validator)
 
 
-def _unknown_to(found: Sequence[FoundEffect], left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
-    """What of residual forces depends on more than effects know."""
-    grown = [(f.trial.candidate, vehicle, f.trial.fit.model.functions.vehicle) for f in found]
-    own = {name for of in grown for name in own_variables(*of)}
-    own |= {"t"} if any(knows_time(*of) for of in grown) else set()
-    return unknown_to(own, left, vehicle, periodic=any(states_time(*vehicles) for _, *vehicles in grown))
+def _unknown_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
+    """What of residual forces depends on more than an effect knows."""
+    candidate, grown = effect.trial.candidate, effect.trial.fit.model.functions.vehicle
+    own = {*own_variables(candidate, vehicle, grown)}
+    own |= {"t"} if knows_time(candidate, vehicle, grown) else set()
+    return unknown_to(own, left, vehicle, periodic=states_time(vehicle, grown))
 
 
-def _hardly_there(
-    found: Sequence[FoundEffect], before: Fitted, bench: Bench, validator: SimulationValidator
-) -> str:
-    """Whether effects lose size or worth beside a force made of what the model leaves; empty if not.
+def _hardly_there(effect: FoundEffect, before: Fitted, bench: Bench, validator: SimulationValidator) -> str:
+    """Whether an effect loses size or worth beside a force made of what the model leaves; empty if not.
 
-    It is the force that `undertow effects new` makes, of what the effects do not know, found on the training
+    It is the force that `undertow effects new` makes, of what the effect does not know, found on the training
     data. What only stood in for such a force is hardly there beside it, or worth little; what is the cause
     stays.
     """
-    left = _unknown_to(found, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
+    left = _unknown_to(effect, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
     if not left:
         return ""
-    effect = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
-    other = try_all(bench, {effect.id: effect}, lambda done, words: None).findings[0]
+    made = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
+    other = try_all(bench, {made.id: made}, lambda done, words: None).findings[0]
     if not other.trial.kept:
         return ""
-    kept, force = kept_beside(found, other, before, bench, validator), effect.about().rstrip(".")
+    kept, force = kept_beside(effect, other, before, bench, validator), made.about().rstrip(".")
     if kept.size < 1.0 - bench.settings.size_spread:
         lost = f"its size would drop to {max(kept.size, 0.0):.0%} of the fitted value"
     elif kept.gain < bench.settings.kept_gain:

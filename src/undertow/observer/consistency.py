@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import chdtrc
 from scipy.stats import chi2
 
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
-from .filters import Estimate
+if TYPE_CHECKING:
+    from .filters import Estimate
 
 
 @dataclass(frozen=True)
@@ -96,22 +99,30 @@ def whiteness(found: Sequence[Estimate], channels: tuple[str, ...]) -> tuple[Whi
     """
     tests = []
     for i, name in enumerate(channels):
-        each = [ljung_box(name, e) for e in (innovations(one, i) for one in found) if _enough(e)]
+        series = [e for e in (innovations(one, i) for one in found) if len(e) >= 2 * SETTINGS.per_lag]
+        each = [ljung_box(e, min(SETTINGS.lags, len(e) // SETTINGS.per_lag)) for e in series]
         if each:
-            lags, statistic = sum(one.lags for one in each), sum(one.statistic for one in each)
-            tests.append(Whiteness(name, lags, statistic, float(chi2.sf(statistic, lags))))
+            lags, statistic = sum(len(t.autocorrelation) for t in each), sum(t.statistic for t in each)
+            tests.append(Whiteness(name, lags, statistic, float(chdtrc(lags, statistic))))
     return tuple(tests)
 
 
-def _enough(e: Array) -> bool:
-    return len(e) >= 2 * SETTINGS.per_lag
+@dataclass(frozen=True)
+class LjungBox:
+    """The test of a series for whiteness by Ljung and Box (1978)."""
+
+    autocorrelation: Array  # (lags,) at lags 1, 2, ...
+    statistic: float  # Q = n (n + 2) sum of autocorrelation^2 / (n - lag)
+    p_value: float  # chance of a Q at least as large if the series is white
 
 
-def ljung_box(name: str, e: Array) -> Whiteness:
-    """The test of one series, shape (n,), whose mean is zero if the filter is right."""
-    n = len(e)
-    lags = max(min(SETTINGS.lags, n // SETTINGS.per_lag), 1)
-    power = float(e @ e) or 1.0
-    r = np.array([e[k:] @ e[:-k] for k in range(1, lags + 1)]) / power
-    statistic = float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1))))
-    return Whiteness(name, lags, statistic, float(chi2.sf(statistic, lags)))
+def ljung_box(r: Array, lags: int, piece: Index | None = None) -> LjungBox:
+    """Test a series of mean zero, shape (n,); products never reach from one piece to another."""
+    n, power = len(r), float(r @ r)
+    if lags < 1 or power == 0.0:
+        return LjungBox(np.zeros(0), 0.0, 1.0)
+    of = np.zeros(n, dtype=np.intp) if piece is None else piece
+    products = [float(np.sum((r[k:] * r[:-k])[of[k:] == of[:-k]])) for k in range(1, lags + 1)]
+    rho = np.array(products) / power
+    q = float(n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1))))
+    return LjungBox(rho, q, float(chdtrc(lags, q)))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -12,6 +13,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
+from undertow.codegen.manifest import whole_samples
 from undertow.errors import UndertowError, nearest
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.tables import FileTable, Quantity, read_table
@@ -44,6 +46,8 @@ class DesignSettings:
     late: float = 0.02
     # Time between reports, s, that come with every sample, where no sampling interval is at hand.
     sample: float = 0.01
+    # Samples that a report in a loop is late at most: each sample does all of them again.
+    most_kept: int = 500
 
 
 SETTINGS = DesignSettings()
@@ -106,6 +110,7 @@ class Design:
     variance: Array
     period: Array
     densities: Array  # spectral densities of the noise that drives the process
+    lags: tuple[int, ...]  # (k,): samples that each report counts as late in a loop
     method: Method = "ekf"
 
     @property
@@ -114,19 +119,22 @@ class Design:
         ages = zip(self.sensors, self.process.late[list(self.channels)].tolist(), strict=True)
         return {name: age for name, age in ages if age > SETTINGS.late}
 
-    def require_on_time(self) -> None:
-        """Refuse what keeps no reports of the past.
+    def sampled(self, dt: float) -> Design:
+        """The observer in a loop of a sampling interval, s: its late reports are whole samples late.
 
         Raises
         ------
         UndertowError
-            If a sensor is late.
+            If they are too many.
         """
-        for name, age in self.late.items():
+        lags = tuple(whole_samples(self.late.get(name, 0.0), dt) for name in self.sensors)
+        if max(lags) > SETTINGS.most_kept:
+            age = max(self.late.values())
             raise UndertowError(
-                f"{name} is reported {age:g} s late, and a loop with an observer takes {SETTINGS.late:g} s: "
-                "leave the delay out of the vehicle that the observer knows"
+                f"a report {age:g} s late is {max(lags)} samples of {dt:g} s late, and an observer in a loop "
+                f"keeps {SETTINGS.most_kept}: lengthen dt to {age / SETTINGS.most_kept:.3g} s"
             )
+        return replace(self, lags=lags)
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -226,44 +234,98 @@ class Design:
         return ca.SX.sym("x", n), ca.SX.sym("P", n, n), ca.SX.sym("u", nu), ca.SX.sym("t")
 
     # --- in a loop ----------------------------------------------------------------------------
+    # What a loop carries from sample to sample: z, which is state and upper half of its covariance, predicted
+    # for the next sample; z before the reports of the oldest step that is kept, and the steps; the time since
+    # each sensor's report. A step is commands, reports, which of these there are, and whether the loop had
+    # begun. As in the C of an observer, a late report is used at the step when it was true, and what followed
+    # is done again.
+    @property
+    def kept(self) -> int:
+        """Steps of the past that are kept."""
+        return max(self.lags, default=0)
+
+    @property
+    def z_size(self) -> int:
+        """Entries of z."""
+        n = self.process.x.numel()
+        return n + n * (n + 1) // 2
+
+    @property
+    def step_size(self) -> int:
+        """Entries of a step."""
+        return self.process.u.numel() + 2 * len(self.channels) + 1
+
+    @property
+    def cuts(self) -> list[int]:
+        """Where z, z of the oldest step, the steps and the times begin, and where all of it ends."""
+        past = self.z_size if self.kept else 0, self.kept * self.step_size
+        return [0, *accumulate((self.z_size, *past, len(self.channels)))]
+
     @property
     def size(self) -> int:
-        """Entries of `packed`: state, upper half of its covariance, time since each sensor's report."""
-        n = self.process.x.numel()
-        return n + n * (n + 1) // 2 + len(self.channels)
+        """Entries of all that is carried."""
+        return self.cuts[-1]
 
     def first(self, near: Mapping[str, float]) -> Array:
         """What a loop begins with: every sensor is about to report, `near` says what the state is near to."""
         mean = np.array([near.get(name, 0.0) for name in self.process.state_names])
         P = AT_REST.covariance(self.process)
-        return np.concatenate([mean, P[np.triu_indices(len(mean))], self.period])
+        z = np.concatenate([mean, P[np.triu_indices(len(mean))]])
+        past = [z, np.zeros(self.kept * self.step_size)] if self.kept else []
+        return np.concatenate([z, *past, self.period])
 
-    def unpacked(self, packed: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """State, covariance and ages."""
+    @cached_property
+    def due(self) -> ca.Function:
+        """`(there, agen) = due(age, dt)`: which sensors report, and the new times since their reports."""
+        age, dt = ca.SX.sym("age", len(self.channels)), ca.SX.sym("dt")
+        there = age >= self.period - dt / 2
+        return ca.Function(
+            "due", [age, dt], [there, age + dt - there * self.period], ["age", "dt"], ["there", "agen"]
+        )
+
+    @cached_property
+    def again(self) -> ca.Function:
+        """`zn = again(z, step, dt)`: a step of the past, its reports and then its commands."""
+        z, step, dt = ca.SX.sym("z", self.z_size), ca.SX.sym("step", self.step_size), ca.SX.sym("dt")
+        _, _, _, begun = self._parts_of(step)
+        new = self.ahead(self.corrected(z, step), step, dt)
+        kept = ca.densify(ca.cse(ca.if_else(begun, new, z)))
+        return ca.Function("again", [z, step, dt], [kept], ["z", "step", "dt"], ["zn"])
+
+    def corrected(self, z: ca.SX, step: ca.SX) -> ca.SX:
+        """z after the reports of a step."""
+        x, P = self._unpacked(z)
+        _, y, there, _ = self._parts_of(step)
+        zero = ca.SX.zeros(self.process.u.numel(), 1)
+        for k in range(len(self.channels)):
+            got = self._updated(k, x, P, zero, ca.SX(0), y[k], there[k])
+            x, P = got.x, got.P
+        return _packed(x, P)
+
+    def ahead(self, z: ca.SX, step: ca.SX, dt: ca.SX) -> ca.SX:
+        """z after the commands of a step."""
+        return _packed(*self.predict(*self._unpacked(z), self._parts_of(step)[0], ca.SX(0), dt))
+
+    def places(self, sensor: int) -> tuple[int, int]:
+        """Places of a sensor's report, and of whether it is there, in a step."""
+        u = self.process.u.numel()
+        return u + sensor, u + len(self.channels) + sensor
+
+    def _parts_of(self, step: ca.SX) -> list[ca.SX]:
+        """Commands, reports, which there are, and whether the loop had begun."""
+        u, m = self.process.u.numel(), len(self.channels)
+        return ca.vertsplit(step, [0, u, u + m, u + 2 * m, u + 2 * m + 1])
+
+    def _unpacked(self, z: ca.SX) -> tuple[ca.SX, ca.SX]:
         n = self.process.x.numel()
         half = ca.SX(n, n)
         for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
-            half[int(i), int(j)] = packed[n + k]
-        return packed[:n], ca.triu2symm(half), packed[self.size - len(self.channels) :]
+            half[int(i), int(j)] = z[n + k]
+        return z[:n], ca.triu2symm(half)
 
-    def seen(self, packed: ca.SX, y: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """State and covariance after those of the reports y (by sensor) that are due, and the new ages."""
-        x, P, age = self.unpacked(packed)
-        zero = ca.SX.zeros(self.process.u.numel(), 1)
-        ages = []
-        for k in range(len(self.channels)):
-            due = age[k] >= float(self.period[k]) - dt / 2
-            got = self._updated(k, x, P, zero, ca.SX(0), y[k], due)
-            x, P = got.x, got.P
-            ages.append(age[k] + dt - due * float(self.period[k]))
-        return x, P, ca.vertcat(*ages)
 
-    def ahead(self, x: ca.SX, P: ca.SX, age: ca.SX, u: ca.SX, dt: ca.SX) -> ca.SX:
-        """What is carried to the next sample."""
-        x, P = self.predict(x, P, u, ca.SX(0), dt)
-        n = x.numel()
-        half = [P[int(i), int(j)] for i, j in zip(*np.triu_indices(n), strict=True)]
-        return ca.vertcat(x, *half, age)
+def _packed(x: ca.SX, P: ca.SX) -> ca.SX:
+    return ca.vertcat(x, *[P[int(i), int(j)] for i, j in zip(*np.triu_indices(x.numel()), strict=True)])
 
 
 def load_observer(path: str | Path, vehicle: Vehicle) -> Design:
@@ -302,6 +364,7 @@ def design(table: ObserverTable, vehicle: Vehicle) -> Design:
         np.array(noise) ** 2,
         np.array(period, dtype=float),
         densities,
+        (0,) * len(channels),
         table.filter,
     )
 

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 import sympy as sm
 
-from undertow.control.conditions.by_law import CONDITIONS, Quantities
-from undertow.control.conditions.lyapunov import CANDIDATES
+from undertow.control.conditions.by_law import CANDIDATES, CONDITIONS, Quantities
 from undertow.control.conditions.problem import SignSet, sign_sets
 from undertow.control.laws import LAWS, LawSignals
 from undertow.control.plant import Plant

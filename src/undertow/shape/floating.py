@@ -144,6 +144,7 @@ class FloatingBody:
         self.origin, self.draught = waterline(hull, mass / density)
         _, coarse, fine = panels(hull, finest)
         self._coarse, self._fine = (_immersed(self._cpt, m, self.origin) for m in (coarse, fine))
+        self.panels = int(self._fine.nb_faces)  # under water
         self.omega = self._frequencies()
         self._lid = self._fine.generate_lid(z=self._fine.lowest_lid_position(omega_max=self.omega[-1]))
         self._body = self._of(self._fine, (0.0, 0.0, -cg), self._lid)
@@ -185,11 +186,11 @@ class FloatingBody:
         fine = self._radiated(self._of(self._fine, (0.0, 0.0, 0.0)), np.inf).real
         found = []
         for k, omega in enumerate(self.omega):
-            report(k / len(self.omega), f"{omega:.3g} rad/s, {self._fine.nb_faces} panels")
+            report(k / len(self.omega), f"{omega:.3g} rad/s, {self.panels} panels")
             found.append(self.at(float(omega)))
         source = (
-            f"capytaine {self._cpt.__version__}, direct method; {self._fine.nb_faces} panels under water, "
-            f"infinite frequency"
+            f"capytaine {self._cpt.__version__}, direct method; {self.panels} panels under water, "
+            "infinite frequency"
         )
         limits = "ideal fluid, small motions in a calm sea, no speed ahead"
         at_infinity = AddedMass(fine, source, limits, np.abs(fine - coarse))
@@ -203,7 +204,7 @@ class FloatingBody:
             self.omega,
             together.real,
             together.imag,
-            self._fine.nb_faces,
+            self.panels,
         )
 
     def at(self, omega: float) -> Complex:

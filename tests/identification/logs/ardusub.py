@@ -50,7 +50,7 @@ def vehicle_for(folder: Path) -> tuple[Path, Vehicle]:
 def whole() -> tuple[Array, Dive, Array]:
     """Times, s, what the sensors reported, and pulses of the motors, before, in and after the dive."""
     d = dive()
-    t = STEP * np.arange(round(END / STEP) + 1)
+    t = STEP * np.arange(round(END / STEP) + 1, dtype=float)
     row = np.clip(np.round((t - DIVES) / STEP).astype(int), 0, len(d.t) - 1)
     on = (t >= DIVES - 1e-9) & (t < DISARMED - 1e-9)
     pwm = np.where(on[:, None], d.pwm[row], 1500.0)
@@ -130,7 +130,7 @@ Change = Callable[[float, Cells], Cells]
 def _packed() -> tuple[list[tuple[str, float, Cells, bytes]], BinWriter]:
     """Name, time, cells and bytes of every message, without the head."""
     writer, (t, at, pwm) = BinWriter(), whole()
-    stated = [("PARM", 0.0, [name, value]) for name, value in PARAMETERS.items()]
+    stated: list[tuple[str, float, Cells]] = [("PARM", 0.0, list(pair)) for pair in PARAMETERS.items()]
     said = [("MSG", 0.0, ["ArduSub V4.1.0 (89639005)"])]
     timed = [(name, now, c) for k, now in enumerate(t.tolist()) for name, c in _messages(k, now, at, pwm)]
     every = [*stated, *said, *timed]

@@ -95,7 +95,7 @@ def dive() -> Dive:
     values = {name: Value(value) for name, value in CURRENT.items()}
     functions = Functions(vehicle.with_effect(catalogue()[MISSING], values))
     simulator, p = Simulator(functions, compiled=False), np.array(functions.values())
-    t = STEP * np.arange(round(DURATION / STEP) + 1)
+    t = STEP * np.arange(round(DURATION / STEP) + 1, dtype=float)
     aims = _aims(rng, t)
     allocation = np.linalg.pinv(np.array([thruster.wrench for thruster in vehicle.thrusters]).T)
     states, thrust = np.zeros((len(t), 12)), np.zeros((len(t), 8))

@@ -158,12 +158,12 @@ class BagWriter:
         self.ros1, self.begin, self.folder = path.suffix == ".bag", begin, path.with_suffix("")
         stores = highlevel.Stores
         self.store = highlevel.get_typestore(stores.ROS1_NOETIC if self.ros1 else stores.ROS2_HUMBLE)
-        plugin = {".db3": rosbag2.StoragePlugin.SQLITE3, ".mcap": rosbag2.StoragePlugin.MCAP}.get(path.suffix)
+        plugins = {".db3": rosbag2.StoragePlugin.SQLITE3, ".mcap": rosbag2.StoragePlugin.MCAP}
         self.path = path if self.ros1 else self.folder / path.name
         self.writer = (
             rosbag1.Writer(path)
             if self.ros1
-            else rosbag2.Writer(self.folder, version=9, storage_plugin=plugin)
+            else rosbag2.Writer(self.folder, version=9, storage_plugin=plugins[path.suffix])
         )
         self._connections: dict[str, Any] = {}
 
@@ -202,7 +202,7 @@ class BagWriter:
         stamp = self.begin * 1_000_000_000 + round(t * 1e9)
         self.writer.write(self._connections[topic], stamp, encode(message, type_))
 
-    def vector(self, x: float, y: float, z: float, kind: str = "Vector3") -> Any:
+    def vector(self, x: float, y: float, z: float, *, kind: str = "Vector3") -> Any:
         return self.store.types[f"geometry_msgs/msg/{kind}"](x=float(x), y=float(y), z=float(z))
 
     def quaternion(self, w: float, x: float, y: float, z: float) -> Any:

@@ -29,7 +29,7 @@ one core.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -69,6 +69,16 @@ _APPLY = typer.Option(
     metavar="OUT.toml",
     help="Write a vehicle file with the effects that were found, or only refitted.",
 )
+
+
+@dataclass(frozen=True)
+class ShownSettings:
+    """What tables show; no verdict hangs on it."""
+
+    runs_away: float = 10.0  # rise of an error, relative, above which its digits mean nothing
+
+
+SHOWN = ShownSettings()
 
 
 @bundled
@@ -250,11 +260,9 @@ def _values(parameters: Sequence[Estimate], most: int) -> str:
     return ", ".join(_value(p) for p in parameters[:most]) + (" ..." if len(parameters) > most else "")
 
 
-_WILD = 10.0  # a model whose error rises by ten times runs away: its digits mean nothing
-
-
 def _change(share: float) -> str:
-    return f"> +{_WILD:.0%}" if share > _WILD else f"{share:+.0%}"
+    most = SHOWN.runs_away
+    return f"> +{most:.0%}" if share > most else f"{share:+.0%}"
 
 
 def _value(p: Estimate) -> str:

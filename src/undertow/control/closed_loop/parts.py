@@ -39,7 +39,6 @@ class Parts:
         self.controller_inputs = [self.reported_names.index(name) for name in wanted]
         self.commanded = [vehicle.command_names.index(name) for name in controller.command_names]
         if observer is not None:
-            observer.require_on_time()
             self._check("sensor of the observer", observer.sensors, self.reported_names)
             self._check("motion of the observer", wanted, observer.process.state_names)
 
@@ -85,7 +84,7 @@ class Parts:
         sampled = self.controller.sampled
         if self.observer is None:
             return self._wired(sampled, "control")
-        return self._observing(self.observer, sampled)
+        return self._observing(sampled)
 
     def first_states(self, start: np.ndarray) -> np.ndarray:
         """Values of s at first for a first pose and velocity, shape (ns,)."""
@@ -100,24 +99,61 @@ class Parts:
         names = self.observer.process.state_names if self.observer else ()
         return {name: s[:, i] for i, name in enumerate(names)}
 
-    def _observing(self, observer: Design, sampled: ca.Function) -> ca.Function:
-        """The controller behind an observer, whose states stand before those of the controller."""
-        names, process = sampled.name_in(), observer.process
-        y = ca.SX.sym("y", len(self.reported_names))
-        r, s, k, dt = (
-            ca.SX.sym(n, sampled.size1_in(n) + (observer.size if n == "s" else 0)) for n in names[1:]
-        )
-        reports = y[[self.reported_names.index(n) for n in observer.sensors]]
-        x, P, age = observer.seen(s[: observer.size], reports, dt)
+    @cached_property
+    def present(self) -> ca.Function:
+        """`(u, known, zn, sn, tau) = present(z, step, r, s, k, dt)`: the controller behind an observer.
+
+        The estimate z is corrected by the reports of the present step and drives the law, whose commands then
+        carry it ahead; `known` are those that the observer knows.
+        """
+        observer, sampled = self._watching, self.controller.sampled
+        names, process = sampled.name_in()[1:], observer.process
+        z, step = ca.SX.sym("z", observer.z_size), ca.SX.sym("step", observer.step_size)
+        r, s, k, dt = (ca.SX.sym(n, sampled.size1_in(n)) for n in names)
+        estimate = observer.corrected(z, step)
         motion = [process.index(self.reported_names[i]) for i in self.controller_inputs]
-        commands, own, tau = sampled(x[motion], r, s[observer.size :], k, dt)
+        commands, own, tau = sampled(estimate[motion], r, s, k, dt)
         known = ca.SX.zeros(process.u.numel(), 1)
         for i, name in enumerate(self.controller.command_names):
             if name in process.vehicle.command_names:
                 known[process.vehicle.command_names.index(name)] = commands[i]
         u = ca.SX.zeros(self.functions.u.numel(), 1)
         u[self.commanded] = commands
-        following = ca.vertcat(observer.ahead(x, P, age, known, dt), own)
+        ahead = observer.ahead(estimate, ca.vertcat(known, step[known.numel() :]), dt)
+        outputs = [ca.densify(o) for o in ca.cse([u, known, ahead, own, tau])]
+        given, results = ["z", "step", *names], ["u", "known", "zn", "sn", "tau"]
+        return ca.Function("present", [z, step, r, s, k, dt], outputs, given, results)
+
+    @property
+    def _watching(self) -> Design:
+        assert self.observer is not None
+        return self.observer
+
+    @property
+    def sensors(self) -> list[int]:
+        """Places of the observer's sensors among the reports."""
+        return [self.reported_names.index(n) for n in self._watching.sensors]
+
+    def _observing(self, sampled: ca.Function) -> ca.Function:
+        """The controller behind an observer, whose states stand before those of the controller."""
+        observer, names = self._watching, sampled.name_in()
+        kept, size = observer.kept, observer.step_size
+        kind = ca.MX if kept else ca.SX
+        more = {"s": observer.size}
+        r, s, k, dt = (kind.sym(n, sampled.size1_in(n) + more.get(n, 0)) for n in names[1:])
+        y = kind.sym("y", len(self.reported_names))
+        z, oldest, past, ages, own = ca.vertsplit(s, [*observer.cuts, s.numel()])
+        there, ages = observer.due(ages, dt)
+        steps = ca.horzcat(ca.reshape(past, size, kept), ca.vertcat(kind.zeros(size - 1, 1), 1))
+        for i, (sensor, lag) in enumerate(zip(self.sensors, observer.lags, strict=True)):
+            reported, which = observer.places(i)
+            steps[reported, kept - lag], steps[which, kept - lag] = y[sensor], there[i]
+        if kept:
+            passed = observer.again.mapaccum("passed", kept)(oldest, steps[:, :kept], ca.repmat(dt, 1, kept))
+            z, oldest = passed[:, kept - 1], passed[:, 0]
+        u, known, z, own, tau = self.present(z, steps[:, kept], r, own, k, dt)
+        steps[: known.numel(), kept] = known
+        following = ca.vertcat(z, oldest, ca.vec(steps[:, 1:]), ages, own)
         outputs = [ca.densify(o) for o in ca.cse([u, following, tau])]
         return ca.Function("control", [y, r, s, k, dt], outputs, names, sampled.name_out())
 

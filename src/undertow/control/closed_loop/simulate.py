@@ -198,18 +198,32 @@ class ClosedLoop:
         self.vehicle = _with_forces(vehicle or known)
         self.mission = mission
         controller = Controller(gains, mission.reference(gains) if mission else None)
+        self._compiled = compiled
         self.parts = Parts(self.vehicle, controller, observer)
-        self.stepper = self._best_stepper(compiled)
+        # With late reports the code depends on the sampling interval: it is made when that is known.
+        self._stepper = None if observer and observer.late else self._best_stepper()
         self._known_substeps: dict[tuple[float, ...], int] = {}
 
-    def _best_stepper(self, wish: bool | None) -> LoopStepper:
+    @property
+    def stepper(self) -> LoopStepper:
+        """What runs the samples."""
+        self._stepper = self._stepper or self._best_stepper()
+        return self._stepper
+
+    def _best_stepper(self) -> LoopStepper:
         def compiled(compiler: Compiler) -> LoopStepper:
             return CompiledLoop(self.parts, compiler)
 
         def virtual() -> LoopStepper:
             return VirtualLoop(self.parts)
 
-        return compiled_or_virtual(wish, compiled, virtual)
+        return compiled_or_virtual(self._compiled, compiled, virtual)
+
+    def _sample_every(self, dt: float) -> None:
+        """Let an observer keep as many samples as its reports are late."""
+        observer = self.parts.observer
+        if observer is not None and (kept := observer.sampled(dt)).lags != observer.lags:
+            self.parts, self._stepper = Parts(self.vehicle, self.parts.controller, kept), None
 
     @property
     def gains(self) -> GainSet:
@@ -258,6 +272,7 @@ class ClosedLoop:
         UndertowError
             If the scenario does not fit the vehicle, or dt is too long for the law.
         """
+        self._sample_every(scenario.dt)
         start, to = self.desired(scenario)
         problem = self.problem(scenario, start, to, self.first(scenario, start)[None])
         left = {} if scenario.continuous else offsets(self.parts, scenario.dt)
@@ -296,6 +311,7 @@ class ClosedLoop:
             masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
             loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses}).state("z")[:, -1].std()
         """
+        self._sample_every(scenario.dt)
         by = Differences(parameters, gains, starts)
         parts = self.parts
         start, to = self.desired(scenario)

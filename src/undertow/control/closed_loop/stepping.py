@@ -13,8 +13,9 @@ from undertow.codegen.compiler import LANES, Compiler, plain_c, pointer
 from undertow.codegen.engine import LANES_HEADER, Entries, defines, lanes_for, packed, unpacked
 from undertow.codegen.manifest import whole_samples
 from undertow.codegen.simulate import runge_kutta
-from undertow.codegen.source import c_file, with_entry
+from undertow.codegen.source import c_file, integers, with_entry
 from undertow.errors import UndertowError
+from undertow.observer.design import Design
 
 from .parts import Parts
 
@@ -203,7 +204,9 @@ def _address(array: np.ndarray | None) -> ctypes.c_void_p:
 def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
     """C source of closed loops and the name of the entry point, which carries the hash of the source."""
     form = parts.functions.prepared
-    functions = [form.prepare, form.hold, form.held_dynamics, parts.outputs, parts.control, parts.law]
+    late = parts.observer if parts.observer and parts.observer.kept else None
+    control = [late.due, late.again, parts.present] if late else [parts.control]
+    functions = [form.prepare, form.hold, form.held_dynamics, parts.outputs, *control, parts.law]
     sizes = {
         "LANES": lanes,
         "NX": parts.dynamics.size1_in("x"),
@@ -228,9 +231,24 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
         )
         for f in functions
     ]
+    model += _behind(late, parts) if late else []
     loop = c_file("loop.c", "undertow.control.closed_loop")
     text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
     return with_entry(text, "RUN", "run")
+
+
+def _behind(observer: Design, parts: Parts) -> list[str]:
+    """C of the controller behind an observer whose reports come late."""
+    sizes = {
+        "NZ": observer.z_size,
+        "STEP": observer.step_size,
+        "KEPT": observer.kept,
+        "SENSORS": len(observer.sensors),
+        "KNOWN": observer.process.u.numel(),
+        "OWN": parts.present.size1_out("sn"),
+    }
+    places = [integers("sensor", parts.sensors), integers("lag", observer.lags)]
+    return [defines(sizes.items()), *places, c_file("late.c", "undertow.control.closed_loop")]
 
 
 class VirtualLoop:

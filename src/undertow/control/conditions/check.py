@@ -13,9 +13,8 @@ from undertow.errors import UndertowError, nearest
 from undertow.typing import Array, Flags, Progress
 
 from .attitude import Certificate
-from .by_law import Condition
+from .by_law import Condition, equilibria_without_thrust, lyapunov
 from .channels import coupled, linear_channels, reaching, zero_dynamics
-from .lyapunov import equilibria_without_thrust, lyapunov
 from .problem import (
     ALL,
     NO_IOTA_THERE,

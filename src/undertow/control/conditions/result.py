@@ -10,6 +10,7 @@ import numpy as np
 from undertow.notebook import html
 from undertow.typing import Array
 
+from .by_law import Lyapunov
 from .problem import Range, Span
 
 HOLDS, FAILS = "holds", "fails"
@@ -99,18 +100,6 @@ class Channel:
     first_column: list[float]  # of its Routh array
     roots: list[complex]  # 1/s
     stable: bool  # no sign changes in the first column and no root is on the imaginary axis
-
-
-@dataclass(frozen=True)
-class Lyapunov:
-    """A Lyapunov candidate and what the model says of it."""
-
-    V: str
-    V_dot: str  # along the closed loop
-    equation: str  # what it is in the paper
-    identity: str  # how V_dot was compared with the derivative worked out from the model, with what result
-    zero_set: str  # where V_dot is zero
-    invariant: str  # its largest invariant subset (LaSalle)
 
 
 @dataclass(frozen=True)

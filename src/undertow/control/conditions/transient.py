@@ -22,10 +22,22 @@ from undertow.typing import Array, Flags
 
 from .attitude import enclose, within
 from .definite import SETTINGS as PROOFS
-from .motion import Leftover, Motion
+from .motion import SETTINGS as KERNELS
+from .motion import (
+    Driven,
+    Form,
+    Kernels,
+    Leftover,
+    Modes,
+    Motion,
+    Responses,
+    Starts,
+    by_heading,
+    grid,
+    modes,
+    second_order,
+)
 from .problem import Problem, Span
-from .responses import SETTINGS as KERNELS
-from .responses import Driven, Form, Kernels, Modes, Responses, Starts, by_heading, grid, modes, second_order
 from .result import Transient
 
 
@@ -385,15 +397,26 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
     search = Search(Motion(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
     if not problem.heading_counts:
         return search.whole([(0.0, 0.0)], 0)
-    if search.lost([(h, 0.0) for h in _middles(SETTINGS.looks)], []):
+    coarse, *finer = KERNELS.ratios
+    looks = search.lost([(h, 0.0) for h in _middles(SETTINGS.looks)], [], [coarse])
+    if looks and search.lost(looks, [], finer):
         return None
     half = 0.5 * np.pi / SETTINGS.ranges
-    return search.whole([(h, half) for h in _middles(SETTINGS.ranges)], SETTINGS.cuts)
+    # What coarse pieces of time do not prove of a single heading, they prove of no range around it.
+    ratios = finer if looks else KERNELS.ratios
+    return search.whole([(h, half) for h in _middles(SETTINGS.ranges)], SETTINGS.cuts, ratios)
 
 
 def _middles(count: int) -> Array:
     """The middle of each of so many ranges of headings in half a turn."""
     return np.asarray((np.arange(count) + 0.5) * np.pi / count)
+
+
+def _parts(span: Span, cuts: int) -> list[Span]:
+    """A range, middle and half, cut in two so often."""
+    middle, half = span
+    parts = 2**cuts
+    return [(middle + m * half, half / parts) for m in (np.arange(parts) + 0.5) / parts * 2 - 1]
 
 
 class Search:
@@ -404,21 +427,28 @@ class Search:
         self.caps = _caps(motion, box)
         self.left = motion.leftover(self.caps)
 
-    def whole(self, ranges: Sequence[Span], cuts: int) -> Transient | None:
+    def whole(
+        self, ranges: Sequence[Span], cuts: int, ratios: Sequence[float] = KERNELS.ratios
+    ) -> Transient | None:
         """Bounds for all of these (middle, half), which are cut in two where there are none; None if none."""
         found: list[Transient] = []
+        looked = False
         while ranges:
-            # As long as ranges can be cut, that is tried before finer pieces of time.
-            ratios = KERNELS.ratios[: None if cuts == 0 else 1]
             lost: list[Span] = []
             for k in range(0, len(ranges), SETTINGS.together):
-                lost += self.lost(ranges[k : k + SETTINGS.together], found, ratios)
+                # As long as ranges can be cut, that is tried before finer pieces of time.
+                tried = ranges[k : k + SETTINGS.together]
+                lost += self.lost(tried, found, ratios if cuts == 0 else ratios[:1])
                 if lost and cuts == 0:
                     return None
+            # Where one of the narrowest parts has no bounds, the many others need not be looked at.
+            narrow = [_parts(span, cuts)[0] for span in lost[: SETTINGS.together]]
+            if not looked and lost and self.lost(narrow, [], ratios):
+                return None
+            looked = True
             step = min(cuts, 2 if len(lost) == len(ranges) else 1)  # far too wide, or nearly narrow enough
-            parts, cuts = 2**step, cuts - step
-            middles = (np.arange(parts) + 0.5) / parts * 2 - 1
-            ranges = [(h + m * half, half / parts) for h, half in lost for m in middles]
+            cuts -= step
+            ranges = [part for span in lost for part in _parts(span, step)]
         return _together(found)
 
     def lost(

@@ -131,7 +131,9 @@ def _loops(gains: GainSet, observer: Design | None = None) -> Iterator[tuple[_Ca
         law = law_for(smooth, gains.plant.vehicle, direction)
         for held in _rests(gains):
             trim = find_trim(vehicle, held, direction=direction, numeric=numeric)
-            loop = LinearLoop(linear_with_delays(numeric, trim, SETTINGS.pade), law, trim, observer)
+            loop = LinearLoop(
+                linear_with_delays(numeric, trim, SETTINGS.pade), law, trim, observer, SETTINGS.pade
+            )
             yield _Case(held, direction, len(gains.unactuated)), loop
 
 

@@ -237,7 +237,9 @@ class _MemberFactory:
         plant = self._plant(trim, p)
         if self._law is None:
             return Member(name, inside, tuple(modes(plant)), plant)
-        loop = LinearLoop(with_commands(plant, self._law.commands), self._law, trim, self._observer)
+        loop = LinearLoop(
+            with_commands(plant, self._law.commands), self._law, trim, self._observer, self._pade
+        )
         return Member(name, inside, tuple(modes(loop.closed)), loop.closed, loop)
 
     def _plant(self, trim: Trim, p: Array) -> ct.StateSpace:

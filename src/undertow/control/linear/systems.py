@@ -11,6 +11,7 @@ from math import isfinite
 import casadi as ca
 import control as ct
 import numpy as np
+from scipy.linalg import matrix_balance
 from scipy.signal import cont2discrete
 
 from undertow.codegen.compiler import Evaluator
@@ -35,11 +36,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class DelaySettings:
-    """Up to where dead times are approximated."""
+    """Up to where dead times are approximated, and filters settle."""
 
     # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
     pade: int = 8
     samples: int = 1000  # of a delay, each of which is a state for every signal that comes late
+    # Of the iteration for a filter beside them: rounds at most, and the relative change that is rounding.
+    rounds: int = 100
+    alike: float = 1e-13
 
 
 SETTINGS = DelaySettings()
@@ -121,10 +125,19 @@ def _delays(
 ) -> tuple[ct.StateSpace, list[str]]:
     """Delays of signals, whole samples or Padé's, those without one straight through, and their states."""
     straight = ct.ss([], [], [], 1.0, dt=dt)
-    made = {n: _shift(s, dt) if dt else ct.ss(ct.tf(*ct.pade(s, order))) for n, s in seconds.items()}
+    made = {n: _shift(s, dt) if dt else _pade(s, order) for n, s in seconds.items()}
     each = [made.get(n, straight) for n in names]
     states = [f"late_{n}_{k}" for n, own in zip(names, each, strict=True) for k in range(own.nstates)]
     return ct.append(*each), states
+
+
+def _pade(seconds: float, order: int) -> ct.StateSpace:
+    """Padé's approximation, its states scaled alike: where they span decades, a filter loses its digits."""
+    found = ct.ss(ct.tf(*ct.pade(seconds, order)))
+    whole = np.block([[found.A, found.B], [found.C, np.zeros((1, 1))]])
+    *scale, last = np.diag(matrix_balance(whole, permute=False)[1])
+    by = np.array(scale) / last
+    return ct.ss(found.A * by / by[:, None], found.B / by[:, None], found.C * by, found.D)
 
 
 def _shift(seconds: float, dt: float) -> ct.StateSpace:
@@ -403,7 +416,7 @@ def close_loop(
     trim : Trim or mapping
         The steady motion, or what it holds (see `find_trim`).
     pade : int
-        Order of the approximation of a dead time between command and thrust.
+        Order of the approximation of dead times, of those that the observer knows, too.
     dt : float
         Sampling time, s: the law runs as its C code does, its commands are held; 0 is continuous time.
     observer : Design, optional
@@ -421,7 +434,7 @@ def close_loop(
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     law = law_for(gains, vehicle, found.direction)
     plant = with_commands(linearize(vehicle, found, pade=pade, dt=dt), law.commands)
-    return LinearLoop(plant, law, found, observer)
+    return LinearLoop(plant, law, found, observer, pade)
 
 
 def with_commands(plant: ct.StateSpace, commands: Sequence[str]) -> ct.StateSpace:
@@ -445,12 +458,17 @@ class LinearLoop:
     """
 
     def __init__(
-        self, plant: ct.StateSpace, system: LawSystem, trim: Trim, observer: Design | None = None
+        self,
+        plant: ct.StateSpace,
+        system: LawSystem,
+        trim: Trim,
+        observer: Design | None = None,
+        pade: int = 0,
     ) -> None:
         self.plant, self._system, self.trim = plant, system, trim
         self.law = _sampled(system.linear(trim), period(plant))
         if observer is not None:
-            self.law = _behind(self.law, system, SettledObserver(observer, trim))
+            self.law = _behind(self.law, system, SettledObserver(observer, trim, pade))
 
     @cached_property
     def _reference(self) -> Array:
@@ -529,10 +547,10 @@ class SettledObserver:
     Reports every T s with variance r say as much as a continuous report with spectral density r T (Simon
     2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`. Deviations from
     the trim follow dx/dt = a x + b u, with reports c x; `gain`, shape (nx, k), is that of the innovations.
+    Where reports are late, what Padé's approximation of their delay keeps is among the states.
     """
 
-    def __init__(self, observer: Design, trim: Trim) -> None:
-        observer.require_on_time()
+    def __init__(self, observer: Design, trim: Trim, pade: int = 0) -> None:
         own = observer.process
         process = process_of(in_direction(own.vehicle, trim.direction), own.estimated, own.kind)
         self.observer, self.names = observer, process.state_names
@@ -546,21 +564,59 @@ class SettledObserver:
             [ca.densify(ca.jacobian(process.rates, process.u))],
         )
         self.a, self.b, self.c = a, np.asarray(slope(x, u, process.values, 0.0)), c[list(observer.channels)]
-        noise = np.zeros((len(x), len(x)))
+        if observer.late:
+            self._add_delays(pade)
+        noise = np.zeros_like(self.a)
         noise[process.driven, process.driven] = observer.densities
         r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, DESIGN.sample))
         self.gain = self._steady_gain(noise, r)
 
+    def _add_delays(self, order: int) -> None:
+        name, age = next(iter(self.observer.late.items()))
+        if not order:
+            raise UndertowError(
+                f"{name} is reported {age:g} s late, and a filter in continuous time has that approximately: "
+                "give the order of Padé's approximation, --pade 3 (pade=3)"
+            )
+        delays, own = _delays(self.observer.sensors, self.observer.late, order, 0.0)
+        lacking = np.zeros((len(self.a), len(own)))
+        self.a = np.block([[self.a, lacking], [delays.B @ self.c, delays.A]])
+        self.b = np.vstack([self.b, np.zeros((len(own), self.b.shape[1]))])
+        self.c = np.hstack([delays.D @ self.c, delays.C])
+        self.names = (*self.names, *own)
+
     def _steady_gain(self, noise: Array, r: Array) -> Array:
         try:
-            covariance, _, _ = ct.care(self.a.T, self.c.T, noise, r)
-        except (ValueError, np.linalg.LinAlgError, ct.ControlArgument) as error:
+            gain = np.linalg.solve(r, self.c @ _settled(self.a, self.c, noise, r)).T
+            settles = bool((np.linalg.eigvals(self.a - gain @ self.c).real < 0).all())
+        except np.linalg.LinAlgError:
+            settles = False
+        if not settles:
             sensors = ", ".join(self.observer.sensors)
             raise UndertowError(
                 f"observer '{self.observer.name}' does not converge: its sensors ({sensors}) do not observe "
                 "everything that drifts; add one, or estimate less"
-            ) from error
-        return np.asarray(covariance @ self.c.T @ np.linalg.inv(r))
+            )
+        return gain
+
+
+@np.errstate(all="ignore")  # what does not converge is no filter
+def _settled(a: Array, c: Array, noise: Array, r: Array) -> Array:
+    """Covariance of a filter that has settled, by the sign of its Hamiltonian matrix (Roberts 1980).
+
+    Ordered Schur forms fail where eigenvalues are as close to one another as those of delays are.
+    """
+    n, identity = len(a), np.eye(len(a))
+    sign = np.block([[a.T, -c.T @ np.linalg.solve(r, c)], [-noise, -a]])
+    for _ in range(SETTINGS.rounds):
+        scale = np.exp(-np.linalg.slogdet(sign)[1] / (2 * n))
+        before, sign = sign, 0.5 * (scale * sign + np.linalg.inv(sign) / scale)
+        if np.linalg.norm(sign - before, 1) <= SETTINGS.alike * np.linalg.norm(sign, 1):
+            break
+    left = np.vstack([sign[:n, n:], sign[n:, n:] + identity])
+    right = np.vstack([sign[:n, :n] + identity, sign[n:, :n]])
+    found = np.linalg.lstsq(left, -right, rcond=None)[0]
+    return np.asarray((found + found.T) / 2)
 
 
 def _sampled(law: ct.StateSpace, dt: float) -> ct.StateSpace:

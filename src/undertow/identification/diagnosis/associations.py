@@ -12,7 +12,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy.stats import chi2, gamma
 
-from undertow.identification.estimation.data import WeakData, inverse_of
+from undertow.identification.estimation.data import WeakData, blocks_of_time, inverse_of
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
@@ -570,9 +570,7 @@ class Clock:
 
     def blocks(self, seconds: float) -> Index:
         """Number of the block of time of each entry; blocks never span two pieces."""
-        within = (self.t - self.start) // seconds
-        pieces = np.column_stack([self.log, self.start, within])
-        return np.unique(pieces, axis=0, return_inverse=True)[1].ravel()
+        return blocks_of_time(self.t - self.start, seconds, self.log, self.start)
 
     def series(self, r: Array) -> Series:
         """A residual on this clock."""

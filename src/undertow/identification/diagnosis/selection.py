@@ -138,18 +138,18 @@ class Kept(NamedTuple):
 
 
 def kept_beside(
-    found: Sequence[FoundEffect],
+    effect: FoundEffect,
     other: FoundEffect,
     before: Fitted,
     bench: Bench,
     validator: SimulationValidator,
 ) -> Kept:
-    """What effects keep of their size and of their gain beside another one.
+    """What an effect keeps of its size and of its gain beside another one.
 
-    All of it where predictions do not get better with the other one beside them, or are clearly worse with
+    All of it where predictions do not get better with the other one beside it, or are clearly worse with
     that one alone: what stands in for something predicts no better than it.
 
-    before: the model without any of them, fitted as the result will be.
+    before: the model without either, fitted as the result will be.
     """
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
 
@@ -157,18 +157,18 @@ def kept_beside(
         return validator.final(fitted(vehicle, findings, bench).fit)[0]
 
     def worth(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> Worth:
-        return gained(without, with_it, found, validator)
+        return gained(without, with_it, [effect], validator)
 
-    given = final(found)
+    given = final([effect])
     ahead, rival = validator.squares_ahead(given), validator.squares_ahead(final([other]))
-    pair = [compared(each, found, validator) for each in (ahead, rival)]
+    pair = [compared(each, [effect], validator) for each in (ahead, rival)]
     if best_in_resamples(pair, settings)[0] >= settings.best_share:
         return Kept(1.0, 1.0)
-    both = final([other, *found])
+    both = final([other, effect])
     joint = validator.squares_ahead(both)
     if not worth(ahead, joint).enough(settings.worth):
         return Kept(1.0, 1.0)
-    names = {p.name: p.linear for f in found for p in f.trial.candidate.effect(()).parameters}
+    names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
     own = [n for n in given.model.free if plain(n) in names]
     size = _size(given, both, [n for n in own if names[plain(n)]] or own)
     alone = worth(validator.squares_ahead(before), ahead).gain

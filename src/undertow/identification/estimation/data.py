@@ -528,8 +528,7 @@ class WeakData:
     def blocks_of(self, seconds: float) -> Index:
         """The same with blocks of another length."""
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
-        within = ((self.time - start) // seconds).astype(np.intp)
-        return numbered(self.run_of, within)
+        return blocks_of_time(self.time - start, seconds, self.run_of)
 
     def forgetful(self, series: Array) -> float:
         """Length of blocks, s, of which a series (K,) by test function forgets one in the next, if there are
@@ -540,9 +539,14 @@ class WeakData:
         return min(max(self.block_seconds, seconds), self.seconds / CLUSTERS.fewest)
 
 
-def numbered(*columns: Index) -> Index:
+def numbered(*columns: Index | Array) -> Index:
     """Number of the group of each row, rows that are the same in all columns being one group."""
     return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
+
+
+def blocks_of_time(since: Array, seconds: float, *piece: Index | Array) -> Index:
+    """Number of the block of time of each entry, by the time since its piece began, s; no block spans two."""
+    return numbered(*piece, since // seconds)
 
 
 def prepare(

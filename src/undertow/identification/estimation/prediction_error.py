@@ -16,7 +16,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
-from .data import clustered, inverse_of, numbered, summed_scores
+from .data import blocks_of_time, clustered, inverse_of, summed_scores
 from .fitted import Fitted
 from .output_error import channel_weights, started, weak_start
 from .residual import Linearised, WeakModel
@@ -336,8 +336,8 @@ class PredictionErrorFit(Fitted):
         """
         table = self.passed.table
         t = self.windows.t[self.passed.window, 0]
-        within = np.floor((t - t.min(initial=0.0)) / SETTINGS.block).astype(np.intp)
-        block = numbered(self.windows.run[self.passed.window], within)
+        run = self.windows.run[self.passed.window]
+        block = blocks_of_time(t - t.min(initial=0.0), SETTINGS.block, run)
         scores = summed_scores(table[:, 0], table[:, 1:], block)
         return clustered(self.information, scores)
 
