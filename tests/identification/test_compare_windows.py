@@ -65,6 +65,8 @@ def test_a_lone_outlier_is_no_start() -> None:
     signal[100] += 3.0
     value = local_value(CLOCK, signal, np.array([99, 100, 101]), SIGMA)
     np.testing.assert_allclose(value, np.sin(CLOCK[99:102]), atol=5 * SIGMA)
+    nowhere = np.zeros(0, dtype=np.intp)  # a stretch that holds no window
+    assert local_value(CLOCK, signal, nowhere, SIGMA).shape == (0,)
 
 
 def test_without_noise_the_sample_itself_is_taken() -> None:
