@@ -127,7 +127,7 @@ def _turns(t: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_wide_steps_after_the_first_samples_leave_the_noise_what_it_is(seed: int) -> None:
-    """Twice lost, and after two samples nearly so: these say least about a rate, with a gap of 0.4 s behind."""
+    """Twice lost, and after two samples nearly so: with a gap of 0.4 s behind."""
     rng = np.random.default_rng(seed)
     there = np.r_[0:30, 103, 104, 146:170, 240, 241, 285:1500]
     t = np.sort(0.01 * there + 0.0002 * rng.standard_normal(len(there)))
