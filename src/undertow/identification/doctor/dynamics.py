@@ -432,7 +432,7 @@ def dynamic_mistakes(
     if given is not None and np.any((given.excess > SETTINGS.unreadable) & given.moves.astype(bool)):
         return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
-    signs = reversed_commands(vehicle)
+    signs = _told_apart(at, reversed_commands(vehicle))
     # One velocity in another unit than the others, by less than no force could give, is a scale.
     speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
     known = reading_mistakes(mapping, runs)
@@ -463,7 +463,7 @@ def wirings(
     """Mistakes that change the sign by which motions answer commands, as far as kinematics allow them."""
     axes = [m for m in reading_mistakes(mapping, runs) if m.id in ("frame", "flipped_axis")]
     turned = allowed(kinematics, runs, at, axes)
-    return [*swapped_commands(vehicle), *reversed_commands(vehicle), *turned]
+    return [*_told_apart(at, [*swapped_commands(vehicle), *reversed_commands(vehicle)]), *turned]
 
 
 def allowed(
@@ -480,16 +480,30 @@ def allowed(
     seen = [_felt(at, at.runs[0])]
     for mistake in known:
         now = _felt(at, mistake.undo(at.runs[0]))
-        if any(
-            np.allclose(now, other, rtol=SETTINGS.changes, atol=SETTINGS.changes, equal_nan=True)
-            for other in seen
-        ):
+        if _is_one_of(now, seen):
             continue
         undone = [mistake.undo(run) for run in runs]
         if given is None or np.all(kinematics.mismatch(undone).excess < 1.25 * given.excess + 0.01):
             seen.append(now)
             result.append(mistake)
     return result
+
+
+def _told_apart(at: Dynamics, known: Sequence[Mistake]) -> list[Mistake]:
+    """Mistakes in commands, less those that logs do not tell from others, or from none."""
+    runs = at.runs
+    seen, result = [np.hstack([_felt(at, run) for run in runs])], list[Mistake]()
+    for mistake in known:
+        now = np.hstack([_felt(at, mistake.undo(run)) for run in runs])
+        if not _is_one_of(now, seen):
+            seen.append(now)
+            result.append(mistake)
+    return result
+
+
+def _is_one_of(felt: Array, seen: Sequence[Array]) -> bool:
+    near = {"rtol": SETTINGS.changes, "atol": SETTINGS.changes}
+    return any(np.allclose(felt, other, equal_nan=True, **near) for other in seen)
 
 
 def _felt(at: Dynamics, run: Run) -> np.ndarray:
