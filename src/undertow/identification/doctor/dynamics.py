@@ -24,7 +24,7 @@ from undertow.identification.estimation.weak_form import (
 from undertow.identification.findings import Examination, Finding
 from undertow.identification.logs.mapping import Edits, LogMapping, column_edit
 from undertow.identification.logs.run import Run
-from undertow.model.effect import Curve, Effect
+from undertow.model.effect import Effect
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -343,16 +343,9 @@ def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
             )
 
 
-def largest_commands(vehicle: Vehicle) -> dict[str, float]:
-    """Largest magnitudes of commands: the limits that are stated, and the ends of curves that hold zero."""
-    curves = {t.name: t.law for t in vehicle.thrusters if isinstance(t.law, Curve)}
-    ends = {n: c.largest for n, c in curves.items() if c.pieces[0][0] <= 0.0 <= c.pieces[-1][1]}
-    return ends | vehicle.command_limits
-
-
 def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
     """Commands as percent, as a share of the largest, or as pulse widths, where the file has limits."""
-    known, surfaces = largest_commands(vehicle), {s.name for s in vehicle.surfaces}
+    known, surfaces = vehicle.largest_commands, {s.name for s in vehicle.surfaces}
     limits = {name: most for name, most in known.items() if name not in surfaces}
     if not limits:
         return
