@@ -38,6 +38,7 @@ _RC: dict[str, Any] = {
     "axes.labelcolor": INK,
     "axes.titlecolor": INK,
     "axes.linewidth": 0.8,
+    "axes.formatter.limits": (-3, 5),  # of a small vehicle 0.00025 and the like would run into each other
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,

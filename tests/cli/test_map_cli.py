@@ -655,3 +655,18 @@ def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Pa
     assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
     assert [guesses[n].entry["unit"] for n in wrench] == ["N", "N", "N m"]
     assert not any(name in question for question in found.questions for name in wrench)
+
+
+@pytest.mark.parametrize("pair", [("u_L", "u_R"), ("motor_l", "motor_r"), ("Thrust L", "Thrust R")])
+def test_a_column_for_each_side_is_a_command_of_that_side(tmp_path: Path, pair: tuple[str, str]) -> None:
+    """Of a vehicle with propellers on both sides; u is its speed where no other u stands beside it."""
+    own = CATAMARAN + "".join(
+        f'[[thrusters]]\nname = "{n}"\nposition = ["0 m", "{y} m", "0 m"]\ndirection = [1, 0, 0]\n'
+        for n, y in (("port", -0.4), ("starboard", 0.4))
+    )
+    guesses, _ = _guesses(tmp_path, own, psi=1.0, **dict.fromkeys(pair, 1.0))
+    assert [guesses[n].column for n in ("port", "starboard")] == list(pair)
+    assert "u" not in guesses
+    assert guesses["port"].doubt.startswith("is it command 'port'?")
+    alone, _ = _guesses(tmp_path, CATAMARAN, u_l=1.0, psi=1.0)
+    assert alone["u"].column == "u_l"

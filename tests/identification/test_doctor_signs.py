@@ -17,11 +17,17 @@ from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.identification.doctor.clocks import Latency, _confirmed, latencies
-from undertow.identification.doctor.dynamics import reversed_commands, swapped_commands
+from undertow.identification.doctor.dynamics import (
+    dynamics_of,
+    reversed_commands,
+    swapped_commands,
+    wirings,
+)
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import Explanation
 from undertow.identification.doctor.signs import SETTINGS, Signs, by_signs, suspected
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -121,6 +127,27 @@ def test_two_propellers_that_only_turn_the_vehicle_leave_open_which_mistake_it_i
         assert sure is not None
         assert sure.mistake.clause == f"commands {port} and {starboard} are swapped"
         assert not sure.rivals
+
+
+def test_a_mistake_that_a_fit_found_is_none_where_the_signs_as_they_are_do_as_well() -> None:
+    """Whatever a fit makes of commands that nothing follows, from all signs alike no wiring follows."""
+    case = _case("usv")
+    vehicle = true_vehicle(case)
+    for wrong in reversed_commands(vehicle):
+        named = Explanation(wrong, f"{wrong.clause}: undone, much is left", {})
+        assert by_signs(Signs(vehicle, runs_of(case)), named, lambda: _known(vehicle)) is None
+
+
+def test_the_sign_of_a_command_that_rests_is_not_asked_for() -> None:
+    case = _case("usv")
+    vehicle = true_vehicle(case)
+    first, *others = (t.name for t in vehicle.thrusters)
+    runs = [replace(r, channels={**r.channels, first: np.zeros(len(r.t))}) for r in runs_of(case)]
+    at = dynamics_of(vehicle, runs)
+    assert at is not None
+    clauses = [m.clause for m in wirings(vehicle, at, Kinematics(runs, vehicle), runs, LogMapping())]
+    assert f"command {first} is reversed" not in clauses
+    assert {f"command {name} is reversed" for name in others} <= {*clauses}
 
 
 def test_without_a_position_a_mirrored_heading_may_be_exchanged_commands() -> None:

@@ -402,6 +402,24 @@ def test_a_log_may_be_thinned_out(log):
     assert "one row in 5 used" in run.notes
 
 
+def test_thinned_out_a_log_of_several_clocks_keeps_what_reports_rarely(log):
+    """Commands have rows of their own, one in twelve, and so has the depth."""
+
+    def row(k):
+        if k % 12 == 7:
+            return f"{k / 100},,,{(-1) ** (k // 12)}"
+        return f"{k / 100},{k},{k if k % 12 == 3 else ''},"
+
+    rows = "t,x,z,c\n" + "\n".join(map(row, range(240)))
+    held = {"missing_commands": "hold", "columns": {"c": "port"}}
+    whole, thin = log(rows, held, ["port"]), log(rows, {**held, "time": {"every": 5}}, ["port"])
+    assert set(thin.channels["z"][thin.reported["z"]]) == set(range(15, 240, 12)), "every depth since then"
+    assert len(thin.t) < 240 / 5 + 240 / 12, "and few of the rest"
+    impulse, kept = (np.cumsum(np.diff(run.t) * run.channels["port"][:-1]) for run in (whole, thin))
+    at = np.interp(thin.t[1:], whole.t[1:], impulse - np.interp(thin.t[1], whole.t[1:], impulse))
+    np.testing.assert_allclose(kept - kept[0], at, atol=1e-9, err_msg="no command is held beyond its next")
+
+
 # --- what is too large --------------------------------------------------------------------------
 
 

@@ -22,6 +22,7 @@ from undertow.identification.planning.manoeuvres import (
     Design,
     MotionLimits,
     can_be_planned,
+    command_limits,
     extremes,
     motion_axes,
     pushes,
@@ -46,6 +47,7 @@ from undertow.identification.planning.search import (
 )
 from undertow.identification.result_builder import ResultBuilder
 from undertow.model.catalogue import catalogue
+from undertow.model.effect import Curve
 from undertow.model.loading import VehicleTable, load_vehicle, resolve_vehicle, vehicle_from_table
 from undertow.model.vehicle import Vehicle
 
@@ -236,6 +238,21 @@ def test_the_vehicle_is_held_against_its_weight(auv: PlanningProblem) -> None:
     assert not auv.trim.left
     (still,) = auv.manoeuvres([np.tile(auv.trim.commands, (len(auv.t), 1))])
     np.testing.assert_allclose(still.y[0], 0.0, atol=1e-6)
+
+
+def test_a_thruster_that_rested_may_go_to_the_end_of_its_curve() -> None:
+    vehicle = load_vehicle("bluerov2")
+    first, *others = vehicle.thrusters
+    curve = Curve.through([(-0.9, -40.0), (0.0, 0.0), (1.1, 50.0)])
+    vehicle = replace(vehicle, thrusters=(replace(first, law=curve), *others))
+    commands = {n: np.full(3, 0.5) for n in vehicle.command_names}
+    moved = command_limits(vehicle, {}, [Run("dive", np.arange(3.0), commands)])
+    rested = Run("dive", np.arange(3.0), {**commands, first.name: np.zeros(3)})
+    known = command_limits(vehicle, {}, [rested])
+    assert (moved.value[0], moved.source[0]) == (0.5, "largest in the logs")
+    assert (known.value[0], known.source[0]) == (1.1, "end of its curve")
+    with pytest.raises(UndertowError, match=f"'{others[0].name}': give --limit"):
+        command_limits(vehicle, {}, [])
 
 
 def test_every_manoeuvre_stays_within_its_limits(auv: PlanningProblem) -> None:

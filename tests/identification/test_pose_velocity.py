@@ -10,7 +10,7 @@ import pytest
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import LogMapping, read_mapping
-from undertow.identification.logs.pose_velocity import as_reported, velocities_from_pose
+from undertow.identification.logs.pose_velocity import as_reported, track, velocities_from_pose
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
@@ -123,6 +123,19 @@ def test_what_stands_out_everywhere_is_noise(seed: int) -> None:
 def _turns(t: np.ndarray) -> np.ndarray:
     """Heading of a boat that turns by 90 degrees now and then, rad."""
     return sum(sign * 0.8 * np.tanh((t - at) / 1.2) for at, sign in ((15, 1), (32, -1), (50, 1), (68, 1)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_wide_steps_after_the_first_samples_leave_the_noise_what_it_is(seed: int) -> None:
+    """Twice lost, and after two samples nearly so: with a gap of 0.4 s behind."""
+    rng = np.random.default_rng(seed)
+    there = np.r_[0:30, 103, 104, 146:170, 240, 241, 285:1500]
+    t = np.sort(0.01 * there + 0.0002 * rng.standard_normal(len(there)))
+    one = track(t, 0.5 * np.sin(2.0 * t) + 0.002 * rng.standard_normal(len(t)))
+    assert one.noise == pytest.approx(0.002, rel=0.1)
+    assert not one.jump.any()
+    settled = t > 3.0
+    np.testing.assert_allclose(one.rate[settled], np.cos(2.0 * t[settled]), atol=0.05)
 
 
 def test_a_shift_of_the_origin_is_no_velocity(noisy):

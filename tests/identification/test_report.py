@@ -11,6 +11,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.quick import first_quick
 from undertow.cli.identification.diagnose import _content  # words for verdicts that no log here has
@@ -433,6 +434,16 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone() -> None:
     before = dict(mpl.rcParams)
     svg(falling_error(_diagnosis().steps), "p")
     assert dict(mpl.rcParams) == before
+
+
+def test_numbers_of_a_small_vehicle_do_not_run_into_each_other() -> None:
+    """A yaw moment of 0.0005 N m, in a row of three panels: 0.00025 is too wide for any of them."""
+    budgets = [Budget(dof, "N m", {"thrusters": 5.1e-4, "added_mass": 2.6e-4}) for dof in "abc"]
+    picture = force_budget(budgets)
+    FigureCanvasAgg(picture).draw()
+    texts = [label.get_text() for label in picture.axes[2].get_xticklabels()]
+    assert 2 <= len(texts) <= 6
+    assert all(len(text) <= 3 for text in texts)
 
 
 def test_pictures_can_be_written_and_the_folder_must_be_there(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from undertow.errors import UndertowError
 from undertow.notebook import html
 
 from .composition import Composition
-from .effect import Actuation, Effect, Law, Measurement, Propeller, Surface
+from .effect import Actuation, Curve, Effect, Law, Measurement, Propeller, Surface
 from .effects.control_surfaces import ControlSurfaces
 from .effects.generalised_force import GeneralisedForce
 from .effects.propellers import Propellers
@@ -233,6 +233,13 @@ class Vehicle:
         """Largest magnitude of the commands for which a limit is stated."""
         limits = {t.name: t.limit for t in self.thrusters} | {s.name: s.limit for s in self.surfaces}
         return {name: float(limit) for name, limit in limits.items() if limit is not None}
+
+    @property
+    def largest_commands(self) -> dict[str, float]:
+        """The same, and for commands without one the end of their curve, if that holds zero."""
+        curves = {t.name: t.law for t in self.thrusters if isinstance(t.law, Curve)}
+        ends = {n: c.largest for n, c in curves.items() if c.pieces[0][0] <= 0.0 <= c.pieces[-1][1]}
+        return ends | self.command_limits
 
     @cached_property
     def all_effects(self) -> tuple[Effect, ...]:

@@ -24,7 +24,7 @@ from undertow.identification.estimation.weak_form import (
 from undertow.identification.findings import Examination, Finding
 from undertow.identification.logs.mapping import Edits, LogMapping, column_edit
 from undertow.identification.logs.run import Run
-from undertow.model.effect import Curve, Effect
+from undertow.model.effect import Effect
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -343,16 +343,9 @@ def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
             )
 
 
-def largest_commands(vehicle: Vehicle) -> dict[str, float]:
-    """Largest magnitudes of commands: the limits that are stated, and the ends of curves that hold zero."""
-    curves = {t.name: t.law for t in vehicle.thrusters if isinstance(t.law, Curve)}
-    ends = {n: c.largest for n, c in curves.items() if c.pieces[0][0] <= 0.0 <= c.pieces[-1][1]}
-    return ends | vehicle.command_limits
-
-
 def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
     """Commands as percent, as a share of the largest, or as pulse widths, where the file has limits."""
-    known, surfaces = largest_commands(vehicle), {s.name for s in vehicle.surfaces}
+    known, surfaces = vehicle.largest_commands, {s.name for s in vehicle.surfaces}
     limits = {name: most for name, most in known.items() if name not in surfaces}
     if not limits:
         return
@@ -432,7 +425,7 @@ def dynamic_mistakes(
     if given is not None and np.any((given.excess > SETTINGS.unreadable) & given.moves.astype(bool)):
         return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
-    signs = reversed_commands(vehicle)
+    signs = _told_apart(at, reversed_commands(vehicle))
     # One velocity in another unit than the others, by less than no force could give, is a scale.
     speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
     known = reading_mistakes(mapping, runs)
@@ -463,7 +456,7 @@ def wirings(
     """Mistakes that change the sign by which motions answer commands, as far as kinematics allow them."""
     axes = [m for m in reading_mistakes(mapping, runs) if m.id in ("frame", "flipped_axis")]
     turned = allowed(kinematics, runs, at, axes)
-    return [*swapped_commands(vehicle), *reversed_commands(vehicle), *turned]
+    return [*_told_apart(at, [*swapped_commands(vehicle), *reversed_commands(vehicle)]), *turned]
 
 
 def allowed(
@@ -480,16 +473,30 @@ def allowed(
     seen = [_felt(at, at.runs[0])]
     for mistake in known:
         now = _felt(at, mistake.undo(at.runs[0]))
-        if any(
-            np.allclose(now, other, rtol=SETTINGS.changes, atol=SETTINGS.changes, equal_nan=True)
-            for other in seen
-        ):
+        if _is_one_of(now, seen):
             continue
         undone = [mistake.undo(run) for run in runs]
         if given is None or np.all(kinematics.mismatch(undone).excess < 1.25 * given.excess + 0.01):
             seen.append(now)
             result.append(mistake)
     return result
+
+
+def _told_apart(at: Dynamics, known: Sequence[Mistake]) -> list[Mistake]:
+    """Mistakes in commands, less those that logs do not tell from others, or from none."""
+    runs = at.runs
+    seen, result = [np.hstack([_felt(at, run) for run in runs])], list[Mistake]()
+    for mistake in known:
+        now = np.hstack([_felt(at, mistake.undo(run)) for run in runs])
+        if not _is_one_of(now, seen):
+            seen.append(now)
+            result.append(mistake)
+    return result
+
+
+def _is_one_of(felt: Array, seen: Sequence[Array]) -> bool:
+    near = {"rtol": SETTINGS.changes, "atol": SETTINGS.changes}
+    return any(np.allclose(felt, other, equal_nan=True, **near) for other in seen)
 
 
 def _felt(at: Dynamics, run: Run) -> np.ndarray:

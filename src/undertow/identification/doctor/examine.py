@@ -319,9 +319,9 @@ class _Examiner:
             return found
         possible = cache(lambda: wirings(*known))
         wrong = by_signs(signs, found, possible)
-        if found is not None or (wrong is not None and at.no_worse(wrong.mistake)):
+        if wrong is not None and (found is not None or at.no_worse(wrong.mistake)):
             return wrong
-        doubt = suspected(signs, possible)
+        doubt = found or suspected(signs, possible)
         if doubt is not None:
             self._doubt(doubt, [*(m.clause for m in doubt.rivals), _MODEL])
         return None

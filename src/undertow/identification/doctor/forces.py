@@ -21,7 +21,7 @@ from undertow.model.effect import Curve, Propeller
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .dynamics import largest_commands, other_units, rederived
+from .dynamics import other_units, rederived
 from .kinematics import Kinematics, most_active, weights_over
 from .mistakes import (
     PLAUSIBLE,
@@ -449,7 +449,7 @@ class _PlausibilityCheck:
 
     def by_limits(self) -> Explanation | None:
         """Commands far beyond what the vehicle file has as the largest."""
-        limits = largest_commands(self.vehicle)
+        limits = self.vehicle.largest_commands
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
         far = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
         if not far:

@@ -179,9 +179,9 @@ class Signs:
         return _remaining(weighed, [w for _, w in weighed if self._better(w)])
 
     def not_excluded(self, known: Sequence[Mistake]) -> list[Mistake]:
-        """The mistakes that logs contradict least: of some of which one is known to be there."""
+        """The mistakes that logs contradict least; none if the reading as it is does as well."""
         weighed = [(m, self.without(m.undo)) for m in known]
-        return _remaining(weighed, [w for _, w in weighed])
+        return _remaining(weighed, [w for _, w in weighed], self.given)
 
     def suspected(self, known: Sequence[Mistake]) -> list[Mistake]:
         """The mistakes without which no run contradicts its reading, where the logs are short of certain."""
@@ -219,13 +219,20 @@ def _wild(gain: Array | np.floating) -> Flags:
     return np.asarray(np.abs(gain) > SETTINGS.strongest)
 
 
-def _remaining(weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight]) -> list[Mistake]:
-    """Mistakes that do as well as the best of the good ones: the simplest, then what explains most."""
+def _remaining(
+    weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight], given: Weight | None = None
+) -> list[Mistake]:
+    """Mistakes that do as well as the best of the good ones: the simplest, then what explains most.
+
+    None where the reading that is `given` does so, too.
+    """
     if not good:
         return []
     enough = SETTINGS.as_good * max(w.explained for w in good)
     best = min((w for w in good if w.explained >= enough), key=lambda w: w.total)
     near = best.total + SETTINGS.excluded**2 * best.spread
+    if given is not None and given.total <= near and given.explained >= enough:
+        return []
     left = [(m, w) for m, w in weighed if w.total <= near and w.explained >= enough]
     return [m for m, _ in sorted(left, key=lambda pair: (pair[0].count, -pair[1].explained))]
 
@@ -256,7 +263,8 @@ def by_signs(
     """What the signs of all commands in all runs say of the wiring that a fit found wrong, if any.
 
     `known` gives the mistakes that may be named. Those that do as well as the one found are named with it;
-    what does worse gives way to them.
+    what does worse gives way to them. None where the signs as they are do as well: then they are not what is
+    wrong.
     """
     if found is None:
         possible = signs.possible(known()) if signs.given.total > SETTINGS.sure**2 else []
@@ -264,6 +272,8 @@ def by_signs(
         others = known()
         own = [] if any(m.clause == found.mistake.clause for m in others) else [found.mistake]
         possible = signs.not_excluded([*own, *others])
+        if not possible:
+            return None
     why, evidence = signs.text()
     if not possible or (found is None and not evidence):
         return found

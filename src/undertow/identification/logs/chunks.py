@@ -50,6 +50,7 @@ from .table import (
     refuse_no_file,
     size_of,
 )
+from .thinning import thinned
 
 # Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
 _GLANCE = 1 << 18
@@ -226,7 +227,7 @@ class LongLog:
         every = self.mapping.time.every
         if every == 1:
             return self._all_rows(rows, overlap)
-        return _of_rows(_every(self._all_rows(rows, 0), every), rows, overlap)
+        return _of_rows(thinned(self._all_rows(rows, 0), every), rows, overlap)
 
     def _all_rows(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
         """Tables of all rows, whatever `every` says."""
@@ -313,14 +314,6 @@ def _rows_of(
     """The rows with a number in a column; where they are beside each other, nothing else is read."""
     between = flat.slice(first, stop - first)
     return (between if rows == stop - first else between.filter(pl.col(column) == number)).drop(column)
-
-
-def _every(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
-    """Every so many-th row of tables that follow each other."""
-    before = 0
-    for table in tables:
-        yield table.slice(-before % every).gather_every(every)
-        before += table.height
 
 
 def _of_rows(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Iterator[pl.DataFrame]:

@@ -40,6 +40,7 @@ from .guess_names import (
     part_of_quaternion,
     rows_by_number,
     with_axes,
+    with_sides,
 )
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
@@ -97,9 +98,8 @@ def guess_table(
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
     time = clock or clock_of(table, data, f"log {path}")
     t = times_of_rows(table, data, time, f"log {path}")
-    names = with_axes(
-        [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
-    )
+    plain = [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
+    names = with_sides(with_axes(plain))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
     motion = _best([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)

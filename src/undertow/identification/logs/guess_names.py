@@ -318,6 +318,27 @@ def with_axes(names: Sequence[Name]) -> list[Name]:
     return [axes.get(name, name) for name in names]
 
 
+def with_sides(names: Sequence[Name]) -> list[Name]:
+    """The names, with left and right for the l and r of two that differ in these.
+
+    u is the input of a control loop then: a vehicle has one speed ahead, and not one for each side.
+    """
+    there = {name.words for name in names}
+    return [_sided(name, there) for name in names]
+
+
+_SIDES = {"l": ("r", "left"), "r": ("l", "right")}
+
+
+def _sided(name: Name, there: Container[tuple[str, ...]]) -> Name:
+    for at, word in enumerate(name.words):
+        other, side = _SIDES.get(word, ("", ""))
+        if other and (*name.words[:at], other, *name.words[at + 1 :]) in there:
+            words = (*name.words[:at], side, *name.words[at + 1 :])
+            return replace(name, words=tuple("cmd" if w == "u" else w for w in words))
+    return name
+
+
 def rows_by_number(names: Iterable[str]) -> list[list[str]]:
     """Names that differ in their last number alone, in its order, row by row."""
     rows: dict[str, list[tuple[int, str]]] = {}

@@ -104,7 +104,8 @@ class Time(_Strict):
     offset: float = 0.0  # added to all times, s
     # What to do with rows whose time is not later than that of all rows before.
     disorder: Literal["refuse", "drop"] = "refuse"
-    # Use only every n-th row (n up to 10^6): for pose logged much faster than the vehicle moves.
+    # Use only every n-th row (n up to 10^6), for pose logged much faster than the vehicle moves; of columns
+    # that report more rarely than that, all reports.
     every: int = Field(default=1, ge=1, le=1_000_000)
     # Column that numbers the stretches to use: each number is a separate run, rows without a number are left
     # out (vehicle on deck, estimator reset).

@@ -30,6 +30,9 @@ class SmootherSettings:
 
     # Variance of the state before the first sample, in squared standard deviations of the noise.
     diffuse: float = 1e10
+    # Share by which every predicted variance is raised: more than what rounding takes away where one wide
+    # step after a diffuse beginning leaves all three variances in one direction, and little beside the noise.
+    rounding: float = 1e-14
     outlying: float = 100.0  # squared innovation, over the typical one, that counts in full
     lost: float = 0.5  # a longer time without a sample is lost tracking, s: what happened in it is unknown
     lost_steps: float = 4.0  # or this many usual steps, for slow logs
@@ -117,6 +120,7 @@ def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
         if k:
             mean = (transition[k] @ mean[..., None])[..., 0]
             covariance = transition[k] @ covariance @ transition[k].swapaxes(-1, -2) + process[k]
+            covariance = covariance * (1.0 + SETTINGS.rounding * np.eye(ORDER))
         before.mean[k], before.covariance[k] = mean, covariance
         variance = covariance[:, 0, 0] + 1.0
         gain = covariance[:, :, 0] * (there[k] / variance)[:, None]

@@ -71,6 +71,7 @@ from .run import (
     unwrapped,
     with_report_noise,
 )
+from .thinning import thinned
 
 Commands = dict[str, float]
 
@@ -274,7 +275,7 @@ def run_of_table(
     values of commands before the rows, which may then lack all values of a channel.
     """
     where = f"log {path}"
-    table = table.gather_every(mapping.time.every)
+    (table,) = thinned([table], mapping.time.every)
     there = {c.channel for n, c in mapping.columns.items() if n in table.columns}
     there |= {*mapping.channels, *table.columns}
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))

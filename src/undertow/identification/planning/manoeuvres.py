@@ -344,7 +344,7 @@ def can_be_planned(vehicle: Vehicle) -> bool:
 
 
 def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> CommandLimits:
-    """Largest commands: what was asked for, else the vehicle file, else the largest in the logs.
+    """Largest commands: asked for, else of the vehicle file, of the logs, or at the ends of curves.
 
     The key "" stands for all that are not named; a limit of the vehicle file may be lowered, never raised.
     """
@@ -360,14 +360,15 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
             raise UndertowError(
                 f"--limit {name or 'of all'} = {value:g} is not a limit: give a positive value"
             )
-    stated = vehicle.command_limits
-    found = [_limit(n, asked, stated.get(n), runs) for n in vehicle.command_names]
+    stated, ends = vehicle.command_limits, vehicle.largest_commands
+    found = [_limit(n, asked, stated.get(n), ends.get(n), runs) for n in vehicle.command_names]
     return CommandLimits(np.array([v for v, _ in found]), tuple(s for _, s in found))
 
 
 def _limit(
-    name: str, asked: Mapping[str, float], stated: float | None, runs: Sequence[Run]
+    name: str, asked: Mapping[str, float], stated: float | None, end: float | None, runs: Sequence[Run]
 ) -> tuple[float, str]:
+    """The largest command and what says so; `end` is that of its curve."""
     given = asked.get(name, asked.get(""))
     if given is not None and stated is not None and given > stated:
         raise UndertowError(
@@ -378,6 +379,8 @@ def _limit(
     if stated is not None:
         return stated, "vehicle file"
     largest = [float(np.nanmax(np.abs(r.channels[name]))) for r in runs if r.has(name)]
+    if end is not None and not max(largest, default=0.0) > 0:
+        return end, "end of its curve"
     if not largest or not max(largest) > 0:
         raise UndertowError(
             f"no limit is known for the command '{name}': give --limit {name}=VALUE (or --limit "

@@ -385,6 +385,7 @@ def force_budget(budgets: Sequence[Budget]) -> Figure:
             colours = [BEFORE if name == _UNEXPLAINED else AFTER for name, _ in shares]
             axis.barh([plain(name, 26) for name, _ in shares], [v for _, v in shares], color=colours)
             axis.set_xlabel(with_unit(f"{budget.degree_of_freedom}, rms", budget.unit))
+            axis.locator_params(axis="x", nbins=4)
             axis.grid(axis="x")
         for axis in axes.ravel()[len(budgets) :]:
             axis.set_visible(False)
