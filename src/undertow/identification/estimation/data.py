@@ -68,18 +68,6 @@ def summed_scores(r: Array, J: Array, block: Index) -> Array:
     return scores
 
 
-def mean_inflation(information: Array, scores: Array) -> float:
-    """Mean factor, at least 1, by which residuals that go together within groups raise variances.
-
-    The trace of (J' J)^-1 B over the number of parameters, with the covariance B of the scores; 1 where all
-    residuals are independent (Takeuchi's information criterion).
-
-    information: J' J, (k, k). scores: J' r of groups that count as independent, (groups, k).
-    """
-    product = inverse_of(information) @ (scores.T @ scores)
-    return max(1.0, float(np.trace(product)) / max(len(product), 1))
-
-
 def clustered(information: Array, scores: Array) -> Array:
     """Covariance of an estimate: never less than noise alone gives, and robust to correlated residuals.
 
@@ -310,11 +298,8 @@ class Whitening:
     Rows are ordered by test function, then by equation. `covariance` (b, m) is that from the noise of the
     channels, and `overlap` (b, m) the products of test functions of one equation, the covariance of a white
     disturbance; lower halves in LAPACK's banded storage. `intensity` (m,) is that of the disturbance: what
-    the model leaves beyond the noise. It is white here; `inflation` is the mean factor by which a slow one
-    raises variances.
+    the model leaves beyond the noise.
     """
-
-    inflation: float = 1.0
 
     def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
         self._bands = covariance, overlap
@@ -337,11 +322,10 @@ class Whitening:
         """Covariance of the residual from the noise of the channels alone, in the order of its rows."""
         return unbanded(self._bands[0])
 
-    def with_disturbance(self, intensity: Array, inflation: float = 1.0) -> Whitening:
+    def with_disturbance(self, intensity: Array) -> Whitening:
         """The same noise with another disturbance."""
         other = copy(self)
         other._take(intensity)
-        other.inflation = inflation
         return other
 
     def __call__(self, right: Array) -> Array:

@@ -16,7 +16,7 @@ from undertow.codegen.functions import Functions
 from undertow.identification.logs.run import Run
 from undertow.typing import Array, Flags, Index, Integers
 
-from .data import mean_inflation
+from .data import inverse_of
 from .predictor import Predictor, reported_late
 from .residual import RunValues
 from .windows import Drive, Windows
@@ -64,8 +64,13 @@ class Reduced:
 
     @cached_property
     def inflation(self) -> float:
-        """See `mean_inflation`."""
-        return mean_inflation(self.J.T @ self.J, self.scores)
+        """Mean factor, at least 1, by which residuals that go together within groups raise variances.
+
+        The trace of J^-1 B over the number of parameters, with the information J and the covariance B of the
+        scores; 1 where all residuals are independent (Takeuchi's information criterion).
+        """
+        product = inverse_of(self.J.T @ self.J) @ (self.scores.T @ self.scores)
+        return max(1.0, float(np.trace(product)) / max(len(product), 1))
 
 
 def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:

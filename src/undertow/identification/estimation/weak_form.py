@@ -13,7 +13,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
-from .data import Segment, WeakData, Whitening, clustered, mean_inflation, prepare, summed_scores
+from .data import Segment, WeakData, Whitening, clustered, prepare, summed_scores
 from .fitted import BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by_run
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
@@ -56,13 +56,11 @@ def mean_square_by(group: Index, r: Array, size: int) -> Array:
     return np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
 
 
-def with_process_noise(
-    sensor_noise: list[Whitening], disturbance: Array, data: WeakData, inflation: float = 1.0
-) -> list[Whitening]:
+def with_process_noise(sensor_noise: list[Whitening], disturbance: Array, data: WeakData) -> list[Whitening]:
     """A noise model with process noise of the given intensity in each equation."""
     level = disturbance[list(data.rows)]
     return [
-        w.with_disturbance(np.tile(level, s.functions.count), inflation)
+        w.with_disturbance(np.tile(level, s.functions.count))
         for w, s in zip(sensor_noise, data.segments, strict=True)
     ]
 
@@ -128,11 +126,6 @@ class WeakFit(Fitted):
         Blocks of a few seconds are the groups of `clustered`.
         """
         return clustered(self.information, summed_scores(self.at.r, self.at.J, self.data.block))
-
-    @cached_property
-    def inflation(self) -> float:
-        """See `mean_inflation`."""
-        return mean_inflation(self.gram, summed_scores(self.at.r, self.at.J, self.data.block))
 
     @property
     def cost(self) -> float:
@@ -222,7 +215,7 @@ def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> W
             sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
         disturbance = matched_disturbance(fit, sensor_noise)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
-        whitening = with_process_noise(sensor_noise, disturbance, fit.data, fit.inflation)
+        whitening = with_process_noise(sensor_noise, disturbance, fit.data)
         fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, SETTINGS.most_steps)
         if changed < SETTINGS.noise_converged or not np.any(disturbance):
             break
@@ -266,16 +259,10 @@ def start_fit(
 
 def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
     """Sum of squares that is predicted after one more Gauss-Newton step, and the parameters after it."""
-    space = _space(fit.model, fit.whitening)
+    space = SearchSpace(fit.model, limited=True)
     step = space.step(fit.at, fit.p)
     after = space.moved(fit.p, step)[space.places]
     return squared(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
-
-
-def _space(model: WeakModel, noise: Sequence[Whitening]) -> SearchSpace:
-    space = SearchSpace(model, limited=True)
-    space.weigh_priors(noise[0].inflation)
-    return space
 
 
 def _solved(
@@ -288,7 +275,7 @@ def _solved(
     enough: float = 0.0,
 ) -> WeakFit:
     """Gauss-Newton steps from p under a fixed noise model."""
-    space = _space(model, whitening)
+    space = SearchSpace(model, limited=True)
     p = space.nearest(p)
     at = whitened(model.linearise(data, p), whitening)
     iteration = 0
