@@ -172,7 +172,7 @@ class Descent:
             dispersion = found
             self._weigh(dispersion)
             state = self._roughly(state.p, state.starts)
-            self._space.weigh_priors(state.at.inflation)
+            self._weigh_priors(state, dispersion)
         state = self._minimised(state, _negligible_fall)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps, self._known
@@ -191,6 +191,11 @@ class Descent:
             trust[:, 0] = dispersion
         self._shooting.trust = trust
 
+    def _weigh_priors(self, state: State, dispersion: Array) -> None:
+        """Count once what a slow residual repeats, where more than noise is left: that is independent."""
+        left = float(np.max(dispersion)) >= SETTINGS.little_left
+        self._space.weigh_priors(state.at.inflation if left else 1.0)
+
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Minimise with weights for each sample by its error, until the parameters converge."""
         self._weigh(np.ones(len(self.windows.names)))
@@ -200,7 +205,7 @@ class Descent:
             self._progress(round_ / SETTINGS.robust_rounds, "output error, outliers down-weighted")
             scale = self._weighed(state, loss)
             before, state = state.p, self.minimise(state.p, state.starts)
-            self._space.weigh_priors(state.at.inflation)
+            self._weigh_priors(state, scale**2)
             if self._moved(state, before) < SETTINGS.converged:
                 break
         return self._robust(state, scale, loss)
