@@ -22,7 +22,6 @@ from undertow.identification.doctor.dynamics import (
     best_of,
     dynamic_mistakes,
     dynamics_of,
-    largest_commands,
     other_units,
     reversed_commands,
     swapped_commands,
@@ -178,7 +177,7 @@ def test_pulses_beyond_the_end_of_a_curve_are_no_commands_of_it(tmp_path: Path) 
     thruster = f'[[thrusters]]\n{place}curve = "t200-16v"\n'
     (tmp_path / "vehicle.toml").write_text(TURNING + thruster)
     vehicle = load_vehicle(tmp_path / "vehicle.toml")
-    assert largest_commands(vehicle) == {"side": 1.0}
+    assert vehicle.largest_commands == {"side": 1.0}
     share = 0.8 * np.sin(1.3 * columns["t"])
     (tmp_path / "log.csv").write_text(text_of(columns | {"side": 1500.0 + 400.0 * share}))
     run = read_log(tmp_path / "log.csv", None, ["side"])
