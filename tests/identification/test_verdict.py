@@ -65,19 +65,22 @@ def test_no_share_below_zero_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effect", "significant", "share", "said"),
+    ("effect", "significant", "share", "error", "said"),
     [
-        ("water_speed_log", True, 0.57, True),
-        ("water_speed_log", True, 0.02, False),
-        ("water_speed_log", False, 0.57, False),
-        ("ocean_current", True, 0.57, False),
+        ("water_speed_log", True, 0.57, 0.01, True),
+        ("water_speed_log", True, 0.57, 10.0, False),
+        ("water_speed_log", True, 0.02, 0.01, False),
+        ("water_speed_log", False, 0.57, 0.01, False),
+        ("ocean_current", True, 0.57, 0.01, False),
     ],
 )
 def test_no_disturbance_acts_between_pose_and_velocity(
-    effect: str, *, significant: bool, share: float, said: bool
+    effect: str, *, significant: bool, share: float, error: float, said: bool
 ) -> None:
     """Forces that nobody knows may be behind an excess in the forces, not behind one between two sensors."""
-    trial = SimpleNamespace(candidate=SimpleNamespace(effect=catalogue()[effect]), id=effect)
+    fit = SimpleNamespace(model=SimpleNamespace(free=("V",)), values={"V": 0.1}, standard_errors={"V": error})
+    candidate = SimpleNamespace(effect=catalogue()[effect], parameters=[SimpleNamespace(name="V")])
+    trial = SimpleNamespace(candidate=candidate, id=effect, fit=fit)
     finding = FoundEffect(trial, Comparison(0.1, (0.0, 0.2), 0.001), share, 0.001, significant)
     judgement, alone = (error_of_sensors([finding], compared) for compared in (True, False))
     assert (judgement is not None) == said

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 
 from undertow.errors import UndertowError, listed
-from undertow.identification.estimation.fitted import BetweenRuns, Fitted
+from undertow.identification.estimation.fitted import SURE, BetweenRuns, Fitted
 from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.step import (
     NOTHING_SAID,
@@ -152,9 +152,10 @@ def error_of_sensors(
 
     Pose and velocities follow from each other without a force: what lies between them is no disturbance, also
     where it changes no predicted velocity. Where only one of them was measured they are not `compared`, and
-    what a sensor would explain may as well be a force.
+    what a sensor would explain may as well be a force. An error of unknown size is evidence of nothing.
     """
-    own = (f for f in findings if f.significant and f.of_sensors and not f.by_slow_disturbance(settings))
+    there = (f for f in findings if f.significant and f.of_sensors and _is_known(f))
+    own = (f for f in there if not f.by_slow_disturbance(settings))
     most = max(own, key=lambda f: f.explained, default=None)
     if most is None or most.explained < settings.sensor_share:
         return None
@@ -167,6 +168,13 @@ def error_of_sensors(
         "measured: an error of the sensor and a missing force look alike."
     )
     return Judgement("unexplained", text, [], [], most.explained)
+
+
+def _is_known(finding: FoundEffect) -> bool:
+    """Whether any parameter of an effect is known to differ from zero."""
+    fit = finding.trial.fit
+    own = [n for n in fit.model.free if plain(n) in finding.parameters]
+    return any(abs(fit.values[n]) > SURE * fit.standard_errors[n] for n in own)
 
 
 def _doubt(share: float, left: Remainder, settings: Settings) -> str:
