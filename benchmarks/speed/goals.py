@@ -11,7 +11,7 @@ BATCH = "1000 rollouts"
 REGRESSION = "regression, 10^6 samples x 6 rows x 30 parameters"
 FIT = "output-error fit, 60 s at 20 Hz, 20 parameters"
 DIAGNOSIS = "whole-catalogue diagnosis, 6 DOF, 4 x 100 s at 20 Hz"
-LONG = "whole-catalogue diagnosis, 6 DOF, 20 minutes at 20 Hz"
+LONG = "whole-catalogue diagnosis, 6 DOF, 4 x 300 s at 20 Hz"
 COLD = "derive, generate and compile, nothing in the cache"
 OURS = "undertow"
 
