@@ -31,6 +31,8 @@ def runs(known: str, timings: list[Timing], cpu: str) -> list[Row]:
     """
     lines = known.partition(HEADING)[2].splitlines()
     old = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if _RUN.match(line)]
+    for row in old:  # a goal that came later was not measured then
+        row += [NOT_MEASURED] * (_MACHINE + 1 + len(GOALS) - len(row))
     return [*old, [datetime.date.today().isoformat(), _commit(), cpu, *(measured(g, timings) for g in GOALS)]]
 
 
