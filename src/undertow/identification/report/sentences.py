@@ -223,8 +223,11 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
 
 def _beside_the_first(headline: str) -> str:
     """What a verdict says that the first sentence does not."""
-    text = "" if headline == NO_EVIDENCE else headline.removeprefix("Unexplained: ")
-    return text[:1].upper() + text[1:]
+    if headline == NO_EVIDENCE:
+        return ""
+    text = headline.removeprefix("Unexplained: ")
+    # A headline that begins with the id of an effect keeps it as it is.
+    return headline if text == headline else text[:1].upper() + text[1:]
 
 
 def first_sentence(diagnosis: Diagnosis) -> str:
