@@ -112,7 +112,7 @@ def test_one_run_needs_no_list(vehicle: ut.Vehicle, run: ut.Run) -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ([], "there is no log to fit to"),
+        ([], "there is no training log"),
         (["dive.csv"], r"a log is given as str \('dive.csv'\): read it with undertow.read_log"),
     ],
 )

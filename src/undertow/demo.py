@@ -184,7 +184,7 @@ def _falling(output: _Output, addition: Addition) -> Iterator[Piece]:
         (name, f"{step.error:.3g}", f"{step.prediction or 0.0:.1%}")
         for name, step in zip(names, addition.steps, strict=True)
     ]
-    yield "text", "The error on the validation run falls (1 is the noise of the sensors):"
+    yield "text", "The error on the validation run falls (1 is sensor noise):"
     yield "table", (("model", "error / noise", "velocity error 5 s ahead"), rows)
     yield output.picture(
         "auv/falling-error.png", falling_error(addition.steps), "the error on the validation run"

@@ -124,4 +124,4 @@ def test_a_mistake_is_one_line(
 
 def test_a_bundled_vehicle_is_not_changed_in_place(capsys: Capture) -> None:
     assert main(["add", "ocean_current", "box-hull", "log.csv", "--in-place"]) == 2
-    assert "comes with undertow" in capsys.readouterr().err
+    assert "is bundled with undertow" in capsys.readouterr().err

@@ -115,7 +115,7 @@ def test_a_mesh_by_panels(hulls: Path, capsys: Capture) -> None:
         (["sphere", "--diameter", "1", "--sigma", "0"], "--sigma 0 is not a share: give a number above 0"),
         (["sphere", "--diameter", "1", "--sigma", "nan"], "--sigma nan is not a share"),
         (["sphere", "--diameter", "1", "--into", "none.toml"], "neither a file nor a bundled vehicle"),
-        (["sphere", "--diameter", "1", "--into", "mini-auv", "--in-place"], "comes with undertow"),
+        (["sphere", "--diameter", "1", "--into", "mini-auv", "--in-place"], "is bundled with undertow"),
         (["cylinder", "--length", "1", "--diameter", "1"], "strips need 5"),
         (["box", "--length", "9", "--beam", "1", "--height", "1"], "the table ends at 5.66"),
         (["mesh", "none.stl"], "none.stl: cannot be read"),

@@ -239,7 +239,7 @@ def test_a_window_without_samples_is_refused(window: list[str], case: Path, caps
 
 
 def _still(columns: Columns) -> Columns:
-    """Sensors on, nothing moves: the noise of the sensors, no command."""
+    """Sensors on, nothing moves: sensor noise, no command."""
     rng = np.random.default_rng(0)
     noise = {name: 0.01 * rng.standard_normal(len(columns["t"])) for name in columns if name != "t"}
     return {

@@ -108,7 +108,7 @@ def test_the_current_is_named_with_its_values(reported: Reported) -> None:
 def test_the_error_falls_on_the_run_that_was_kept_aside(reported: Reported) -> None:
     first, *_, last = reported.read("auv/diagnosis.json")["steps"]
     assert last["error"] < 0.3 * first["error"]
-    assert last["error"] < 1.2, "down to the noise of the sensors"
+    assert last["error"] < 1.2, "down to sensor noise"
     assert last["prediction"] < 0.3 * first["prediction"]
     row = re.search(
         r"model as given │ (\S+) .*? refitted │ (\S+) .*? with ocean_current │ (\S+) ", reported.words

@@ -54,7 +54,7 @@ def test_a_mistake_comes_first_with_the_line_that_mends_it(
     assert main(words) == 1
     out = _lines(capsys)
     assert out[0].startswith(
-        "mistake: v has the opposite sign: undone, the mismatch of pose rate and velocity"
+        "mistake: v has the opposite sign: when corrected, the mismatch between pose rate and velocity"
     )
     assert out[2:4] == ["[columns]", 'v = { channel = "v", scale = -1.0 }']
     assert any(line.startswith("1 mistake") and "v has the opposite sign" in line for line in out)

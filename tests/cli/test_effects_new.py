@@ -66,7 +66,7 @@ def _left(degree_of_freedom: str = "surge", **found: Any) -> Remaining:
         noise_rms=0.4,
         unit="N",
         note="",
-        summary=f"{degree_of_freedom}: 0.8 N rms is left beyond the noise",
+        summary=f"{degree_of_freedom}: 0.8 N rms remains above the noise",
         **found,
     )
 
@@ -148,7 +148,7 @@ def test_the_file_says_where_its_terms_come_from(undertow: Undertow, found: Path
         "Force that varies with |r| u. Suggested by 'undertow effects new' from found.json"
     )
     assert "vehicle usv, logs a, undertow 0.1.0" in words
-    assert "surge: 0.8 N rms is left beyond the noise" in words
+    assert "surge: 0.8 N rms remains above the noise" in words
     assert "These are associations. Say here what makes the force" in words
     assert "found.json" in cls.reference
     assert cls.specimen().parameters[0].unit == "N/((rad/s) (m/s))"

@@ -46,7 +46,7 @@ def test_all_cases_of_both_directions_in_tables(logs: Path, capsys: Capture) -> 
         assert float(row[5]) == pytest.approx(-0.102889, abs=6e-7)
         assert " ".join(row[-2:]) == "no: X_u"
     assert (
-        out.count("taken: case 2 (velocity (1, 3), acceleration (1, 3)); of the cases whose estimates are")
+        out.count("selected: case 2 (velocity (1, 3), acceleration (1, 3)); of the cases whose estimates are")
         == 2
     )
     assert out.count("X_u is not determined by this experiment: |t| = 0.") == 2

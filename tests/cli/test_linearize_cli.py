@@ -106,7 +106,7 @@ def test_a_channel_is_chosen(folder: Path, capsys: Capture) -> None:
         (["--current", "0.2"], "give two velocities"),
         (["--current", "0.2,0.1", "--at", "u=0.5,r=0.1"], "forces change with psi"),
         (["--direction", "u=2"], "write 1 (forward) or -1"),
-        (["--gains", "paper-smc"], "jumps at its set-point"),
+        (["--gains", "paper-smc"], "is discontinuous at its set-point"),
         (["--gains", "paper-pd", "--at", "r=0.1"], "cannot hold a turn"),
         (["--gains", "nothing"], "are neither a file nor a bundled set"),
         (["--gains", "paper-pid", "--require-stable"], "the loop with 'paper-pid' of 'mini-auv' is unstable"),

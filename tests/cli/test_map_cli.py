@@ -394,8 +394,8 @@ def test_a_rudder_beyond_a_turn_is_in_degrees(tmp_path: Path) -> None:
 def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
     ship = SHIP.format(thrust=PROPELLER.format("rev/s"))
     guesses, _ = _guesses(tmp_path, ship, **{"yaw [deg/s]": 5.0, "engine [rpm]": 600.0, "north_mps": 1.0})
-    assert guesses["r"].doubt == "by its unit a velocity: is it r?"
-    assert guesses["u"].doubt == "by its unit a velocity: is it u?"
+    assert guesses["r"].doubt == "its unit is that of a velocity: is it r?"
+    assert guesses["u"].doubt == "its unit is that of a velocity: is it u?"
     assert guesses["propeller"].column == "engine [rpm]"
     assert guesses["propeller"].doubt == "is it command 'propeller'?"
     assert guesses["propeller"].entry["scale"] == pytest.approx(1 / 60)
@@ -570,7 +570,7 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
             "0,1,0\n0.1,1.1,0.01\n0.2,1.2,0.02\n",
             "begins with numbers (0, 1, 0 …): write a line with the names",
         ),
-        ("A tank\n1.2 m/s\n" + "0\t1\t2\n1\t2\t3\n" * 9, "line 3 has 3 cells, the header 1: delete what is"),
+        ("A tank\n1.2 m/s\n" + "0\t1\t2\n1\t2\t3\n" * 9, "line 3 has 3 cells, the header 1: delete lines"),
     ],
 )
 def test_a_table_without_a_line_of_names_is_refused_for_that(text: str, words: str, tmp_path: Path) -> None:

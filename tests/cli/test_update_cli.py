@@ -122,5 +122,5 @@ def test_a_spoilt_state_file_counts_as_none(folder: Path, capsys: Capture) -> No
     )
     assert main(["update", "auv.toml"]) == 0
     captured = capsys.readouterr()
-    assert "counts as not there" in captured.err
+    assert "is ignored" in captured.err
     assert "first time: from now on" in captured.out

@@ -228,7 +228,7 @@ def test_a_folder_below_one_that_everybody_can_write_is_refused(
 ) -> None:
     own_cache.parent.mkdir()
     own_cache.parent.chmod(0o777)
-    assert _private("everybody can write", caplog) != own_cache
+    assert _private("is world-writable", caplog) != own_cache
 
 
 @posix
@@ -288,7 +288,7 @@ def test_a_link_to_where_everybody_can_write_is_refused(
     (everybody / "mine").mkdir(parents=True, mode=0o700)
     everybody.chmod(0o777)
     own_cache.parent.symlink_to(everybody / "mine")
-    assert _private("everybody can write", caplog) != everybody / "mine" / "undertow"
+    assert _private("is world-writable", caplog) != everybody / "mine" / "undertow"
 
 
 @posix

@@ -325,7 +325,7 @@ def test_an_integral_along_an_axis_that_nothing_pushes_runs_away() -> None:
     vehicle = replace(sinker(), thrusters=sinker().thrusters[:3])
     report = judged(law(vehicle, "pid", gains=gains, unactuated=["sway"]))
     assert report.full_loop is not None
-    assert "an integral of its error" in report.full_loop.text
+    assert "the integral of its error" in report.full_loop.text
     assert not report.ok
 
 

@@ -157,7 +157,7 @@ def test_intervals_of_the_file_are_taken_at_the_confidence_and_cut_at_what_is_ph
     [
         ("pid", {"Y_w": 0.1}, "did you mean 'Z_w'"),
         ("pid", {"B_net": 0.1}, "no such parameter of inertia or damping"),
-        ("pid", 1.5, "is no share of a value"),
+        ("pid", 1.5, "is not a fraction of a value"),
         ("pid", "stated", "has a standard deviation"),
         ("sliding-mode", 0.1, "no region is proved over parameters"),
     ],

@@ -282,7 +282,7 @@ def test_the_loop_of_python_control_is_the_compiled_one(auv: Vehicle, name: str)
 
 
 def test_a_law_that_jumps_has_no_linear_form(auv: Vehicle) -> None:
-    with pytest.raises(UndertowError, match="jumps at its set-point"):
+    with pytest.raises(UndertowError, match="is discontinuous at its set-point"):
         close_loop(auv, load_gains("paper-smc", auv))
 
 

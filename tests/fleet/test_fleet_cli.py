@@ -44,7 +44,7 @@ def report() -> dict[str, object]:
 def test_a_second_run_does_what_is_missing_only(small: Path, capsys: Capture) -> None:
     assert main(DIAGNOSE) == 0
     out, first = capsys.readouterr().out, report()
-    assert "4 of 4 files were used (4 computed now, 0 known before)" in out
+    assert "4 of 4 files were used (4 computed now, 0 reused)" in out
     assert "X_uabsu" in out
     assert "cannot tell: 3 days before and 1 in this month, at least 3 are needed" in out
     days = sorted((small / "logs/vehicle=bravo").iterdir())
@@ -52,7 +52,7 @@ def test_a_second_run_does_what_is_missing_only(small: Path, capsys: Capture) ->
     table = pl.read_parquet(days[3] / "part.parquet")
     table.head(400).write_parquet(days[3] / "part.parquet")  # changed
     assert main(DIAGNOSE) == 0
-    assert "4 of 4 files were used (1 computed now, 3 known before)" in capsys.readouterr().out
+    assert "4 of 4 files were used (1 computed now, 3 reused)" in capsys.readouterr().out
     assert report() != first
     assert "## bravo" in Path("report/report.md").read_text()
 
@@ -96,7 +96,7 @@ def test_each_vehicle_may_have_a_file_of_its_own(small: Path, capsys: Capture) -
     words = ["fleet", "diagnose", "own/{vehicle}.toml", "logs", "--workers", "0", "--passes", "2"]
     assert main(words) == 0
     assert Path("fleet-results/report.md").exists()
-    assert "4 of 4 files were used (4 computed now, 0 known before)" in capsys.readouterr().out
+    assert "4 of 4 files were used (4 computed now, 0 reused)" in capsys.readouterr().out
     (small / "own/bravo.toml").unlink()
     assert main(words) == 2
     assert "neither a file nor a bundled vehicle" in capsys.readouterr().err

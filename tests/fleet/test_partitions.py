@@ -45,9 +45,9 @@ def test_folders_columns_names_and_clocks(
 @pytest.mark.parametrize(
     ("path", "columns", "words"),
     [
-        ("v/x.parquet", {}, "does not say its day"),
+        ("v/x.parquet", {}, "does not give its date"),
         ("v/2026-13-03.parquet", {}, "is not a date"),
-        ("vehicle=v/day=monday/x.parquet", {}, "does not say its day"),
+        ("vehicle=v/day=monday/x.parquet", {}, "does not give its date"),
         ("v/2026-02-03.parquet", {"vehicle": ["a", "b"]}, "more than one vehicle"),
         ("vehicle=/2026-02-03.parquet", {}, "has an empty vehicle name"),
         ("v/2026-02-03.parquet", {"vehicle": [None, None]}, "has an empty vehicle name"),
@@ -102,5 +102,5 @@ def test_a_clock_counts_in_the_unit_of_the_mapping(tmp_path: Path) -> None:
     ):
         partition_of(path, LogMapping())
     two_days = written(tmp_path / "rov7/y.parquet", t=[172800000.0, 172800000.1])
-    with pytest.raises(UndertowError, match="does not say its day"):
+    with pytest.raises(UndertowError, match="does not give its date"):
         partition_of(two_days, ms)

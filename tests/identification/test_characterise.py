@@ -200,7 +200,7 @@ def test_thrust_that_is_lost_suddenly_is_told_from_one_that_fades(monkeypatch: p
 def test_a_complete_model_shows_nothing() -> None:
     _, left = _left()
     assert all(_is_silent(r) for r in left.values())
-    assert all(r.summary.endswith("rms is left, which is noise") for r in left.values())
+    assert all(r.summary.endswith("rms remains, which is noise") for r in left.values())
     assert all(0.8 < r.normalised_error < 1.15 for r in left.values())
     assert all(r.residual_rms == pytest.approx(r.noise_rms, rel=0.15) for r in left.values())
 
@@ -463,11 +463,11 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
     )
     assert sentence(left, loud=True) == (
-        "surge: 0.81 N rms is left beyond the noise; 71 % of it correlates with |r| u or |v| u or u u "
-        "(slows surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of "
-        "it, with a different phase in every run); the mean force differs from run to run (-1 to 2 N)"
+        "surge: 0.81 N rms remains above the noise; 71 % of it correlates with |r| u or |v| u or u u (slows "
+        "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of it, with a "
+        "different phase in every run); the mean force differs from run to run (-1 to 2 N)"
     )
-    assert sentence(left, loud=False) == "surge: 0.9 N rms is left, which is noise"
+    assert sentence(left, loud=False) == "surge: 0.9 N rms remains, which is noise"
 
 
 # --- other logs --------------------------------------------------------------------------------------

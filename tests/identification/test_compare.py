@@ -172,7 +172,7 @@ def test_thirds_are_thirds_of_every_run(complete: Comparison, case: Case) -> Non
 
 
 def test_a_complete_model_fails_nowhere(complete: Comparison) -> None:
-    assert complete.result.headline.startswith("nothing exceeds the noise clearly")
+    assert complete.result.headline.startswith("no residual clearly exceeds the noise")
     assert complete.result.prediction_error is not None
     assert complete.result.prediction_error < 0.1
 

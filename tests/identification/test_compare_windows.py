@@ -242,7 +242,7 @@ def test_no_window_covers_what_is_skipped() -> None:
     assert windows.t[:, 0].min() == pytest.approx(whole.t[0, 0] + 1.0)
     assert np.all(windows.segment == whole.segment[0])
     assert len(cut([surge_run().slice(None, 5.0)], surge_vehicle(), 3.0, skip=1.0)) == 1
-    with pytest.raises(UndertowError, match="no gap-free stretch"):
+    with pytest.raises(UndertowError, match="no gap-free segment"):
         cut([surge_run()], surge_vehicle(), 5.0, skip=1e3)
 
 

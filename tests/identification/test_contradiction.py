@@ -41,7 +41,7 @@ class _Tried(NamedTuple):
         base = self.validator.final(self.bench.base)[0]
         left = unknown_to({"u", "v"}, remaining(base, train, train), vehicle)
         effect = effect_of(left, 50.0)
-        assert effect.about().startswith("a force that goes with")
+        assert effect.about().startswith("a force that varies with")
         other = try_all(self.bench, {effect.id: effect}, lambda done, words: None).findings[0]
         assert other.explained > 0.15
         return kept_beside(self.finding, other, base, self.bench, self.validator)
@@ -78,7 +78,7 @@ def test_a_periodic_force_beside_an_effect_takes_nothing_of_it() -> None:
 def test_buoyancy_does_not_fall_with_depth_where_a_weight_was_dropped() -> None:
     """A vehicle that sinks from then on is deeper, the later it is."""
     doubt = _tried(("dropped_weight",), "hull_compressibility", "float").doubt
-    assert doubt.startswith("beside a force that goes with a step at 3")
+    assert doubt.startswith("with a force that varies with a step at 3")
     assert "its size would drop to" in doubt
 
 
@@ -86,7 +86,7 @@ def test_buoyancy_does_not_fall_with_depth_where_a_weight_was_dropped() -> None:
 def test_thrust_does_not_fade_where_drag_grows(of: str) -> None:
     """Both know the time; that the force goes with the speed, too, is news to thrust."""
     doubt = _tried(("growing_drag",), "supply_droop", of).doubt
-    assert doubt.startswith("beside a force that goes with t ")
+    assert doubt.startswith("with a force that varies with t ")
     assert "its size would drop to" in doubt
 
 
@@ -106,4 +106,4 @@ def test_a_rudder_is_not_blamed_for_a_periodic_force() -> None:
     runs, known = runs_of(case), {"rudder_force": catalogue()["rudder_force"]}
     found = diagnose(vehicle_of(case), runs[:3], runs[3:], known=known).diagnosis
     assert (found.verdict, found.effects) == ("unexplained", [])
-    assert found.ranking[0].not_named.startswith("raises the error of predictions")
+    assert found.ranking[0].not_named.startswith("increases the prediction error")

@@ -119,7 +119,7 @@ def test_missing_cells_are_reported_for_the_worst_channel() -> None:
     found = _found(_run(t, u=u, v=v))["missing_samples"]
     assert "u has no value in 25.0% of the rows (missing samples also in v)" in found.text
     outliers = replace(_run(t, u=u, v=v), outliers={"u": 3})
-    assert "of the rows, with 3 outliers that were taken out (" in _found(outliers)["missing_samples"].text
+    assert "of the rows, with 3 outliers that were removed (" in _found(outliers)["missing_samples"].text
 
 
 def test_a_sensor_slower_than_the_log_gets_a_line() -> None:

@@ -135,7 +135,7 @@ def test_a_log_that_says_nothing_of_a_motion_is_refused_unless_it_is_held(
     with pytest.raises(UndertowError, match="no free motion of 'small'"):
         experiments(vehicle, [replace(run, held=AXES)])
     with pytest.raises(
-        UndertowError, match="no log to fit to has the free motions of this validation log: surge"
+        UndertowError, match="no training log has the free motions of this validation log: surge"
     ):
         experiments(vehicle, [replace(run, held=())], [run])
 

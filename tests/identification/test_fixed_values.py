@@ -110,7 +110,7 @@ def test_what_is_handed_on_has_the_other_value() -> None:
 def test_a_wrong_fixed_value_beside_a_missing_effect() -> None:
     found = _diagnosed(("thruster_lag",), (("N_r", 2.0),)).diagnosis
     assert (found.effects, found.freed) == (["thruster_lag"], ["N_r"])
-    assert "Besides, fixed values in the vehicle file do not fit: N_r" in found.headline
+    assert "In addition, fixed values in the vehicle file do not fit the logs: N_r" in found.headline
 
 
 @pytest.mark.slow

@@ -181,12 +181,12 @@ def test_triangles_that_look_inward_are_turned() -> None:
     box = box_mesh()
     inward, remarks = mended(Mesh(box.vertices, box.faces[:, ::-1]), "hull")
     assert inward.volume == pytest.approx(box.volume)
-    assert remarks == ("all triangles looked inward: turned",)
+    assert remarks == ("all triangles faced inward: flipped",)
     faces = box.faces.copy()
     faces[[2, 7]] = faces[[2, 7], ::-1]
     some, remarks = mended(Mesh(box.vertices, faces), "hull")
     assert some.volume == pytest.approx(box.volume)
-    assert remarks == ("2 triangles looked the other way than their neighbours: turned",)
+    assert remarks == ("2 triangles faced the opposite way to their neighbours: flipped",)
 
 
 def test_an_open_hull_is_refused_with_the_place() -> None:

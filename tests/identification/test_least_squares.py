@@ -365,7 +365,9 @@ def test_thrust_that_comes_late_is_refused() -> None:
     channels = dict.fromkeys(("f1", "f3"), np.zeros_like(t)) | dict.fromkeys(("f2", "f4"), 1.0 + np.sin(t))
     run = Run("thrust", t, {"u": 0.2 + 0.1 * np.sin(t), "u_dot": 0.1 * np.cos(t), **channels})
     assert estimate(experiments(auv, [run])[0], CASES["1"]).samples == len(t)
-    with pytest.raises(UndertowError, match="answers its commands 1 s late, which least squares on samples"):
+    with pytest.raises(
+        UndertowError, match="responds to its commands 1 s late, which least squares on samples"
+    ):
         experiments(late, [run])
 
 

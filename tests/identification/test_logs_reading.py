@@ -255,7 +255,7 @@ def test_a_constant_channel_is_noted_and_refused_on_demand(log):
         ("t,u\n0,1\n1,fast\n", ["column 'u' has the text 'fast' in row 2 (1 such rows)"]),
         ("t,u,u\n0,1,2\n1,2,3\n", ["column 'u' more than once"]),
         ("t,u\n0,1\n1,2,3\n", ["cannot be read as a table", "line 3 has 3 cells, the header 2"]),
-        ("START\nt,u\n0,1\n", ["line 2 has 2 cells, the header 1", "neither the header nor a row"]),
+        ("START\nt,u\n0,1\n", ["line 2 has 2 cells, the header 1", "neither header nor data"]),
         ("t,u\n0,1\n1,é\n".encode("latin-1"), ["not UTF-8", "byte 10 is 0xe9"]),
         ("t,u\n0,1\n".encode("utf-16"), ["not UTF-8"]),
         (gzip.compress(PLAIN.encode() * 50, mtime=0)[:40], ["damaged gzip"]),
@@ -456,7 +456,7 @@ def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked(log)
     [
         ({"cells": 3_000}, ["1001 rows of 3 columns or more, at most 1000 such rows can be read as a whole"]),
         ({"columns": 2}, ["has 3 columns, at most 2"]),
-        ({"rows": 500}, ["more than 500 rows", "--from and --to", "thin it out"]),
+        ({"rows": 500}, ["more than 500 rows", "--from and --to", "decimate it"]),
         ({"text": 1_000}, ["more than 0.001 MB"]),
     ],
 )

@@ -40,7 +40,7 @@ def _pair(i: int, size: float) -> SimpleNamespace:
         ([1.0, 2.5, 2.8], 3.0, 0),
         ([2.5, 1.0], 3.0, 1),
         ([1.0, 1.0], 3.0, None),  # two pairs do equally well: neither is in evidence
-        ([1.5, 2.5], 3.0, None),  # the best of them leaves more than noise
+        ([1.5, 2.5], 3.0, None),  # the best of them leaves a residual above the noise
         ([1.0, 1.4], 1.11, None),  # so small a fall the best of 190 pairs makes by chance
     ],
 )

@@ -110,10 +110,11 @@ def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:
     left = _predictability("surge", share=0.2, interval=(0.1, 0.31), significant=True)
     noise = _predictability("yaw", share=0.0, interval=(0.0, 0.2), significant=False)
     assert in_words(0.44, [left, noise]) == (
-        "the model leaves 44 %; of that at most 31 % in surge can be predicted from the logged signals; "
+        "an error of 44 % remains; of that at most 31 % in surge can be predicted from the logged signals; "
         "the rest is disturbance: 0.4 N rms in surge and 0.4 N rms in yaw"
     )
-    assert in_words(0.44, [noise]).startswith("the model leaves 44 %, and the logged signals predict no more")
+    alone = in_words(0.44, [noise])
+    assert alone.startswith("an error of 44 % remains; the logged signals predict no more")
 
 
 def _predictability(motion: str, **found: object) -> Predictability:

@@ -522,7 +522,7 @@ def test_what_a_written_vehicle_file_has_is_said() -> None:
     )
     alone = one_of_two.model_copy(update={"indistinguishable": []})
     assert _content(alone) == "mini-auv added, values refitted"
-    assert "none was added, because none is named" in _content(alone.model_copy(update={"effects": []}))
+    assert "none was added, since none was established" in _content(alone.model_copy(update={"effects": []}))
 
 
 def test_an_error_that_rises_is_no_plain_yes() -> None:

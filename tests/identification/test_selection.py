@@ -61,10 +61,10 @@ def test_what_makes_predictions_over_any_horizon_worse_is_not_worth_adding() -> 
 def test_what_is_lacking_is_said_of_the_horizon_that_it_lacks() -> None:
     falls, largest = {1.0: 0.1, 4.0: -0.03, 16.0: 0.2}, {1.0: 0.2, 4.0: 0.3, 16.0: 0.45}
     words = Worth(falls, largest, ()).lacking(0.1)
-    assert words == "raises the error of predictions over 4 s by 3%"
+    assert words == "increases the prediction error over 4 s by 3%"
     assert Worth({**falls, 4.0: 0.01}, largest, ()).lacking(0.1) == ""
     little = Worth({**falls, 4.0: 0.01}, dict.fromkeys(falls, 0.05), ()).lacking(0.1)
-    assert little == "lowers the error of no velocity over 16 s by 10% (5% at most)"
+    assert little == "reduces the error of no velocity over 16 s by 10% (5% at most)"
 
 
 def test_a_gain_that_hangs_on_a_few_windows_is_not_worth_adding() -> None:
@@ -178,7 +178,7 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not known" in words
 
 
-@pytest.mark.parametrize(("error", "said"), [(0.8, "is not known from these logs"), (0.1, "")])
+@pytest.mark.parametrize(("error", "said"), [(0.8, "is not determined by these logs"), (0.1, "")])
 def test_a_limit_of_the_commands_that_may_be_any_is_not_named(error: float, said: str) -> None:
     effect = catalogue()["thruster_saturation"](())
     words = undetermined(effect, {"saturation_limit": 0.66}, {"saturation_limit": error})
@@ -207,7 +207,9 @@ def test_an_effect_that_is_worth_adding_beside_the_inertia_does_not_replace_it(a
     words = without_inertia(
         ["Y_vdot"], Worth(falls={1.0: alone, 8.0: alone}, largest={1.0: alone, 8.0: alone}, worse=())
     )
-    assert words == ("" if alone > 0.1 else "with it, Y_vdot would be zero, although water has inertia")
+    assert words == (
+        "" if alone > 0.1 else "with it, Y_vdot would be zero, which is unphysical for added mass"
+    )
 
 
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:

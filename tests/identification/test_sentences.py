@@ -150,7 +150,7 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
     of_what = said.replace("1.6 %", "1.6 % of the motion")
     assert summarised(found).headline == f"{of_what} What was tried."
     nothing = _diagnosis("unexplained").model_copy(update={"headline": NO_EVIDENCE})
-    assert summarised(nothing).headline.count("effect of the catalogue") == 1
+    assert summarised(nothing).headline.count("effect in the catalogue") == 1
     doubted = nothing.model_copy(update={"headline": "Unexplained: the sensors contradict each other."})
     assert summarised(doubted).headline.endswith(". The sensors contradict each other.")
     useless_one = BETTER.model_copy(update={"channels": {"u": 0.5, "r": 2.0}})
@@ -173,7 +173,7 @@ def test_each_verdict_says_what_to_do() -> None:
     assert next_command(several, LINE).endswith("--apply 'my rov-better.toml'")
     equals = [Indistinguishable(effects=["lift", "wind"], reason="")]
     either = _diagnosis("indistinguishable", indistinguishable=equals)
-    assert "but wind would do the same" in first_sentence(either)
+    assert "but wind would achieve the same" in first_sentence(either)
     assert "--goal separate --between lift,wind --out plan.csv" in next_command(either, LINE)
     hopeless = [Indistinguishable(effects=["lift", "wind"], reason="", separable=False)]
     never = _diagnosis("indistinguishable", indistinguishable=hopeless, effects=["lift"])
@@ -181,7 +181,7 @@ def test_each_verdict_says_what_to_do() -> None:
     assert "undertow add lift" in next_command(never, LINE)
     two = [*equals, Indistinguishable(effects=["slosh", "wind"], reason="")]
     both = _diagnosis("indistinguishable", indistinguishable=two, effects=["lift", "slosh"])
-    assert "but wind would do the same" in first_sentence(both)  # once
+    assert "but wind would achieve the same" in first_sentence(both)  # once
     helped = _diagnosis("missing_effect", helps=["wind", "slosh"])
     also = "; adding wind and slosh as well improves predictions further, without establishing a cause."
     assert first_sentence(helped).endswith(f"on validation runs{also}")
@@ -191,7 +191,7 @@ def test_each_verdict_says_what_to_do() -> None:
     enough = _diagnosis("adequate", runs=[_run("blocks")])
     assert first_sentence(enough) == (
         "These logs show nothing missing: the refitted model has a 5-s error of 4.0 % and a "
-        "20-s error of 9.0 % on stretches of the logs that were not fitted, and can be used as it is."
+        "20-s error of 9.0 % on segments of the logs that were not fitted, and can be used as it is."
     )
     assert "undertow fit" in next_command(enough, LINE)
     open_ = _diagnosis("not_identifiable", effects=[])
@@ -209,7 +209,7 @@ def test_each_verdict_says_what_to_do() -> None:
 
 def test_what_is_unexplained_says_where_to_look() -> None:
     nothing = _diagnosis("unexplained")
-    assert "most of what is left is in sway, and no variable of the logs stands out in it" in first_sentence(
+    assert "most of the residual is in sway, and no logged variable clearly explains it" in first_sentence(
         nothing
     )
     assert next_command(nothing, LINE) == ("undertow doctor 'my rov.toml' a.csv b.csv c.csv --map log.toml")
@@ -218,7 +218,7 @@ def test_what_is_unexplained_says_where_to_look() -> None:
         chance=0.01, alike=[],
     )  # fmt: skip
     some = _diagnosis("unexplained", remaining=[_left(depends_on=[term])])
-    assert "undertow effects new makes an effect of the residual force in sway" in first_sentence(some)
+    assert "undertow effects new turns the residual force into an effect, for sway" in first_sentence(some)
     assert next_command(some, LINE) == "undertow effects new my_force --from found.json"
     assert "&& undertow effects new" in next_command(some, CommandLine())
 
@@ -258,6 +258,6 @@ def test_where_no_candidate_helps_no_empty_table_stands(capsys: pytest.CaptureFi
     )  # fmt: skip
     show(SimpleNamespace(diagnosis=_diagnosis("unexplained", ranking=[useless] * 3)))  # type: ignore[arg-type]
     said = capsys.readouterr().out
-    assert "3 effects were tried, and none of them helps" in said
+    assert "3 effects were tried, and none of them improves predictions" in said
     assert "Candidates" not in said
     assert "fitted values" not in said

@@ -25,11 +25,11 @@ ONE, TWO = ["lift"], ["lift", "actuation_delay"]
         (0.99, Remainder(residual_is_noise=True, confirmed=False), "simulation"),
         (DEFAULT.named_share + 0.01, Remainder(False, confirmed=True, nearly=True), ""),
         (DEFAULT.named_share - 0.01, Remainder(False, confirmed=True, nearly=True), "too little to be named"),
-        (0.999, Remainder(residual_is_noise=False, confirmed=True), "leaves more than noise"),
+        (0.999, Remainder(residual_is_noise=False, confirmed=True), "leaves a residual above the noise"),
     ],
 )
 def test_what_stands_against_naming(share: float, left: Remainder, doubt: str) -> None:
-    """Where notably more than noise is left, the weak form names nothing, however much it explains."""
+    """If the residual clearly exceeds the noise, the weak form names nothing, however much it explains."""
     said = _doubt(share, left, DEFAULT)
     assert doubt in said
     assert bool(said) is bool(doubt)
@@ -40,7 +40,8 @@ def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
     alike = [Indistinguishable(effects=["actuation_delay", "thruster_lag"], reason="")]
     both = _named(winners, alike, 0.99, True)
     assert both.startswith(
-        "Missing: lift. Besides, these data cannot tell which is missing: actuation_delay or thruster_lag."
+        "Missing: lift. In addition, these data cannot tell which is missing: actuation_delay or "
+        "thruster_lag."
     )
     alone = _named(winners[1:], alike, 0.99, True)
     assert alone.startswith("These data cannot tell which is missing: actuation_delay or thruster_lag.")

@@ -123,7 +123,7 @@ def test_a_curve_is_that_of_fritsch_and_carlson() -> None:
     curve, ours = Curve.through(T200), PchipInterpolator(*zip(*T200, strict=True))
     pulses = np.linspace(1200, 1800, 301)  # their rule for the end points is another one
     np.testing.assert_allclose([curve.at(p) for p in pulses], ours(pulses), rtol=1e-9, atol=1e-9)
-    assert (curve.at(1000), curve.at(2000)) == (-40.0, pytest.approx(51.5)), "level beyond the ends"
+    assert (curve.at(1000), curve.at(2000)) == (-40.0, pytest.approx(51.5)), "constant beyond the ends"
 
 
 def test_the_inverse_gives_the_command_of_a_thrust() -> None:

@@ -401,7 +401,7 @@ def test_a_run_that_was_cut_off_goes_on(tmp_path: Path) -> None:
     root, tank = _written(tmp_path, replace(PUSHED, profiles=("push",)))
     case = tank.cases[0]
     (folder_of(root, case, 1) / "cut").touch()
-    with pytest.raises(UndertowError, match=r"ended from outside .* .signal 9; .* again to go on"):
+    with pytest.raises(UndertowError, match=r"was killed .* .signal 9; .* again to resume"):
         run_tank(root, tank)
     assert not log_of(root, case, 1).exists()
     assert run_tank(root, tank) == ["surge-push-grid1.csv"]

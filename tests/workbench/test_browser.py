@@ -181,7 +181,7 @@ def _falls_and_is_saved(user: Browser, folder: Path) -> None:
     user.idle()
     given, refitted, better = user.data(0, "y")
     assert given > refitted > 5.0
-    assert 0.8 < better < 1.2  # the noise of the sensors
+    assert 0.8 < better < 1.2  # sensor noise
     user.picture("added")
     user.turn_to("Where it fails")
     user.click("Compare the model with the logs")

@@ -50,7 +50,7 @@ EffectsOption = Annotated[
 FillOption = Annotated[
     Fill | None,
     typer.Option(
-        help="If a command has no sample: refuse the log, hold the last value, or leave a gap.",
+        help="If a command sample is missing: refuse the log, hold the last value, or leave a gap.",
         show_default="as in the mapping file, else refuse",
     ),
 ]
@@ -379,7 +379,7 @@ def target_of(
     if out is not None and in_place:
         raise UndertowError("both --out and --in-place are given: choose one")
     if in_place and path in bundled_vehicles().values():
-        raise UndertowError(f"'{vehicle}' comes with undertow and stays as it is: use --out")
+        raise UndertowError(f"'{vehicle}' is bundled with undertow and is never changed: use --out")
     if out is not None and out.exists() and out.samefile(path):
         raise UndertowError(f"--out '{out}' is the vehicle file itself: name another, or give --in-place")
     target = path if in_place else out

@@ -1,7 +1,8 @@
 """Work through bundled examples: where models fail, what is missing, and how the error falls.
 
-First an AUV whose model lacks something, then a box hull in a flow solver that no simple model explains, then
-an AUV in a virtual towing tank. Pictures, reports and vehicle files go into a folder; open its index.html.
+First an AUV whose model lacks an effect, then a box-shaped hull in a flow solver that no simple model
+explains, then an AUV in a virtual towing tank. Figures, reports and vehicle files are written to a folder;
+open its index.html.
 """
 
 from __future__ import annotations

@@ -426,7 +426,7 @@ def _replaceable(parent: Path) -> str | None:
     """Why somebody else could put another folder in the place of one in `parent`, or None."""
     found = parent.stat()
     if found.st_mode & 0o002 and not found.st_mode & stat.S_ISVTX:
-        return f"lies in '{parent}', which everybody can write"
+        return f"lies in '{parent}', which is world-writable"
     if found.st_uid not in (0, os.geteuid()):
         return f"lies in '{parent}', which belongs to user {found.st_uid}"
     return None

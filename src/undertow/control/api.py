@@ -123,7 +123,7 @@ def linearize(
     Returns
     -------
     control.StateSpace
-        States are pose, velocities and those of the effects; inputs are the commands, outputs pose and
+        States are pose, velocities and those of the effects; inputs are commands, outputs pose and
         velocities.
 
     Raises
@@ -168,7 +168,7 @@ def last_update(vehicle: Vehicle, out: Path) -> Snapshot | None:
     try:
         return Snapshot.from_json(read_json(path, "state file"))
     except UndertowError as error:
-        _log.warning("%s counts as not there: %s", path, error)
+        _log.warning("%s is ignored: %s", path, error)
         return None
 
 

@@ -227,5 +227,5 @@ class SuperTwisting(_Sliding):
 
 
 JUMPING = {"sliding-mode": "K_Z", "super-twisting": "K_1"}
-"""Laws that jump at their set-point, and so have no linear form there, with the gain that drives them."""
+"""Laws that are discontinuous at their set-point, and so not linearisable there, with the driving gain."""
 LAWS: dict[str, type[Law]] = {cls.id: cls for cls in (PD, PID, SlidingMode, BoundaryLayer, SuperTwisting)}

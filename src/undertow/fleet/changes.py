@@ -513,7 +513,7 @@ def _unseen(kind: str, halves: dict[str, float]) -> str:
     name, least = min(halves.items(), key=lambda pair: pair[1])
     if not np.isfinite(least):
         return f"these days do not determine {kind}"
-    return f"a change of {name} below {least:.0%} would not show"
+    return f"a change of {name} below {least:.0%} would not be detected"
 
 
 _CAUSES = {"drag": "fouling", "thrust": "thruster wear", "inertia": "added mass"}

@@ -274,7 +274,7 @@ def diagnose(
         if turn + 1 < passes:
             jobs = {v: _moved(jobs[v], *done[v]) for v in done}
     _refuse_nothing(done, known, len(paths))
-    report(0.95, "putting months together")
+    report(0.95, "combining months")
     found = summary(done)
     return replace(
         found,
@@ -290,7 +290,7 @@ def _identified(paths: Sequence[Path], job: Job, engine: Engine, report: Progres
     known = _Known()
     items = [(str(p), job.mapping) for p in paths]
     for count, (place, answer) in enumerate(engine.results(identify_log, items), start=1):
-        report(0.05 * count / len(paths), "looking at files")
+        report(0.05 * count / len(paths), "checking files")
         if isinstance(answer, Failure):
             known.failed[str(paths[place])] = answer.words
         else:

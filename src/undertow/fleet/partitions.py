@@ -143,8 +143,8 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     if stated is None and isinstance(time, int | float) and time > _EPOCH:
         return _date_of(path, time)
     raise UndertowError(
-        f"{path} does not say its day: name the folder day=2026-05-01, the file 2026-05-01{path.suffix}, or "
-        "give the table a column day"
+        f"{path} does not give its date: name the folder day=2026-05-01, the file 2026-05-01{path.suffix}, "
+        "or give the table a column day"
     )
 
 

@@ -54,7 +54,7 @@ class Panel:
         self.free = free_parameters(vehicle)
         if not self.free:
             raise UndertowError(
-                f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
+                f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
                 "X_u = { value = ..., estimate = true }"
             )
         simple = {name: effect for name, effect in known.items() if _has_a_score(effect)}

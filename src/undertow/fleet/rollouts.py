@@ -70,7 +70,7 @@ class Band:
     window: int  # its place in the log
     names: tuple[str, ...]
     t: Array  # (k,): time, s
-    # measured, low, median, high: (k, c), measurement and quantiles of the rollouts, the noise of the sensors
+    # measured, low, median, high: (k, c), measurement and quantiles of the rollouts, sensor noise
     # included; SI
     measured: Array
     low: Array

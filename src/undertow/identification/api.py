@@ -1,4 +1,4 @@
-"""What `import undertow` gives of identification; the commands call the same functions."""
+"""The identification part of `import undertow`; the commands call the same functions."""
 
 from __future__ import annotations
 
@@ -66,15 +66,14 @@ _FAMILIES = {"default": test_functions, "weak": test_functions, "integral": boxe
 class Estimator:
     """How parameters are estimated.
 
-    `method` is "default" (the weak form, then output error, or where more than noise is left the error of
+    `method` is "default" (the weak form, then output error, or if the residual exceeds the noise the error of
     predictions, over windows from the vehicle's own time constants, as far as that predicts validation data
-    no worse), "weak", "integral" (the weak form with
-    boxes for test functions), "instrumental" (the weak form with simulated regressors), "output-error" or
-    "prediction-error" (output error with a disturbance). `horizon` is the length of the windows that output
-    error and instrumental variables simulate, s; None for whole stretches. `loss` is "gaussian", or "huber"
-    or "student-t" where there are outliers: output error then weighs every sample by its error; the weak
-    form, whose residuals are sums over many samples, leaves samples out that stand more than five standard
-    deviations off their neighbours.
+    no worse), "weak", "integral" (the weak form with boxes for test functions), "instrumental" (the weak form
+    with simulated regressors), "output-error" or "prediction-error" (output error with a disturbance).
+    `horizon` is the length of the windows that output error and instrumental variables simulate, s; None for
+    whole segments. `loss` is "gaussian", or "huber" or "student-t" if there are outliers: output error then
+    weights every sample by its error; the weak form, whose residuals are sums over many samples, drops
+    samples over five standard deviations from their neighbours.
     """
 
     method: Method = "default"
@@ -94,7 +93,7 @@ class Estimator:
     ) -> Fitted:
         """Fit the free parameters of a vehicle, by default those that its file marks.
 
-        By `validation` the default method decides where to end, by `runs` where there is none. `trust_log`
+        The default method decides on `validation` (or, if empty, on `runs`) which result to keep. `trust_log`
         takes logs that `undertow.identification.doctor.refuse_impossible` refuses.
         """
         refuse_impossible(vehicle, runs, trust_log=trust_log)
@@ -135,7 +134,7 @@ class Estimator:
 
 @dataclass(frozen=True, repr=False)
 class Refit:
-    """A refitted model, judged on data that it was not fitted to.
+    """A refitted model, evaluated on data that it was not fitted to.
 
     Attributes
     ----------
@@ -186,7 +185,7 @@ class Refit:
         """One row a parameter, in the units and signs of the vehicle file.
 
         Columns: parameter, value, standard_error, bound (Cramér-Rao), unit, before, t (magnitude over
-        standard error), identified (what these logs determine); null where the logs say nothing.
+        standard error), identified (what these logs determine); null if the logs are uninformative.
         """
         import polars as pl  # whoever fits needs it; whoever reads --help does not
 
@@ -361,11 +360,11 @@ def fit(
     loss : str
         "gaussian"; "huber" or "student-t" resist outliers.
     equal : sequence of str
-        Parameters that are fitted as one, or as a multiple: "M_q = 0.9 N_r".
+        Parameters that are tied to one another, or to a multiple: "M_q = 0.9 N_r".
     dissipative : bool
         Constrain linear damping to dissipate energy in every motion.
     report : callable
-        Called with the fraction done, 0 to 1, and a description of the present work.
+        Called with the fraction done, 0 to 1, and a description of the current step.
     trust_log : bool
         Use logs even if their channels contradict each other or the vehicle (wrong units).
 
@@ -395,7 +394,7 @@ def fit(
     vehicle, runs, validation = normalised(vehicle, runs, validation)
     if not free_parameters(vehicle):
         raise UndertowError(
-            f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
+            f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
     train, test = training_and_validation(vehicle, runs, validation, trust_log=trust_log)
@@ -442,7 +441,7 @@ def add_effect(
     runs, validation : Run or sequence of Run
         Logs to fit to and to validate on; without `validation`, parts of `runs` are set aside for it.
     force : bool
-        Add it even if it does not lower the error on validation data.
+        Add it even if it does not reduce the error on validation data.
 
     Returns
     -------
@@ -452,7 +451,8 @@ def add_effect(
     Raises
     ------
     UndertowError
-        If there is no such effect, the model has it already, or it does not help and `force` is not given.
+        If there is no such effect, the model has it already, or it does not reduce the error and `force` is
+        not given.
 
     Examples
     --------
@@ -486,12 +486,12 @@ def try_effect(
     report: Progress = lambda done, words: None,
     trust_log: bool = False,
 ) -> tuple[AdditionSetup, Addition]:
-    """Fit a model with an effect and without it; what was fitted to, and what the effect does to the error.
+    """Fit a model with and without an effect; return the data used and the change in error.
 
-    Parameters and exceptions are those of `add_effect`; `keep_all` keeps parameters that prove to be zero.
+    Parameters and exceptions are those of `add_effect`; `keep_all` keeps parameters that turn out to be zero.
     """
     wanted = lookup(effect, catalogue() if known is None else known)
-    report(0.0, "fitting the model as it is")
+    report(0.0, "fitting the model as given")
     setup = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
     report(0.3, f"fitting it with {wanted.id}")
     return setup, added(wanted, setup, keep_all=keep_all)
@@ -533,7 +533,7 @@ def plan(
     """Plan the manoeuvre that best determines parameters (`only` these), or tells models apart.
 
     The models are the vehicle with each of the effects in `between` (one alone against the model as it is),
-    or those that the file of a `diagnosis` leaves open.
+    or those that the file of a `diagnosis` could not tell apart.
     """
     if runs:
         runs = with_velocities(vehicle, runs)
@@ -549,6 +549,6 @@ def plan(
 
 
 def refitted(vehicle: Vehicle, fits: Sequence[Refit]) -> Together:
-    """The whole vehicle by the fits of its experiments."""
+    """The whole vehicle from the fits of its experiments."""
     logs = [pair for one in fits for pair in roles(one.train, one.test)]
     return Together(vehicle, tuple(one.fit for one in fits), logs, [one.errors for one in fits])

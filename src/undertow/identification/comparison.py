@@ -1,4 +1,4 @@
-"""A model beside logs: the force it lacks, where it fails, in which regime, how much of that is noise."""
+"""A model compared with logs: the force it lacks, where and in which regime it fails, how much is noise."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from .logs.run import UNITS, Run
 # --- what a model leaves unexplained, as a force --------------------------------------------------
 @dataclass(frozen=True)
 class Forces:
-    """Force that the motion needs and the model lacks, averaged with K test functions."""
+    """Force that the motion requires and the model lacks, averaged with K test functions."""
 
     run: Index  # (K,) run that a test function belongs to
     segment: Index  # (K,) stretch without gaps that it belongs to
@@ -68,7 +68,7 @@ def residual_forces(
     data: WeakData | None = None,
     vehicles: Sequence[Vehicle] | None = None,
 ) -> Forces:
-    """Forces that logs show and a model lacks.
+    """Forces that act in logs and that a model lacks.
 
     `data` are the same logs if they are prepared already; `vehicles` the model with its values in each run,
     where these differ.
@@ -205,8 +205,8 @@ class ChannelResult(ResultTable):
     """One measured channel: error of the prediction over the horizon and of the free run.
 
     `normalised` is the error over the noise, `relative` (velocities only) over the rms of the measurement,
-    and `fit` the share in % of the variation that is predicted (NRMSE; 100 is perfect, below 0 is worse than
-    a mean).
+    and `fit` the share in % of the variation that is predicted (NRMSE; 100 is perfect, below 0 worse than a
+    mean).
     """
 
     channel: str
@@ -239,7 +239,7 @@ class DofResult(ResultTable):
 
 
 class Cell(ResultTable):
-    """One field of the error map; without numbers where there are too few samples."""
+    """One cell of the error map; without numbers if there are too few samples."""
 
     degree_of_freedom: str
     group: str
@@ -285,7 +285,7 @@ class ComparisonResult(ResultTable):
 
 
 def finite(value: float | None) -> float | None:
-    """The number, or None where it is none."""
+    """The number, or None where it does not count as a region."""
     return float(value) if value is not None and isfinite(value) else None
 
 
@@ -456,7 +456,7 @@ def _variables(
 
 
 def _principal(angle: Array) -> Array:
-    """The angle between -pi and pi: a force depends on the heading, not on how often it went round."""
+    """The angle between -pi and pi: a force depends on the heading, not on the number of full turns."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -524,10 +524,11 @@ def compare(
     progress: Progress = lambda done, words: None,
     trust_log: bool = False,
 ) -> Comparison:
-    """Compare a model, as it is, with logs, predicted `horizon` s ahead from measured starts.
+    """Compare a model, as given, with logs, predicted `horizon` s ahead from measured states.
 
-    What belongs to each run (``per_run = true``) is estimated from its first third, and the model is compared
-    with the rest. `trust_log` takes logs that `undertow.identification.doctor.refuse_impossible` refuses.
+    Parameters with a value per run (``per_run = true``) are estimated from its first third, and the model is
+    compared with the rest. `trust_log` takes logs that `undertow.identification.doctor.refuse_impossible`
+    refuses.
     """
     began = time.perf_counter()
     refuse_impossible(vehicle, runs, trust_log=trust_log)
@@ -570,9 +571,9 @@ def compare(
 
 
 def supplied(vehicle: Vehicle, better: Vehicle, runs: Sequence[Run]) -> list[Profile]:
-    """The force by which another model comes nearer to logs than this one does, against every variable.
+    """The force by which another model fits the logs better than this one, against every variable.
 
-    What belongs to each run is estimated for the other model as `compare` does.
+    Parameters with a value per run are estimated for the other model as in `compare`.
     """
     vehicles, rest = zip(*(adapted(better, run) for run in runs), strict=True)
     lacking = residual_forces(vehicle, rest)
@@ -661,7 +662,7 @@ def _cell(forces: Forces, vehicle: Vehicle, i: int, regime: Regime) -> Cell:
 
 
 def headline(worst: Cell | None) -> str:
-    """One sentence: where the model fails most, or that it does not."""
+    """One sentence: where the model fails most, or that it does not fail."""
     if worst is None or worst.normalised is None or worst.explained_by_noise is None:
         return "too few samples to say where the model fails"
     unit = "N" if worst.degree_of_freedom in ("surge", "sway", "heave") else "N m"
@@ -670,7 +671,7 @@ def headline(worst: Cell | None) -> str:
     share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {explained} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
     if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlated / worst.samples):
-        return f"nothing exceeds the noise clearly; the largest is {place}: {share}"
+        return f"no residual clearly exceeds the noise; the largest is {place}: {share}"
     return f"fails most {place}: {share}"
 
 

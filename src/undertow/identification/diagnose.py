@@ -1,4 +1,4 @@
-"""The whole diagnosis: split the data, search, judge by simulation, put into words; logs of a rig."""
+"""The complete diagnosis: split the data, search, check by simulation, report; logs from a rig."""
 
 from __future__ import annotations
 
@@ -54,20 +54,20 @@ _SEARCH = 0.7
 def _builder(
     vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
 ) -> ResultBuilder:
-    """The result of the search, or where it leaves more than noise, of the selection."""
+    """The result of the search or, if that leaves a residual above the noise, of the selection."""
     if not _far_from_noise(found, validator):
-        report(_SEARCH, "judging the result by simulation")
+        report(_SEARCH, "checking the result by simulation")
         builder = ResultBuilder(vehicle, found, validator, known)
         if builder.judgement.verdict != "unexplained":
             return builder
-    report(_SEARCH, "adding effects as long as predictions get better")
+    report(_SEARCH, "adding effects while predictions improve")
     rest = 0.99 - _SEARCH
     selection = select(found, validator, known, lambda done, words: report(_SEARCH + rest * done, words))
     return _confirmed(vehicle, found, validator, known, selection)
 
 
 def _far_from_noise(found: Search, validator: SimulationValidator) -> bool:
-    """Whether neither what was found nor what does as well in its place could be fitted down to the noise."""
+    """Whether neither the effects found nor their rivals can bring the residual down to the noise."""
     limit = validator.settings.output_error_reach
     sets = [found.effect_set, *(s for rivals in found.rivals for s in rivals)]
 
@@ -81,7 +81,7 @@ def _far_from_noise(found: Search, validator: SimulationValidator) -> bool:
 def _confirmed(
     vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue, selection: Selection
 ) -> ResultBuilder:
-    """The result with those selected effects that are worth adding in the last fits of all models, too."""
+    """The result with those selected effects that also improve predictions in the final fits."""
     builder = ResultBuilder(vehicle, selected(found, selection), validator, known, selection)
     worth = builder.worth()
     least = builder.settings.worth
@@ -103,13 +103,13 @@ class DiagnosisResult:
     before, after : Vehicle
         The refitted model as it was, and with the named effects (the same where none is named).
     train, test : list of Run
-        What was fitted to, and what was judged by.
+        Training and validation logs.
     fit : Fitted
         The fit of `after`.
     given, helped : Vehicle, optional
-        The model before any fit, and with all that helps to predict: what a report shows beside the others.
+        The model before any fit, and with all effects that improve predictions, for the report.
     tried : dict of Fitted
-        The refitted model with each of the candidates that do something, by the id of the effect.
+        The refitted model with each candidate that has an influence, by the id of the effect.
     """
 
     diagnosis: Diagnosis
@@ -184,11 +184,11 @@ def diagnose(
     known : mapping, optional
         Effects that may be missing, by id; the whole catalogue by default.
     report : callable
-        Called with the fraction done, 0 to 1, and a description of the present work.
+        Called with the fraction done, 0 to 1, and a description of the current step.
     false_alarms : float, optional
         Probability of naming an effect when nothing is missing, 0.005 to 0.2; by default that of `settings`.
     settings : Settings
-        The numbers that decide, see `undertow.identification.diagnosis.settings`.
+        The decision thresholds, see `undertow.identification.diagnosis.settings`.
     trust_log : bool
         Use logs even if their channels contradict each other or the vehicle (wrong units).
 
@@ -253,7 +253,7 @@ def diagnose(
 def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool) -> Diagnosis:
     """The diagnosis in words, with what the doctor found; mistakes come first among the warnings.
 
-    explained: whether the logs as they are read leave only noise.
+    explained: whether only noise remains in the logs as they were read.
     """
     if explained:
         examined = without_refuted(examined)
@@ -271,13 +271,13 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool
 
 # --- vehicle files with what was found, and the history in them of how it came about --------------
 def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
-    """Logs with what they were for: to fit to, and to judge by."""
+    """Logs with their roles: training or validation."""
     names: tuple[Role, Role] = ("train", "holdout")
     return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
 
 
 def known_by(fit: Fitted) -> tuple[tuple[str, ...], Array, list[ValuesByRun]]:
-    """Names and covariance of what a fit found, and what has values in every run."""
+    """Names and covariance of the parameters of a fit, and the values by run."""
     return (*fit.vehicle_covariance, values_by_run(fit, fit.model.functions.vehicle))
 
 
@@ -319,7 +319,7 @@ def _history_of(table: ValuesByRun) -> dict[str, object]:
 def save_diagnosis(
     result: DiagnosisResult, template: str | Path, out: Path, command: str = "undertow diagnose"
 ) -> None:
-    """Write the vehicle file with what a diagnosis found."""
+    """Write the vehicle file with the result of a diagnosis."""
     d = result.diagnosis
     logs, errors = [(r.role, r) for r in d.runs], (d.steps[0].error, d.last_step.error)
     save_found(result.after, template, out, command, logs, errors, known_by(result.fit), added=d.effects)
@@ -344,7 +344,7 @@ class Experiment:
 
     @property
     def name(self) -> str:
-        """A name of its own for files: what is free, what is moved, and whether forces are given."""
+        """A unique name for files: free and prescribed motions, and whether forces are given."""
         return "-".join([*self.vehicle.degrees_of_freedom, *self.moved, *(["forced"] if self.pushed else [])])
 
     def __str__(self) -> str:
@@ -362,7 +362,7 @@ def on_rig(vehicle: Vehicle, runs: Sequence[Run]) -> bool:
 
 
 def experiments(vehicle: Vehicle, runs: Sequence[Run], validation: Sequence[Run] = ()) -> list[Experiment]:
-    """Sort the logs by what is free in them."""
+    """Sort the logs by their free motions."""
     found: dict[tuple[object, ...], Experiment] = {}
     for role, logs in (("train", runs), ("test", validation)):
         for run in logs:
@@ -372,7 +372,7 @@ def experiments(vehicle: Vehicle, runs: Sequence[Run], validation: Sequence[Run]
     for one in found.values():
         if not one.train:
             raise UndertowError(
-                f"no log to fit to has the free motions of this validation log: {one}: leave it out"
+                f"no training log has the free motions of this validation log: {one}: leave it out"
             )
     return list(found.values())
 
@@ -394,7 +394,7 @@ def _experiment(vehicle: Vehicle, run: Run) -> Experiment:
 
 
 def _pushed(vehicle: Vehicle, free: Sequence[str], run: Run) -> bool:
-    """Whether the log has the forces on all that is free, in place of commands."""
+    """Whether the log has the forces on all free motions instead of commands."""
     forces = [f"tau_{FORCE[DOFS.index(d)]}" for d in free]
     commands = [n for n in vehicle.actuator_names if not run.has(n)]
     lacking = [n for n in forces if not run.has(n)]
@@ -410,7 +410,7 @@ def _pushed(vehicle: Vehicle, free: Sequence[str], run: Run) -> bool:
 # --- put together ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Together:
-    """Fits of several experiments as one, by how well each knows its parameters."""
+    """Fits of several experiments combined, weighted by their information."""
 
     stated: Vehicle  # the whole vehicle as given
     fits: tuple[Fitted, ...]  # a fit for each experiment
@@ -424,7 +424,7 @@ class Together:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of their errors: experiments are independent, so what they know adds up."""
+        """Covariance of their errors: experiments are independent, so their information adds up."""
         return inverse_of(np.sum([self._known(fit)[0] for fit in self.fits], axis=0))
 
     @cached_property
@@ -465,7 +465,7 @@ class Together:
         save_found(self.vehicle, template, out, command, self.logs, (before, after), known, **more)
 
     def disagreements(self) -> Iterator[str]:
-        """Parameters of which two experiments say what the other's errors do not allow."""
+        """Parameters whose estimates in two experiments contradict each other."""
         for one, other in combinations(self.fits, 2):
             for name in (n for n in one.values if n in other.values):
                 apart = abs(one.values[name] - other.values[name])
@@ -480,7 +480,7 @@ class Together:
 
 
 def diagnosed(vehicle: Vehicle, outcomes: Sequence[DiagnosisResult]) -> Together:
-    """The whole vehicle with the effects that are named in any of its experiments."""
+    """The whole vehicle with the effects named in any of its experiments."""
     for outcome in outcomes:
         for effect in (e for e in outcome.after.effects if e.id in outcome.effects):
             new = {n: v for n, v in outcome.after.values.items() if n not in vehicle.values}

@@ -1,4 +1,4 @@
-"""What was found in logs, and which stretches of long ones were used, as it is written to JSON."""
+"""Findings in logs, and the segments used of long ones, as written to JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class ResultTable(BaseModel):
-    """A table of a result that is written to JSON; numbers that do not exist are null there."""
+    """A table of a result that is written to JSON, with null for missing numbers."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -40,7 +40,7 @@ class WholeLog(ResultTable):
 
 
 class ChosenStretch(ResultTable):
-    """A stretch that was used; listed in the order of choice."""
+    """A segment that was used; listed in the order of choice."""
 
     log: str
     start: float  # s
@@ -52,7 +52,7 @@ class ChosenStretch(ResultTable):
 
 
 class ModelOnTheRest(ResultTable):
-    """Errors of a model over what was not used; null where a prediction diverges."""
+    """Errors of a model over the unused data; null if a prediction diverges."""
 
     model: str
     error: float | None  # error of the velocities, a share of the motion, geometric mean over the velocities
@@ -75,13 +75,13 @@ class Rest(ResultTable):
         """The errors in words."""
         errors = [f"{m.model} {_percent(m.error)}{_between(m)}" for m in self.models]
         return (
-            f"checked over the rest, {_time(self.seconds)}: velocity error {self.horizon:.3g} s ahead, "
-            f"% of the motion: {', '.join(errors)}"
+            f"checked on the rest, {_time(self.seconds)}: velocity error {self.horizon:.3g} s ahead, % of "
+            f"the motion: {', '.join(errors)}"
         )
 
 
 class LongLogs(ResultTable):
-    """How long logs were thinned, and which stretches of them were used."""
+    """How long logs were decimated, and which segments of them were used."""
 
     logs: list[WholeLog]
     every: int  # number of rows averaged into one
@@ -99,7 +99,7 @@ class LongLogs(ResultTable):
 
     @property
     def everything(self) -> bool:
-        """Whether there was room for all stretches."""
+        """Whether all segments were used."""
         return len(self.chosen) == self.stretches
 
     def sentences(self) -> list[str]:
@@ -123,7 +123,7 @@ class LongLogs(ResultTable):
     def _thinned(self) -> str:
         samples = sum(log.samples for log in self.logs)
         span = sum(log.seconds for log in self.logs)
-        why = f"the fastest time constant is {self.fastest:.2g} s" if self.fastest else "nothing decays"
+        why = f"the fastest time constant is {self.fastest:.2g} s" if self.fastest else "no motion decays"
         done = f"thinned from {self.every} rows to one, to {self.rate:.3g} Hz, because {why}"
         return (
             f"{samples} samples, {_time(span)}; {done if self.every > 1 else 'not thinned, because ' + why}"
@@ -181,7 +181,7 @@ class Finding(ResultTable):
     alternatives: list[str] = Field(default_factory=list)  # other explanations that these logs do not exclude
 
     def clause(self, runs: Iterable[str] = ()) -> str:
-        """What is wrong, without the evidence and the name of the run in front of it."""
+        """What is wrong, without the evidence and without the name of the run."""
         parts = [part for part in self.text.split(": ") if part not in runs]
         return parts[0].partition(":")[0]
 
@@ -226,7 +226,7 @@ class Examination(ResultTable):
 
 
 def percent(share: float) -> str:
-    """A share in percent, with two digits where that says something."""
+    """A share in percent, with two digits if they are meaningful."""
     if share < 1e-4:
         return "< 0.01 %"
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"

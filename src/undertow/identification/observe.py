@@ -1,4 +1,4 @@
-"""States of a log: a run through an observer and its smoother, with the tests of its consistency."""
+"""State estimates of a log by an observer and its smoother, with consistency tests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ObserveSettings:
-    """Numbers of observing a log."""
+    """Settings for observing a log."""
 
     # Random walk of a parameter, standard deviation in an hour: tides turn currents, heat moves biases.
     current_walk: float = 0.2  # m/s
@@ -50,7 +50,7 @@ SETTINGS = ObserveSettings()
 
 @dataclass(frozen=True)
 class Observed:
-    """A log with its states."""
+    """A log with its estimated states."""
 
     run: Run  # pose, velocities and commands at the rows of the log, in order to be read by every command
     process: Kind  # "model" or "kinematics"
@@ -68,7 +68,7 @@ class Observed:
 
     @property
     def honest(self) -> bool:
-        """Whether innovations are as large as the filter says, white, and of nearly all reports."""
+        """Whether innovations are consistent with the filter, white, and from nearly all reports."""
         return self.nis[-1].honest and all(one.white for one in self.white) and not self.lost
 
     @property
@@ -91,7 +91,7 @@ class Observed:
 
 @dataclass(frozen=True)
 class ObservedLogs:
-    """Some logs with their states, and the tests over all of them.
+    """Several logs with their estimated states, and the tests over all of them.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ def observe_logs(
     method: Method | None = None,
     progress: Progress = lambda done, words: None,
 ) -> ObservedLogs:
-    """`observe` for every one of some logs, with NIS and whiteness over all of them.
+    """`observe` for each of several logs, with NIS and whiteness over all of them.
 
     Noise, the disturbance and estimated parameters are those of each log.
     """
@@ -205,21 +205,21 @@ def observe(
 ) -> Observed:
     """Estimate pose and velocity from the reports that a log has.
 
-    Kinematics alone (the default) knows nothing of forces: a smooth motion with white noise on the rate of
-    its acceleration. Its velocities may be given to a diagnosis. With the model the estimate is closer where
-    the model is right, and leans towards it where it is wrong: it is for control and for currents, and a
-    diagnosis of it would find its own model again.
+    Kinematics alone (the default) uses no forces: a smooth motion with white noise on the rate of its
+    acceleration. Its velocities may be used for a diagnosis. With the model the estimate is more accurate if
+    the model is right, and biased towards it if it is wrong: it is for control and for currents, and a
+    diagnosis of it would only confirm its own model.
 
     Parameters
     ----------
     estimated : sequence of str
         V_N, V_E (with the model), b_u ... b_r.
     method : str
-        "ekf" or "ukf"; by default "ukf" with the model, else "ekf". First velocity and current are unknown,
+        "ekf" or "ukf"; by default "ukf" with the model, else "ekf". Initial velocity and current are unknown,
         and quadratic drag linearised there misleads an extended filter for minutes, but not sigma points.
     disturbance : mapping, optional
-        Root of the spectral density of the noise on driven states by name; what is not stated is that for
-        which the reports are likeliest.
+        Root of the spectral density of the noise on driven states by name; values not stated are estimated by
+        maximum likelihood.
     """
     what = process_of(vehicle, estimated, process)
     reports, rows = reports_of(run, what)
@@ -250,9 +250,9 @@ def observe(
 
 # --- what a log reports ---------------------------------------------------------------------------
 def reports_of(run: Run, process: Process) -> tuple[Reports, Index]:
-    """Reports at the times at which they were true, and the rows of them that are those of the log.
+    """Reports at the times of measurement, and the rows that correspond to those of the log.
 
-    A report that is late by a known age is put where it belongs, so that the order in time is that of truth.
+    A report with a known delay is put where it belongs, so that reports are ordered by time of measurement.
     """
     own = [name if run.has(name) and name not in run.derived else "" for name in process.channels]
     late = np.where([bool(name) for name in own], process.late, 0.0)
@@ -275,7 +275,7 @@ def reports_of(run: Run, process: Process) -> tuple[Reports, Index]:
 
 
 def _noise(run: Run, name: str, reports: Array, t: Array) -> float:
-    """Standard deviation of a report: stated, or by differences; of no meaning where there is none."""
+    """Standard deviation of a report: stated, or from differences; meaningless if there is none."""
     there = np.isfinite(reports)
     if not there.any():
         return 1.0
@@ -301,7 +301,7 @@ def _nearest(t: Array, wanted: Array) -> Index:
 
 
 def _commands(run: Run, process: Process, t: Array) -> Array:
-    """Commands that act at each time, held from sample to sample; a missing one is held on."""
+    """Commands that act at each time, held from sample to sample; missing ones keep the last value."""
     names = process.vehicle.command_names
     if process.kind == "kinematics":
         return np.zeros((len(t), len(names)))
@@ -317,7 +317,7 @@ def _commands(run: Run, process: Process, t: Array) -> Array:
 
 # --- first guesses --------------------------------------------------------------------------------
 def first_guess(process: Process, reports: Reports) -> tuple[Array, Array]:
-    """Mean and covariance before the first report: what it says of each channel, and hardly any certainty."""
+    """Mean and covariance before the first report: its values, with very large variances."""
     mean = np.zeros(len(process.state_names))
     for i, name in enumerate(process.channels):
         found = np.flatnonzero(np.isfinite(reports.y[:, i]))

@@ -1,4 +1,4 @@
-"""What a search found, judged and put into words and numbers."""
+"""The result of a search: verdict, wording and numbers."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ from .report.sentences import refit_is_worse
 
 
 class ResultBuilder:
-    """The outcome of a search, judged under one noise model for all steps and by simulation."""
+    """The outcome of a search, evaluated under one noise model for all steps and by simulation."""
 
     def __init__(
         self,
@@ -118,41 +118,41 @@ class ResultBuilder:
         return judge(self.found, scores, noise, left)
 
     def _contradicted(self, named: Sequence[FoundEffect], graded: list[Graded]) -> list[Graded]:
-        """The effects with a doubt of the first named one that a force speaks against, and of those after it.
+        """The effects with doubts about the first named one that a force contradicts, and those after it.
 
-        Each is judged on top of those before it, which do not lose their names by what was found later.
+        Each is evaluated in addition to those before it, which remain named whatever was found later.
         """
         for i, effect in enumerate(named):
             bench = replace(self.bench, base=self._weak[i])
             doubt = contradiction(effect, (self._weak[i], self._weak[i + 1]), bench, self.validator)
             if doubt:
-                beside = f"it was found beside {effect.id}, which is not established either"
+                beside = f"it was identified together with {effect.id}, which is not established either"
                 words = [doubt, *[beside] * (len(graded) - i - 1)]
                 later = [replace(g, doubt=g.doubt or w) for g, w in zip(graded[i:], words, strict=True)]
                 return [*graded[:i], *later]
         return graded
 
     def worth(self) -> list[Worth]:
-        """What every effect that was added does to predictions, between the fits of the result."""
+        """Improvement of predictions by every added effect, from the fits of the result."""
         ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
         steps = zip(pairwise(ahead), self.found.effect_set.findings, strict=True)
         return [gained(before, after, [f], self.validator) for (before, after), f in steps]
 
     def regrade(self, worth: Sequence[Worth]) -> None:
-        """Take over what the effects that were selected are worth in the fits of the result."""
+        """Update the benefit of the selected effects from the fits of the result."""
         if self._selection is not None:
             graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
             self._selection = replace(self._selection, graded=graded)
 
     @property
     def leaves_only_noise(self) -> bool:
-        """Whether the model with what is named, or as it is where nothing is missing, leaves only noise."""
+        """Whether the model with the named effects, or as given if nothing is missing, leaves only noise."""
         named = bool(self.judgement.effects) or self.judgement.verdict == "adequate"
         return named and self._residual_is_noise
 
     @property
     def after(self) -> Fitted:
-        """The fit with what is named, or the refitted model where nothing is."""
+        """The fit with the named effects, or the refitted model if none is named."""
         return self.fits[len(self.judgement.effects)]
 
     @property
@@ -166,14 +166,14 @@ class ResultBuilder:
 
     @cached_property
     def _predictable(self) -> list[Predictability]:
-        """What of the remaining forces depends on the logged signals, where more than noise is left."""
+        """How much of the remaining forces depends on logged signals, if the residual exceeds the noise."""
         if self._residual_is_noise:
             return []
         return predictable(self.after, self.bench.train, self.bench.test)
 
     @cached_property
     def _verdict(self) -> Judgement:
-        """The judgement; of `unexplained`, whether sensors contradict each other, or all is a disturbance."""
+        """The judgement; if `unexplained`, whether sensors contradict each other or all is a disturbance."""
         if self.judgement.verdict != "unexplained":
             return self.judgement
         compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
@@ -279,7 +279,7 @@ class ResultBuilder:
             return f"No manoeuvre can be suggested: {error}", False
 
     def _normalised(self, fit: Fitted) -> float:
-        """Error in units of the noise; what unknown first states leave open is left out on both sides."""
+        """Error in units of the noise, without the part due to unknown initial states."""
         before, data = self._left_before, self.bench.test
         after = scored(fit, data, self._whitening, before.r)
         without, with_it = map(error_of, comparable_mean_squares(before, after, data))
@@ -315,9 +315,9 @@ class ResultBuilder:
         )
 
     def _in_order(self) -> list[FoundEffect]:
-        """The effects that were chosen as they were found, and the others beside the model as it is.
+        """The chosen effects in the order found, and the others added to the model as given.
 
-        Where simulation decided, those that it saw are in the order of what they do to long predictions.
+        If simulation decided, those simulated are in the order of their improvement of long predictions.
         """
         chosen: dict[str, FoundEffect] = {}
         for found in [*self.judgement.effects, *self.judgement.helps]:
@@ -354,7 +354,7 @@ class ResultBuilder:
         )
 
     def _shown(self, finding: FoundEffect) -> bool:
-        """Whether a candidate is beyond chance, by the residual alone or with the simulation's word."""
+        """Whether a candidate is significant, by the residual alone or confirmed by simulation."""
         return finding.significant or (self._selection is not None and finding.id in self._selection.worth)
 
     @cached_property
@@ -392,11 +392,11 @@ def _either(equivalent: Equivalent) -> str:
 
 # --- the search as far as it stands up to simulation ---------------------------------------------
 def validated(found: Search, validator: SimulationValidator) -> Search:
-    """The search as far as it stands up to simulation.
+    """The search as far as simulation confirms it.
 
-    An effect goes when the model simulates the validation runs to within the noise before it is added to
-    others. All of a set of equally good effects are fitted by output error, started from the weak form, and
-    simulate the validation runs; the best of them leads, and gets a last fit.
+    An effect is dropped if the model simulates the validation runs to within the noise without it. All of a
+    set of equally good effects are fitted by output error, started from the weak form, and simulate the
+    validation runs; the best of them leads, and is fitted once more.
     """
     found = _without_surplus(found, validator)
     for place in range(len(found.rivals)):
@@ -434,10 +434,10 @@ def _without_surplus(found: Search, validator: SimulationValidator) -> Search:
 
 
 def _hidden_in_noise(found: Search, validator: SimulationValidator) -> bool:
-    """Whether the model as it is leaves only noise, and simulates no worse than with what was found.
+    """Whether the model as given leaves only noise, and simulates no worse than with the effects found.
 
-    Where a motion is nearly as fast as the sampling, or the noise next to nothing, the weak form has an error
-    of its own that an effect can take up.
+    If a motion is nearly as fast as the sampling, or there is almost no noise, the weak form has an error of
+    its own that an effect can absorb.
     """
     if not found.winners or not validator.residual_is_noise(found.bench.base, found.bench.test):
         return False
@@ -460,9 +460,9 @@ def contradiction(
     bench: Bench,
     validator: SimulationValidator,
 ) -> str:
-    """Why an effect is not established as the cause, in words; empty where no force speaks against it.
+    """Why an effect is not established as the cause, in words; empty if no force contradicts it.
 
-    Of the sensors forces say nothing.
+    Forces carry no information about sensors.
 
     fits: the models without it and with it.
     """
@@ -475,7 +475,7 @@ def contradiction(
 
 
 def _unknown_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
-    """What of residual forces depends on more than an effect knows."""
+    """Residual forces that depend on variables other than those of an effect."""
     candidate, grown = effect.trial.candidate, effect.trial.fit.model.functions.vehicle
     own = {*own_variables(candidate, vehicle, grown)}
     own |= {"t"} if knows_time(candidate, vehicle, grown) else set()
@@ -483,11 +483,11 @@ def _unknown_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) ->
 
 
 def _hardly_there(effect: FoundEffect, before: Fitted, bench: Bench, validator: SimulationValidator) -> str:
-    """Whether an effect loses size or worth beside a force made of what the model leaves; empty if not.
+    """Whether an effect loses size or benefit to a force built from the residual; empty if not.
 
-    It is the force that `undertow effects new` makes, of what the effect does not know, found on the training
-    data. What only stood in for such a force is hardly there beside it, or worth little; what is the cause
-    stays.
+    It is the force that `undertow effects new` would write, from variables that the effect does not have,
+    found on the training data. A mere proxy for such a force loses its size or benefit with it in the model;
+    a cause keeps them.
     """
     left = _unknown_to(effect, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
     if not left:
@@ -500,7 +500,7 @@ def _hardly_there(effect: FoundEffect, before: Fitted, bench: Bench, validator: 
     if kept.size < 1.0 - bench.settings.size_spread:
         lost = f"its size would drop to {max(kept.size, 0.0):.0%} of the fitted value"
     elif kept.gain < bench.settings.kept_gain:
-        lost = f"predictions would gain only {max(kept.gain, 0.0):.0%} of what they gain by it alone"
+        lost = f"predictions would improve by only {max(kept.gain, 0.0):.0%} of what it achieves alone"
     else:
         return ""
-    return f"beside {force} {lost} (undertow effects new makes an effect of that force)"
+    return f"with {force} in the model, {lost} (undertow effects new turns that force into an effect)"

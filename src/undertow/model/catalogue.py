@@ -1,4 +1,4 @@
-"""Finding effects: the folder of the catalogue, entry points, and files that a user names."""
+"""Discovery of effects: the catalogue folder, entry points, and files named by the user."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def merge(known: Catalogue, added: Iterable[type[Effect]]) -> dict[str, type[Eff
 
 
 class _Uncached(SourceFileLoader):
-    """Runs a file without leaving its bytecode beside it."""
+    """Runs a file without writing its bytecode."""
 
     def set_data(self, path: str, data: Any, *, _mode: int = 0) -> None:
         pass
@@ -133,7 +133,7 @@ def load_effects(path: Path) -> list[type[Effect]]:
 
 
 def _guard(cls: type[Effect], path: Path) -> None:
-    """Let what the methods of a user's effect raise end in one line that says where."""
+    """Turn exceptions in the methods of a user's effect into a one-line error with the location."""
     for name, member in list(vars(cls).items()):
         if inspect.isfunction(member):
             setattr(cls, name, _guarded(member, cls, path))
@@ -188,6 +188,6 @@ def logged_quantities(known: Catalogue) -> dict[str, str]:
 
 
 def companions(known: Catalogue) -> dict[str, str]:
-    """Quantities that a log has to hold where it holds another one: name to name of the other."""
+    """Quantities that a log has to contain if it contains another one: name to name of the other."""
     found = (d for cls in known.values() for d in logged(cls) if isinstance(d, LoggedOnly))
     return {d.name: d.with_log for d in found if d.with_log}

@@ -1,4 +1,4 @@
-"""What an effect states, and effects put together: relative velocity, actuator states, sum of wrenches."""
+"""Statements of effects, and their composition: relative velocity, actuator states, sum of wrenches."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Meanings = tuple[tuple[sm.Symbol, sm.Expr], ...]
 
 
 class _Setting(NamedTuple):
-    """What the equations of one effect depend on besides the effect.
+    """Everything except the effect itself on which its equations depend.
 
     Vehicles that differ by one effect, as the candidates of a diagnosis do, mostly have it in common.
     """
@@ -54,7 +54,7 @@ class _Setting(NamedTuple):
 
 @lru_cache(maxsize=_REMEMBERED)
 def stated(effect: Wrench) -> sm.ImmutableMatrix:
-    """Wrench of an effect as it states it, abbreviations spelled out, shape (6, 1)."""
+    """Wrench of an effect as stated, abbreviations expanded, shape (6, 1)."""
     s = signals(effect.thrusters, effect.surface_names)
     wrench = effect.wrench(s)
     if getattr(wrench, "shape", None) != (6, 1):
@@ -134,7 +134,7 @@ class Composition:
     # --- what is frozen, and what depends on what ---------------------------------------------
     @cached_property
     def locked(self) -> dict[sm.Symbol, sm.Expr]:
-        """Zero for motions that the vehicle does not have and forces that the log does not hold.
+        """Zero for motions that the vehicle does not have and forces that the log does not contain.
 
         A motion that is left out of the model may be prescribed: the log holds it as an input.
         """
@@ -168,8 +168,8 @@ class Composition:
     def relative_to(self, water: sm.Matrix, rate: sm.Matrix) -> dict[sm.Symbol, sm.Expr]:
         """Velocity through water that moves like this (shapes (3, 1), body axes), and its rate.
 
-        A motion that the vehicle does not have is none through the water either: a ship whose heave is left
-        out would otherwise feel a beam current differently from its own sway when it rolls.
+        A motion that the vehicle does not have is zero through the water as well: otherwise a beam current
+        would act on a rolling ship without heave differently from its own sway.
         """
         s = self.signals
         omega = sm.Matrix(s.nu[3:])
@@ -252,7 +252,7 @@ class Composition:
 
     @property
     def _ways(self) -> dict[bool, tuple[str, ...]]:
-        """Names of what commands lead to, thrusters and then surfaces, by `Actuation.of_surfaces`."""
+        """Names of the actuators, thrusters and then surfaces, by `Actuation.of_surfaces`."""
         return {False: self.thrusters, True: self.surfaces}
 
     @cached_property
@@ -283,7 +283,7 @@ class Composition:
 
     @cached_property
     def report_age(self) -> sm.Matrix:
-        """How old what the sensors report is, pose then velocity, shape (2n, 1), s."""
+        """Age of the sensor readings, pose then velocity, shape (2n, 1), s."""
         effects = [e for e in self.effects if isinstance(e, Measurement)]
         total = sum((e.age() for e in effects), sm.zeros(12, 1))
         return sm.Matrix.vstack(self._rows(total[:6, :]), self._rows(total[6:, :]))

@@ -1,4 +1,4 @@
-"""Everything that must be true of an effect before a model is built from it, tried at random points."""
+"""The contract: properties that an effect must have to be used in a model, tested at random points."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SOMEWHERE = {"x": (90.0, 130.0), "y": (-60.0, -40.0), "z": (7.0, 9.0), "psi": (
 
 
 def complaints_of(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, str, Iterator[str]]]:
-    """Id of each check, what it holds where it passes, and the complaints."""
+    """Id of each check, the property that it tests, and the complaints."""
     yield "id", "is an identifier of its own", _id_complaints(cls, known)
     yield "documentation", "meaning, family, reference and signature are stated", _text_complaints(cls)
     yield "requires", "the effects that it shares parameters of exist", _requires_complaints(cls, known)
@@ -166,7 +166,7 @@ Values = Callable[[Mapping[sm.Symbol, float]], list[float]]
 
 @dataclass(frozen=True)
 class Trials:
-    """Points at which an effect is tried; sizes are far apart, so that a kink is met on both sides."""
+    """Points at which an effect is tested; magnitudes vary widely, so that a kink is met on both sides."""
 
     seed: int = 20210405
     points: int = 200  # for bounds and power
@@ -242,7 +242,7 @@ def compiled(expressions: Sequence[sm.Expr]) -> Values:
 def nonzero_row(matrix: sm.Matrix, statement: Statement) -> int | None:
     """Index of the first row that is not identically zero, or None.
 
-    Expansion proves most identities; what it leaves is tried at random points.
+    Expansion proves most identities; the rest is tested at random points.
     """
     for i, row in enumerate(matrix):
         expanded = sm.expand(row)
@@ -352,7 +352,7 @@ def _settings(values: dict[sm.Symbol, sm.Expr]) -> str:
 
 
 def _rest_states(s: Statement) -> Sequence[sm.Expr]:
-    """A step of the actuation chain may be slow; what counts is what it does to a command that is held."""
+    """A step of the actuation chain may be slow; its response to a constant command counts."""
     return s.part("rest_state") if "actuation" in s.kinds else s.effect.state_symbols
 
 

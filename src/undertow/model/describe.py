@@ -33,7 +33,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class ParameterNote:
-    """A parameter as a reader wants to know it; limits are None where there are none."""
+    """A parameter for display; limits are None if there are none."""
 
     name: str  # id in vehicle files; ``<thruster>`` stands for the name of a thruster
     unit: str  # SI unit
@@ -133,13 +133,13 @@ def _where(p: Parameter) -> str:
 
 # --- equations -----------------------------------------------------------------------------------
 def equations_on(vehicle: Composition, effect: Effect) -> tuple[Equation, ...]:
-    """What an effect of a vehicle does, written as by `describe`, in the motions that this vehicle has."""
+    """Equations of an effect of a vehicle, as by `describe`, in the degrees of freedom of this vehicle."""
     known = {**catalogue(), **{e.id: type(e) for e in vehicle.effects}}
     return tuple(_equations(statement_of(effect, known), vehicle))
 
 
 def _equations(statement: Statement, vehicle: Composition | None = None) -> Iterator[Equation]:
-    """Rows in which the effect does something, then what is abbreviated in them."""
+    """Rows in which the effect acts, then the abbreviations used in them."""
     short = statement.effect.abbreviations(statement.signals)
     names = {x: latex_name(str(x)) for x in (*statement.units, *statement.free_symbols, *short)}
     none = {} if vehicle is None else _missing_on(vehicle)
@@ -162,7 +162,7 @@ def _missing_on(vehicle: Composition) -> dict[sm.Basic, sm.Expr]:
 
 
 def _written(statement: Statement) -> Iterator[tuple[str, sm.Expr]]:
-    """Active rows as the effect writes them, abbreviations left as they are."""
+    """Active rows as the effect states them, abbreviations not expanded."""
     for part in statement.parts:
         written = dict(zip(part.rows, part.matrix if part.written is None else part.written, strict=True))
         yield from ((row, written[row]) for row, _ in _active_rows(part))

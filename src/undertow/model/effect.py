@@ -1,4 +1,4 @@
-"""A physical effect: its parameters and one symbolic statement of its physics, and hardware as it sees it."""
+"""A physical effect: its parameters, one symbolic statement of its physics, and the hardware it acts on."""
 
 from __future__ import annotations
 
@@ -68,29 +68,30 @@ class Effect(abc.ABC):
     signature : str
         How the effect shows itself in a log.
     requires : tuple of str
-        Ids of effects whose parameters this one shares; it can stand only in a vehicle that has them.
+        Ids of effects whose parameters this one shares; it can be used only in a vehicle that has them.
     shares : tuple of str
         Ids of effects whose parameters it shares where the vehicle has them, and takes as zero where not.
     series_of : tuple of str
         Ids of effects for whose forces this one is a polynomial with a coefficient for each term: it may fit
         better than the physics without being another cause.
     built_in : bool
-        True for what a vehicle's hardware brings in by itself; never a candidate for what is missing.
+        True for effects that come with a vehicle's hardware; never a candidate.
     of_shape : bool
-        True for what is computed from the shape of a hull, with more numbers than a log could say; never a
-        candidate for what is missing.
+        True for effects computed from the shape of a hull, with more parameters than a log could determine;
+        never a candidate.
     weighed : bool
-        True where the values come from scales and drawings, and what may be wrong with them is an effect of
-        its own (water in the hull, net buoyancy, a shifted centre of buoyancy).
+        True if the values come from weighing and drawings, and errors in them are separate effects (water in
+        the hull, net buoyancy, a shifted centre of buoyancy).
     scales_with : str
-        "drag" or "inertia" where all its coefficients grow by one share as the hull gets rough, fouled or
-        damaged: what a fleet is watched for. Empty where they do not.
+        "drag" or "inertia" if all its coefficients grow by a common factor as the hull becomes rough, fouled
+        or damaged, which fleet analysis looks for; else empty.
     taken : tuple of Taken
         Keys of its table that another effect states as well: the mass of one is the weight of the other.
     former_keys : tuple of str
-        Keys of `file_units` that were parameters once: what they become is estimated where they are.
+        Keys of `file_units` that used to be parameters: if marked for estimation, so are those they become.
     allocation : Matrix, shape (6, n_thrusters)
-        Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero off a vehicle.
+        Force and moment of one newton of thrust of each thruster, body frame, 1 and m; zero without a
+        vehicle.
     laws : tuple of Propeller, Curve or None
         How the command of each thruster becomes thrust; None where it is in proportion.
     surfaces : tuple of Surface
@@ -166,7 +167,7 @@ class Effect(abc.ABC):
 
     @classmethod
     def from_file(cls, entries: dict[str, float]) -> dict[str, float]:
-        """Turn other ways to write the parameters in a file (`x_g` for `mx_g`) into the parameters."""
+        """Convert alternative parameters of a file (`x_g` for `mx_g`) to the parameters."""
         return entries
 
     @classmethod
@@ -176,12 +177,12 @@ class Effect(abc.ABC):
 
     @classmethod
     def reconciled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
-        """The same physics as `values`, which a fit found, with what a file takes from elsewhere in them.
+        """Fitted `values` rewritten, with the same physics, to agree with values stated in other tables.
 
         Parameters
         ----------
         values : mapping
-            Parameters by name; one that is missing was found to be zero.
+            Parameters by name; missing ones were found to be zero.
         taken : mapping
             What other tables of the file state, by key.
         """
@@ -191,7 +192,7 @@ class Effect(abc.ABC):
     def impossible(
         cls, values: Mapping[str, float], limits: Limits, moved: Set[str] = frozenset()
     ) -> Iterator[str]:
-        """One line for each thing in the values of a vehicle that no body in water can have.
+        """One line for each impossible value of a vehicle.
 
         Parameters
         ----------
@@ -200,8 +201,7 @@ class Effect(abc.ABC):
         limits : Limits
             What numbers can be.
         moved : set of str
-            Parameters that a fit may have moved, to make up for something that the model lacks: a file must
-            be able to say so.
+            Parameters that a fit may have moved to compensate for a missing effect: a file must accept them.
         """
         yield from ()
 
@@ -230,7 +230,7 @@ class Effect(abc.ABC):
         return {}
 
     def spelled_out(self, stated: sm.Matrix, s: Signals) -> sm.Matrix:
-        """What a method of a wrench or a flow returned, without abbreviations."""
+        """The result of a method of a wrench or a flow, with abbreviations expanded."""
         meanings = [{name: meaning} for name, meaning in self.abbreviations(s).items()]
         return stated.xreplace(spelled_out(meanings)) if meanings else stated
 
@@ -245,18 +245,18 @@ class Effect(abc.ABC):
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
-        """Where to begin a search in logs in which this was seen.
+        """Starting points of a search, given the range of the logs.
 
         Parameters
         ----------
         seen : mapping
             Least and greatest value of each pose coordinate that the vehicle has, m and rad, and, as
-            `dominant_frequency`, of the angular frequency at which what the model leaves swings most, rad/s.
+            `dominant_frequency`, of the dominant angular frequency of the residual, rad/s.
 
         Returns
         -------
         list of dict
-            Values of shape parameters by name; empty where the parameters' own `starts` serve in any place.
+            Values of shape parameters by name; empty if the parameters' own `starts` are suitable.
         """
         return []
 
@@ -267,7 +267,7 @@ class Effect(abc.ABC):
 
     @classmethod
     def specimen(cls, inputs: tuple[str, ...] = ()) -> Self:
-        """An instance to look at and to check, as it would be on a vehicle with two thrusters.
+        """An instance for display and checks, as on a vehicle with two thrusters.
 
         It has a rudder in the slipstream of one of them. `inputs` are the quantities that its log holds.
         """
@@ -360,17 +360,17 @@ class Actuation(Effect):
 
     @property
     def command_unit(self) -> str:
-        """Unit of what it takes and hands on."""
+        """Unit of its input and output."""
         return "rad" if self.of_surfaces else "command"
 
     @property
     def acts_on(self) -> tuple[str, ...]:
-        """Names of the thrusters, or of the surfaces, on whose way it is."""
+        """Names of the thrusters, or of the surfaces, on which it acts."""
         return self.surface_names if self.of_surfaces else self.thrusters
 
     @abc.abstractmethod
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
-        """What this step hands on, shape (n_thrusters, 1), in units of the command."""
+        """Output of this step, shape (n_thrusters, 1), in units of the command."""
 
     def rates(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:
         """Time derivative of the step's own states, shape (n, 1)."""
@@ -406,7 +406,7 @@ class Measurement(Effect):
         """Pose and body velocity that the sensors report.
 
         The reported attitude is affine in the attitude, all else affine in position and velocity at a given
-        attitude, so that the true motion can be worked out from what is reported.
+        attitude, so that the true motion can be computed from the readings.
         """
 
     def age(self) -> sm.Matrix:
@@ -423,7 +423,7 @@ KINDS: dict[str, type[Effect]] = {
 
 
 def kinds_of(effect: Effect | type[Effect]) -> tuple[str, ...]:
-    """Which of the four kinds an effect is; a wave moves the water and presses on the hull, so it is two."""
+    """Kinds of an effect, of four; a wave moves the water and exerts pressure on the hull, so it is two."""
     cls = effect if isinstance(effect, type) else type(effect)
     return tuple(kind for kind, base in KINDS.items() if issubclass(cls, base))
 
@@ -496,7 +496,7 @@ class Propeller:
 
 @dataclass(frozen=True)
 class Curve:
-    """Thrust at rest over the command: cubic pieces that join with one slope, level beyond the ends."""
+    """Thrust at rest over the command: cubic pieces with continuous slope, constant beyond the ends."""
 
     start: float  # thrust at the first command and below, N
     # commands between which a piece holds, and what it adds to the thrust at its begin: coefficients of the
@@ -505,10 +505,10 @@ class Curve:
 
     @classmethod
     def through(cls, points: Sequence[tuple[float, float]]) -> Curve:
-        """The curve through points in the order of their commands, which rises and falls only as they do.
+        """The monotone curve through points in the order of their commands.
 
-        Slopes are those of Fritsch and Carlson (1980) and Butland: a harmonic mean on either side, zero at
-        a turning point.
+        Slopes are those of Fritsch and Carlson (1980) and Butland: a harmonic mean on either side, zero at an
+        extremum.
         """
         steps = [(b[0] - a[0], (b[1] - a[1]) / (b[0] - a[0])) for a, b in pairwise(points)]
         inner = (_between(*one, *other) for one, other in pairwise(steps))
@@ -531,7 +531,7 @@ class Curve:
 
     @property
     def largest(self) -> float:
-        """Largest magnitude of a command that the curve tells from a smaller one."""
+        """Largest magnitude of a command beyond which the curve is constant."""
         return max(abs(self.pieces[0][0]), abs(self.pieces[-1][1]))
 
     def thrust(self, command: sm.Expr) -> sm.Expr:
@@ -551,7 +551,7 @@ class Curve:
         return any(b < a - rounding for a, b in pairwise(thrusts))
 
     def inverse(self, thrust: float) -> float:
-        """The command that gives a thrust, N, or the nearest one that the curve has.
+        """The command that gives a thrust, N, or the nearest thrust on the curve.
 
         Refused where the curve falls somewhere: then several commands give the same thrust.
         """

@@ -1,4 +1,4 @@
-"""From a vehicle file to a vehicle: reading, keys and types, units, sign convention, what is stated once."""
+"""From a vehicle file to a vehicle: reading, keys and types, units, sign convention, shared values."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Statements:
         return found
 
     def taken(self, effect: Effect) -> dict[str, float]:
-        """What other tables state of an effect and its own leaves open, by key, SI."""
+        """Values of an effect that other tables state and its own does not, by key, SI."""
         own = self.tables.get(effect.id, {})
         stated = {t.key: self._from_owner(t) for t in effect.taken if not {t.key, *t.unless} & own.keys()}
         return {k: v for k, v in stated.items() if v is not None}
@@ -121,7 +121,7 @@ class Statements:
                     yield taken.key, (str(other), float(factor))
 
     def differing(self) -> Iterator[str]:
-        """One line for every value that another table states otherwise, unless it says that it overrides."""
+        """One line for every value that another table states differently, unless marked as override."""
         for effect in self.effects:
             for key, entry in self.tables[effect.id].items():
                 yield from self._difference(effect, key, entry)
@@ -181,7 +181,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def bundled_vehicles() -> dict[str, Path]:
-    """Vehicle files that come with the program, by name."""
+    """Bundled vehicle files, by name."""
     folder = Path(str(files("undertow") / "vehicles"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
@@ -239,7 +239,7 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
     if wanted and not (named or trust):
         raise UndertowError(
             f"{path}: effects_from names {', '.join(table.effects_from)}, Python code, which undertow does "
-            f"not run unasked: pass --effects {wanted[0]} if you trust it"
+            f"not run without your consent: pass --effects {wanted[0]} if you trust it"
         )
     # The same file under two paths is one file.
     chosen = {file.resolve(): file for file in [*named, *(wanted if trust else [])]}.values()
@@ -318,7 +318,7 @@ def _inputs(
 def _hardware_values(
     table: VehicleTable, names: tuple[str, ...], surfaces: tuple[Surface, ...], others: Mapping[str, Value]
 ) -> dict[str, Value]:
-    """What the tables of propellers and surfaces state of parameters."""
+    """Parameters stated in the tables of propellers and surfaces."""
     effects = [cls(names, surfaces) for cls in (Propellers, ControlSurfaces, SteeringGear)]
     parameters = {p.name: p for effect in effects for p in effect.parameters}
     found: dict[str, Value] = {}
@@ -336,7 +336,7 @@ def _hardware_values(
 def _fitted_to(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> dict[str, frozenset[str]]:
     """Hashes of the logs that values come from, by the last fit in the history that has them.
 
-    A value whose source names no fit any more was edited since.
+    A value whose source no longer names a fit was edited since.
     """
     found: dict[str, frozenset[str]] = {}
     for entry in history:
@@ -413,7 +413,7 @@ def _carried_over(
     converted: Mapping[str, float],
     errors: Mapping[str, float],
 ) -> dict[str, float]:
-    """Standard deviations of what a file states by way of others that have these errors."""
+    """Standard deviations of stated quantities, propagated from the parameters with these errors."""
     found: dict[str, float] = {}
     for name, error in errors.items():
         moved = effect.from_file({**plain, name: plain[name] + error})

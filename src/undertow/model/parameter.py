@@ -1,4 +1,4 @@
-"""Parameters of effects: what a number is called, measured in, and may plausibly be."""
+"""Parameters of effects: name, unit and plausible range of a number."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Limits:
-    """What the numbers of a vehicle in water can be: beyond it a unit or a digit is wrong."""
+    """Plausible ranges of vehicle parameters: beyond them a unit or a digit is wrong."""
 
     gravity: Range = (9.7, 9.9)  # m/s^2; on the surface of the Earth it lies between 9.76 and 9.84
     water_density: Range = (900.0, 1300.0)  # kg/m^3: hot fresh water has 958, the Dead Sea 1240
@@ -73,10 +73,10 @@ class Parameter:
     alone : bool
         False for a parameter that is no evidence of the effect without the others (a constant part).
     per_run : bool
-        True for what nature changes from one run to the next (a current, a trim): its value may differ
-        between runs unless a vehicle file says ``per_run = false``.
+        True for parameters that vary from run to run (a current, a trim): the value may differ between runs
+        unless a vehicle file says ``per_run = false``.
     arm_of : str
-        For a position aboard, from the body origin: "1" if the parameter is a length, the name of a mass or
+        For a position on board, from the body origin: "1" if the parameter is a length, the name of a mass or
         force if it is that times a length; empty for all others.
     logged : bool
         Whether a log may contain it: if `inputs` of a vehicle file names it, it is an input, held between
@@ -87,7 +87,7 @@ class Parameter:
         True for the velocity over which a step is smoothed; wider than the motion it is not a step.
     within : float
         Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
-        sqrt(length / g)) that a fit allows if the file states no standard deviation. Positions aboard have
+        sqrt(length / g)) that a fit allows if the file states no standard deviation. Positions on board have
         `Limits.farthest` instead.
     """
 
@@ -174,7 +174,7 @@ class PerSurface(PerThruster):
 
 @dataclass(frozen=True)
 class LoggedOnly(Parameter):
-    """A quantity that only a log can give, an input where a vehicle file names it under `inputs`."""
+    """A quantity that only a log can provide, an input if a vehicle file names it under `inputs`."""
 
     logged: bool = True
 
@@ -302,7 +302,7 @@ Declaration = Parameter | DerivativeMatrix | Place
 
 @dataclass(frozen=True)
 class Taken:
-    """A quantity that another effect's table states as well, so that a file need not say it twice."""
+    """A quantity shared with another effect's table, so that a file need not state it twice."""
 
     key: str  # the quantity in the effect's own table
     owner: str  # id of the other effect

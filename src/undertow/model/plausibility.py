@@ -1,4 +1,4 @@
-"""What must hold for a vehicle as a whole, and what its file leaves open."""
+"""Plausibility of a whole vehicle, and what is missing or assumed in its file."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ _CREEPING = (0.0, 0.1, -0.1)
 
 
 def _check_defined(vehicle: Vehicle) -> None:
-    """Refuse equations without a value: a division by a zero, the root of a velocity that turns negative."""
+    """Refuse equations without a finite value: division by zero, the root of a negative velocity."""
     known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
     nu = set(vehicle.composition.nu)
     creeping = {speed: known | dict.fromkeys(nu, sm.Float(speed)) for speed in _CREEPING}
@@ -247,7 +247,7 @@ def mass_matrix_at(vehicle: Vehicle, direction: int = 1) -> list[list[float]]:
 
 
 def hints(vehicle: Vehicle) -> list[str]:
-    """One line for everything that a reader of the vehicle should know is not there.
+    """One line for each missing or assumed item that a reader of the vehicle should know.
 
     For instance "added_mass has no Y_vdot although sway is a degree of freedom: it counts as zero".
     """

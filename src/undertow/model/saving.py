@@ -1,4 +1,4 @@
-"""From a vehicle back to its file: what has changed is rewritten, all else stays as it was."""
+"""From a vehicle back to its file: changes are rewritten, all else is left untouched."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from .vehicle import Value, Vehicle
 
 
 def safe(value: Any) -> Any:
-    """A value that can be written: what is no text in any encoding becomes a question mark."""
+    """A value that can be written: undecodable characters become question marks."""
     if isinstance(value, str):
         return str(value).encode("utf-8", "replace").decode("utf-8")
     return value
@@ -107,7 +107,7 @@ _QUANTITIES = ("value", "forward", "backward", "sigma", "sigma_forward", "sigma_
 
 @dataclass(frozen=True)
 class Entry:
-    """What an entry is to say, SI and in the signs of the file."""
+    """Content of an entry, SI and in the signs of the file."""
 
     numbers: Mapping[str, float]  # the value by its key: "value", or "forward" and "backward"
     sigmas: Mapping[str, float]  # standard deviations by the same keys
@@ -137,7 +137,7 @@ class Entry:
 
 
 def update_entry(raw: Any, wanted: Entry, place: str) -> Any:
-    """The new entry for what stands in the file (None: nothing stands there), or None where it can stay.
+    """The new entry in place of the one in the file (None if there is none), or None if it can stay.
 
     A table is changed in place and keeps whatever else it says.
     """
@@ -230,7 +230,7 @@ _NO_COVARIANCE = (
 
 
 def fit_source(history: Mapping[str, object] | None, before: str, *, mean: bool = False) -> str:
-    """What a fitted value gives as its source: logs and date, and where the value before came from.
+    """Source text of a fitted value: logs and date, and the source of the value before.
 
     `mean` says that it is the mean of values by run, which stand in the history.
     """
@@ -358,10 +358,10 @@ def save_vehicle(
     marked as estimated counts as fitted: it becomes ``{ value, estimate, sigma, source }`` with its standard
     error as sigma. Effects and parameters that the template lacks are added.
 
-    `history` tells how the values came about, appended as a table ``[[history]]``: `command`, `date`, `logs`
+    `history` records the origin of the values, appended as a table ``[[history]]``: `command`, `date`, `logs`
     (list of tables with `name`, `sha256`, `role`), `added`, `error_before`, `error_after` ... A `covariance`
-    (table of `parameters` and `matrix`, SI and SNAME signs) is turned into the file's signs. One without
-    `logs` is of no fit: values keep the source that the vehicle gives.
+    (table of `parameters` and `matrix`, SI and SNAME signs) is turned into the file's signs. Without `logs`
+    it is not from a fit: values keep the source that the vehicle gives.
     """
     write_whole(out, rewritten(vehicle, template, out, history=history))
 
@@ -382,7 +382,7 @@ def rewritten(
 
 
 def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
-    """The same vehicle, in whose new effects what a fit cannot show is as the file states it elsewhere."""
+    """The same vehicle; values in new effects that no fit can determine agree with its other tables."""
     table = read_vehicle_table(path)
     stated = Statements(vehicle.effects, table.effects, vehicle.environment, table.signs)
     for effect in (e for e in vehicle.effects if e.id not in table.effects):
@@ -414,7 +414,7 @@ def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | Non
 
 
 def _check(text: str, vehicle: Vehicle, path: Path, folder: Path) -> None:
-    """What is about to be written must say what the vehicle is."""
+    """Check that the text to be written describes the vehicle."""
     known = {e.id: type(e) for e in vehicle.effects}
     try:
         table = VehicleTable.model_validate(tomllib.loads(text))
@@ -470,7 +470,7 @@ def _write_effect(
 
 
 def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
-    """Standard deviations that say something: exact data give none, no data an infinite one."""
+    """Meaningful standard deviations: exact data give zero, no data infinite ones."""
     found = {key: v.sigma for key, v in values.items() if v.sigma is not None}
     return {key: sigma for key, sigma in found.items() if 0 < sigma < inf}
 
@@ -556,7 +556,7 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
 def _write_hardware(
     document: Any, vehicle: Vehicle, file: VehicleTable, history: Mapping[str, object] | None
 ) -> None:
-    """What has changed of the parameters that the tables of propellers and control surfaces state."""
+    """Changed parameters that the tables of propellers and control surfaces state."""
     elsewhere = {p.name for effect in vehicle.effects for p in effect.parameters}
     known = vehicle.declared_parameters
     parts: list[tuple[Any, str, dict[str, str], dict[str, Value]]] = []

@@ -1,4 +1,4 @@
-"""The symbols every effect speaks in: SNAME motions and forces, signals of the residual form, kinematics."""
+"""The symbols used by every effect: SNAME motions and forces, signals of the residual form, kinematics."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def column(names: tuple[str, ...] | list[str]) -> sm.Matrix:
 
 
 def spelled_out(meanings: Iterable[Mapping[sm.Symbol, sm.Expr]]) -> dict[sm.Symbol, sm.Expr]:
-    """Meanings of symbols, of which a later group may use the symbols of earlier ones, in terms of none."""
+    """Meanings of symbols, fully expanded; a later group may use the symbols of earlier ones."""
     known: dict[sm.Symbol, sm.Expr] = {}
     for group in meanings:
         known |= {name: meaning.xreplace(known) for name, meaning in group.items()}

@@ -54,13 +54,13 @@ Printable = Annotated[StrictStr, BeforeValidator(_printable)]
 
 
 class FileTable(BaseModel):
-    """A table of the file; keys that it does not know are errors."""
+    """A table of the file; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class ParameterTable(FileTable):
-    """A parameter with what is known of it."""
+    """A parameter with its value, uncertainty and source."""
 
     value: Quantity | None = None
     forward: Quantity | None = None
@@ -107,7 +107,7 @@ class ThrusterTable(FileTable):
 
 
 class SurfaceTable(FileTable):
-    """A rudder, a fin or a plane: where it is, how it turns, and what it gives."""
+    """A rudder, a fin or a plane: position, axis and force."""
 
     name: Identifier
     position: tuple[Quantity, Quantity, Quantity]
@@ -179,7 +179,7 @@ def parameter_values(place: str, parameter: Parameter, entry: Any, signs: str) -
 
 
 def _refuse_idle_sigmas(place: str, table: ParameterTable, values: int) -> None:
-    """A standard deviation that another one makes idle, or that belongs to a value that is not there."""
+    """Refuse a standard deviation without effect, or of a missing value."""
     own = [s for s in (table.sigma_forward, table.sigma_backward) if s is not None]
     if own and (values < 2 or (len(own) == 2 and table.sigma is not None)):
         raise UndertowError(
@@ -285,13 +285,13 @@ Point = tuple[float, float]
 
 @cache
 def bundled_curves() -> dict[str, Path]:
-    """Curves of thrusters that come with the program, by name; their command goes from -1 to 1."""
+    """Bundled thruster curves, by name; their command goes from -1 to 1."""
     folder = Path(str(files("undertow") / "vehicles" / "curves"))
     return {path.stem: path for path in sorted(folder.glob("*.csv"))}
 
 
 def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
-    """Commands and thrusts, N, of a file with two columns, as few as describe it."""
+    """Commands and thrusts, N, of a file with two columns, reduced to as few as needed."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -316,7 +316,7 @@ def _is_number(text: str) -> bool:
 
 
 def _thinned(points: list[Point], settings: CurveSettings) -> list[Point]:
-    """Points without those that the curve through the others passes anyway."""
+    """Points without those that the curve through the others reproduces."""
     span = max(y for _, y in points) - min(y for _, y in points)
     kept = {0, len(points) - 1}
     while len(kept) < min(settings.points, len(points)):
@@ -553,7 +553,7 @@ def file_or_bundled(source: str | Path, bundled: Mapping[str, Path], otherwise: 
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; no for what no file can be called."""
+    """Whether there is such a file; False for impossible file names."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # a name that is too long for the system, or unreadable folders on the way

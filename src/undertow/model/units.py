@@ -1,4 +1,4 @@
-"""Physical units at the file border, and dimensional analysis of expressions."""
+"""Physical units of files, and dimensional analysis of expressions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A vehicle: a set of effects whose wrenches sum to zero, and everything that follows from the sum."""
+"""A vehicle: a set of effects whose wrenches sum to zero, and everything derived from the sum."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .units import short_unit
 
 @dataclass(frozen=True)
 class Value:
-    """Value of a parameter in SI and SNAME signs, and how far it is known."""
+    """Value of a parameter in SI and SNAME signs, with its uncertainty."""
 
     value: float
     estimate: bool = False  # whether a fit may change it
@@ -224,7 +224,7 @@ class Vehicle:
 
     @property
     def angle_names(self) -> tuple[str, ...]:
-        """Commands that are angles: of surfaces, and of what pushes by `rudder_force` alone."""
+        """Commands that are angles: of surfaces, and of actuators that push by `rudder_force` alone."""
         fins = (t.name for t in self.thrusters if t.idle and f"rudder_{t.name}" in self.values)
         return (*fins, *(s.name for s in self.surfaces))
 
@@ -326,7 +326,7 @@ class Vehicle:
         return self.sides[name][0] if name in self.sides else self.declared_parameters[name]
 
     def values_of(self, parameter: Parameter) -> dict[str, Value]:
-        """What the vehicle states of a parameter: its "value", or "forward" and "backward"; or nothing."""
+        """Stated value of a parameter: its "value", or "forward" and "backward"; or nothing."""
         ways = {f"{parameter.name}_{way}": way for way in WAYS if parameter.motion is not None}
         named = {parameter.name: "value"} | ways
         return {key: self.values[name] for name, key in named.items() if name in self.values}
@@ -404,8 +404,8 @@ class Vehicle:
     def constrained(self, free: Iterable[str], moved: Iterable[str] = (), *, pushed: bool = False) -> Vehicle:
         """The vehicle on a rig (towing carriage, planar motion mechanism) that leaves some motions free.
 
-        The others are at rest, but for the channels in `moved`, which the log holds. `pushed`: the rig drives
-        what is free by known forces and measures its motion; actuators and sensors of the vehicle are off.
+        The others are at rest, except for the channels in `moved`, which are in the log. `pushed`: the rig
+        drives the free motions by known forces and measures them; its actuators and sensors are off.
         """
         kept = tuple(d for d in self.degrees_of_freedom if d in set(free))
         own = [f"tau_{FORCE[DOFS.index(d)]}" for d in kept]

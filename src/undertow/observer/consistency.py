@@ -94,8 +94,7 @@ def nis(found: Sequence[Estimate], channels: tuple[str, ...]) -> tuple[Normalise
 def whiteness(found: Sequence[Estimate], channels: tuple[str, ...]) -> tuple[Whiteness, ...]:
     """The Ljung-Box test for every channel with reports enough (Ljung and Box 1978).
 
-    Over all of some logs: statistics of logs that do not know each other add up, and so do their degrees of
-    freedom.
+    Over all of some logs: statistics of logs that are independent add up, and so do their degrees of freedom.
     """
     tests = []
     for i, name in enumerate(channels):

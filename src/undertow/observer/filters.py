@@ -69,7 +69,7 @@ class Reports:
         if len(self.t) > SETTINGS.most_rows:
             raise UndertowError(
                 f"{len(self.t)} rows are more than an observer holds ({SETTINGS.most_rows}): give a part of "
-                "the log (--from, --to), or every so many-th row (`every` in the mapping file)"
+                "the log (--from, --to), or every n-th row (`every` in the mapping file)"
             )
 
     @property

@@ -153,8 +153,8 @@ def _enough(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) 
     silent = [n for n, column in zip(names, H.T, strict=True) if not column.any()]
     if silent:
         raise UndertowError(
-            f"these logs do not feel {silent[0]} of {axis} (case {case.name}): state it as known, or log a "
-            "motion that does"
+            f"these logs contain no information on {silent[0]} of {axis} (case {case.name}): state it as "
+            "known, or log a motion that does"
         )
     if count <= len(names):
         raise UndertowError(

@@ -379,7 +379,8 @@ def _must_be_linear(axis: Axis, free: Sequence[str]) -> None:
     declared = axis.vehicle.declared_parameters
     if not free:
         raise UndertowError(
-            f"no parameter of the {axis.motion} of '{axis.vehicle.name}' is to be estimated: write, for "
+            f"no parameter of the {axis.motion} of '{axis.vehicle.name}' is marked for estimation: write, "
+            "for "
             "instance, X_u = { value = ..., estimate = true }"
         )
     shaped = [n for n in free if not declared[n].linear]
@@ -409,8 +410,8 @@ def _no_dead_time(axis: Axis, functions: Functions) -> None:
     seconds = float(functions.dead_time(functions.values()))
     if seconds:
         raise UndertowError(
-            f"vehicle '{axis.vehicle.name}' answers its commands {seconds:g} s late, which least squares on "
-            "samples does not follow: use undertow fit, or log the force itself"
+            f"vehicle '{axis.vehicle.name}' responds to its commands {seconds:g} s late, which least squares "
+            "on samples does not follow: use undertow fit, or log the force itself"
         )
 
 

@@ -94,12 +94,12 @@ def _numbers(text: str) -> dict[str, dict[str, dict[str, str]]]:
 
 KINDS = {
     "repeated": "two cases that were filtered differently have the same numbers",
-    "sign": "a value changes its sign between the table and what was taken over from it",
+    "sign": "a value changes its sign between the table and the value adopted from it",
     "outlier": "a value lies far from the trend of the cases before it",
     "copied": "a value has the digits of another table",
-    "selection": "the case that was taken is not the one that the stated rule takes",
+    "selection": "the selected case is not the one that the stated rule selects",
     "sum": "numbers that should add up do not",
-    "insignificant": "a value that was taken over is within its error of zero",
+    "insignificant": "an adopted value is within its error of zero",
     "invalid": "estimates are not physical: inertia below that of the body, or damping that feeds energy in",
 }
 #: Cases with one filter of growing frame, in this order.

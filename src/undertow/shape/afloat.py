@@ -190,8 +190,8 @@ def _excitation(found: RegularWave, wave: WaveSpec, own: Sequence[int]) -> Effec
     return EffectTable(
         "wave_excitation",
         lines,
-        (f"Harmonics of the heading; they miss {100 * heading_error(found):.1f} % of the forces. Another"
-         " frequency: make the file anew.",),
+        (f"Harmonics of the heading; they miss {100 * heading_error(found):.1f} % of the forces. For "
+         "another frequency, make a new file.",),
     )  # fmt: skip
 
 

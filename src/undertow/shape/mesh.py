@@ -159,10 +159,10 @@ def mended(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
         raise UndertowError(f"{name}: every triangle has no area: export the surface of the hull as STL")
     pairs = _neighbours(joined, name)
     even = _consistent(joined, pairs)
-    remarks = [f"{even[1]} triangles looked the other way than their neighbours: turned"] if even[1] else []
+    remarks = [f"{even[1]} triangles faced the opposite way to their neighbours: flipped"] if even[1] else []
     _check_one_body(even[0], pairs, name)
     if even[0].volume < 0:
-        remarks.append("all triangles looked inward: turned")
+        remarks.append("all triangles faced inward: flipped")
         even = Mesh(even[0].vertices, even[0].faces[:, ::-1]), 0
     if not even[0].volume > 1e-9 * float(even[0].extents.max()) ** 3:
         raise UndertowError(f"{name}: encloses no volume: export the hull as a solid")

@@ -173,7 +173,7 @@ def _check_waves(cases: Sequence[Case], depth: float) -> None:
     if quick:
         raise UndertowError(
             f"{quick[0].name} at {quick[0].speed:.3g} m/s makes waves at a depth of {depth:g} m, which the "
-            f"tank has not: stay below {slow:.3g} m/s (--speed), or give --profile push"
+            f"tank does not model: stay below {slow:.3g} m/s (--speed), or give --profile push"
         )
 
 

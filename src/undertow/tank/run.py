@@ -130,7 +130,7 @@ def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report:
         _execute(folder, solver, watch)
         if not _reached(folder, case):
             raise UndertowError(
-                f"{folder}: the solver stopped at t = {watch.time:g} s: run the same command again to go on"
+                f"{folder}: the solver stopped at t = {watch.time:g} s: run the same command again to resume"
             )
     record = read_results(tank, case, grid, folder, cells)
     write_record(log_of(root, case, grid), record, tank, case)
@@ -189,8 +189,8 @@ def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:
         return f"{folder}: {name} stopped: {said}: see {folder / f'log.{name}'}"
     if not watch.fatal and code < 0 and code != -SIGFPE:
         return (
-            f"{folder}: the solver was ended from outside at t = {watch.time:.4g} s (signal {-code}; 9 is "
-            "also a lack of memory): run the same command again to go on"
+            f"{folder}: the solver was killed at t = {watch.time:.4g} s (signal {-code}; 9 may mean out of "
+            "memory): run the same command again to resume"
         )
     what = watch.fatal or f"exit code {code}"
     return (

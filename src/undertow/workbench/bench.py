@@ -246,7 +246,7 @@ class Bench:
         if len(self.session.steps) > 1 and self.work is None:  # what is being done is about this model
             last = self.session.steps.pop()
             self.vehicle = _load(self.place)
-            self.said = f"taken back: {last.what}"
+            self.said = f"undone: {last.what}"
             self.changed()
 
     def start(self, task: str, **args: Any) -> None:
@@ -311,7 +311,7 @@ class Bench:
         if "written" in result:
             return f"wrote {', '.join(result['written'])}"
         if task == "add" and "step" not in result:
-            return f"{result['sentence']} It was not added; 'Add all the same' adds it anyway."
+            return f"{result['sentence']} It was not added; 'Add anyway' does so regardless."
         return str(result.get("sentence", ""))
 
 

@@ -114,7 +114,7 @@ def _channels(view: View) -> None:
 
     def say() -> None:
         span = view.selected
-        hint = "Drag over a plot to choose a stretch; the magnifier above it zooms."
+        hint = "Drag over a plot to choose a segment; the magnifier above it zooms."
         chosen.set_text(hint if span is None else f"chosen: {seconds(span[0])} to {seconds(span[1])} s")
 
     def zoomed(window: tuple[float, float] | None) -> None:

@@ -96,7 +96,7 @@ def _candidates(view: View, found: Mapping[str, Any]) -> None:
     for candidate in ranked:
         _candidate(view, candidate, measure, before, since)
     if found["idle"]:
-        with ui.expansion(f"{len(found['idle'])} more were tried and do not help").classes(
+        with ui.expansion(f"{len(found['idle'])} more were tried and do not improve predictions").classes(
             "text-sm text-grey-8"
         ):
             ui.label(", ".join(found["idle"])).classes("text-sm")
@@ -159,7 +159,7 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
             return
         ui.label(f"These logs hardly distinguish it from {', '.join(c['confused'])}.").classes("text-sm")
         if c["tell"]:
-            ui.label(f"What would: {c['tell']}").classes("text-sm")
+            ui.label(f"To tell them apart: {c['tell']}").classes("text-sm")
         between = ",".join([c["effect"], *c["confused"]])
         line = view.bench.place.line()
         lines(line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv"))
@@ -197,14 +197,14 @@ def _remaining(view: View, found: Mapping[str, Any]) -> None:
                     key = view.bench.session.latest.get("diagnose")
                     view.bench.start("invent", effect=name.value, key=key)
 
-                button("Make an effect of it", view, invent, "invent", flat=True)
+                button("Turn it into an effect", view, invent, "invent", flat=True)
         for effect in own:
             with ui.row().classes("items-center gap-2"):
                 ui.label(f"effect of your own: {effect}").classes("text-sm")
                 _add(view, effect, {step.effect for step in view.bench.session.steps})
         if view.bench.refused:
             action(
-                f"Add {view.bench.refused} all the same",
+                f"Add {view.bench.refused} anyway",
                 view,
                 "add",
                 flat=True,
@@ -416,10 +416,10 @@ def out_page(view: View) -> None:
         _output(view, "C code (folder)", "code", "build")
     heading("The same from a command line", "to repeat what was clicked")
     if bench.place.in_pieces and not bench.session.written:
-        ui.label(
-            "Commands take whole logs: write the stretches that were chosen as logs of their own first."
-        ).classes("text-sm")
-        action("Write the stretches", view, "logs")
+        ui.label("Commands take whole logs: first write the chosen segments as separate logs.").classes(
+            "text-sm"
+        )
+        action("Write the segments", view, "logs")
         return
     text = "\n".join(commands(bench.place))
     lines(text)

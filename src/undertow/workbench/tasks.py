@@ -107,7 +107,7 @@ class Job:
     def to_fit(self) -> tuple[list[Run], list[Run]]:
         """The stretches to fit to and to judge by, where there is something to fit to."""
         if not self.runs("train"):
-            raise UndertowError("no stretch of any log is chosen for training: choose one on the page Log")
+            raise UndertowError("no segment of any log is chosen for training: choose one on the page Log")
         return self.runs("train"), self.runs("judge")
 
     @cached_property
@@ -148,7 +148,7 @@ def compare(job: Job) -> Result:
     """Where the present model fails."""
     used = [run for role, run in job.chosen if role != "out"]
     if not used:
-        raise UndertowError("all logs are left out: choose a stretch on the page Log")
+        raise UndertowError("all logs are left out: choose a segment on the page Log")
     found = comparison.compare(job.vehicle, used, progress=_share(job.report, 0.0, 0.8), trust_log=job.trust)
     job.report(0.8, "predicting validation data")
     return {**_compared(found), "errors": _predicted(job)}
@@ -422,11 +422,11 @@ TASKS: dict[str, tuple[Callable[[Job], Result], str]] = {
     "add": (add, "adding the effect"),
     "fit": (fit, "refitting"),
     "edit": (edit, "changing the vehicle"),
-    "invent": (invent, "writing an effect of what remains"),
+    "invent": (invent, "writing an effect from the residual"),
     "vehicle": (write_vehicle, "writing the vehicle file"),
     "report": (write_report, "writing the report"),
     "code": (write_code, "writing the C code"),
-    "logs": (write_logs, "writing the stretches"),
+    "logs": (write_logs, "writing the segments"),
 }
 
 

@@ -79,7 +79,7 @@ def heading(text: str, about: str = "") -> None:
 
 def stale() -> None:
     """Say that what is shown is about something else."""
-    words = "This was worked out before something was changed: press the button to bring it up to date."
+    words = "This result is older than the last change: press the button to update it."
     ui.label(words).classes("bg-amber-1 text-amber-900 px-2 rounded").mark("stale")
 
 

@@ -199,7 +199,7 @@ def test_without_parameters_it_is_said_that_the_motors_are_not_known(tmp_path: P
 def test_a_log_that_never_moves_is_used_where_it_is_armed(tmp_path: Path) -> None:
     log = read_field_log(write_bin(tmp_path / "still.bin", {"RCOU": lambda t, cells: [1500] * 8 + [0] * 6}))
     assert log.stretches == (pytest.approx((ARMED, DISARMED)),)
-    assert "armed, but no motor leaves its rest: all of the armed time is used" in log.notes
+    assert "armed, but no motor leaves neutral: all of the armed time is used" in log.notes
 
 
 def test_attitude_without_quaternions_is_that_of_xkf1(tmp_path: Path) -> None:
@@ -258,7 +258,7 @@ def test_a_reversal_is_heeded_where_the_autopilot_heeds_it(tmp_path: Path) -> No
     set_ = [("PARM", 1.0, [f"SERVO{OUTPUT_OF_MOTOR[2]}_REVERSED", 1.0])]
     sub = write_bin(tmp_path / "sub.bin", reversed_, set_)
     other = write_bin(tmp_path / "other.bin", {**reversed_, "MSG": lambda t, c: ["ArduRover V4.5.0"]}, set_)
-    for path, sign, reported in ((sub, 1.0, "does not heed"), (other, -1.0, "is turned")):
+    for path, sign, reported in ((sub, 1.0, "ignores it"), (other, -1.0, "is turned")):
         (run,) = read_logs([path], vehicle)
         np.testing.assert_allclose(run.channels["f3"][:-1] * FULL, sign * dive().thrust[:-1, 2], atol=1e-9)
         assert any("REVERSED" in note and reported in note for note in run.reader_notes)
@@ -367,7 +367,7 @@ def test_a_damaged_stretch_costs_its_messages_only(fill: int, log_path: Path, lo
     path = log_path.with_name(f"hole{fill}.bin")
     path.write_bytes(data)
     found = read_field_log(path)
-    assert any("damaged stretches" in note for note in found.notes)
+    assert any("damaged segments" in note for note in found.notes)
     for name, column in (("XKF1", "PN"), ("XKQ", "phi"), ("RCOU", "C3")):
         kept = sum(1 for _ in _same_where_both(found, log, name, column))
         assert len(log.series[name].t) - 30 <= kept < len(log.series[name].t)

@@ -1,8 +1,8 @@
 """Design gains by linear-quadratic control at hover, check them, and write a gain file.
 
 --error and --force state errors and forces of equal cost (Bryson's rule); each actuated coordinate needs
-both. The law of a gain file is diagonal, so only the diagonal of the optimal gain is used, and the loop with
-it is checked. With --law pid, the integral is as slow as the conditions on the gains require.
+both. The law of a gain file is diagonal, so only the diagonal of the optimal gain is used, and the resulting
+loop is checked. With --law pid, the integral action is as slow as the conditions on the gains require.
 
     undertow design mini-auv --error x=0.5,z=0.2,psi=0.2 --force surge=1,heave=2,yaw=0.1 --out gains.toml
 

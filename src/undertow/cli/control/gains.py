@@ -1,9 +1,9 @@
-"""Check the gains of a control law against every condition for stability, on the model of the vehicle.
+"""Check the gains of a control law against every stability condition, on the model of the vehicle.
 
 Conditions come in three forms: as the mini-AUV paper prints them, with consistent units, and derived from the
 model. They are checked as matrices and channel by channel; for the forward and the backward set of
 parameters; over all headings and attitudes, by proof; and over the uncertainty stated in the vehicle file.
-Every linearised channel is judged by Routh-Hurwitz, and the Lyapunov function is compared with the model.
+Every linearised channel is tested by Routh-Hurwitz, and the Lyapunov function is compared with the model.
 
     undertow gains mini-auv paper-pid
     undertow gains rov.toml my-gains.toml --form derived --repair lyapunov
@@ -11,7 +11,7 @@ Every linearised channel is judged by Routh-Hurwitz, and the Lyapunov function i
 
 The first line shows why the published PID gains do not work: their surge loop is unstable. In a pipeline,
 --form derived leaves out the printed conditions, which ask for far more than stability needs, and --json
-prints everything for a program. --repair proposes the smallest change of the gains that meets the literal
+prints everything for a program. --repair proposes the smallest change of the gains that satisfies the literal
 (printed) conditions, the lyapunov (derived) conditions, or only routh (linear stability).
 
 --start states a box of initial errors, at rest, that the certified region has to contain. For PID laws, and
@@ -24,8 +24,8 @@ The output then gives the region from which every motion comes to rest with no c
 limit, in errors and speeds; the behaviour of unactuated axes; and, where effects, sensors or such axes are
 outside the conditions, the whole loop, linearised at all headings and simulated.
 
-The region is for the parameters of the file. With --uncertain it has to hold for every value of those of
-inertia and damping within a share of their values, or within the intervals that the file states:
+The region is for the parameters of the file. With --uncertain it has to hold for all inertia and damping
+parameters within a fraction of their values, or within the intervals that the file states:
 
     undertow gains rov.toml my-gains.toml --form derived --start "x=0.2 m, psi=10 deg" --uncertain 10%
 
@@ -38,7 +38,7 @@ With --observer, the loop with a Kalman filter is linearised as well and has to 
 region still assume true states.
 
 The exit code is 0 if all conditions hold, a region is certified (or the unactuated axes come to rest) and the
-whole loop is stable; 1 if something fails, is not proved or could not be judged; 2 for a mistake in the
+whole loop is stable; 1 if something fails, is unproved or could not be analysed; 2 for a mistake in the
 input.
 """
 
@@ -74,7 +74,7 @@ _PATH = typer.Option(
 )
 _FORM = typer.Option(help="Check only conditions of this form.", show_default="all")
 _IOTA = typer.Option(
-    metavar="PER_SECOND", help="The constant of the PID conditions.", show_default="searched for"
+    metavar="PER_SECOND", help="The constant ι of the PID conditions.", show_default="searched for"
 )
 _CONFIDENCE = typer.Option(
     min=0.5, max=0.9999, help="Confidence level of the parameter intervals and ellipsoid."
@@ -89,12 +89,12 @@ _START = typer.Option(
 )
 _UNCERTAIN = typer.Option(
     metavar="SHARES",
-    help="Parameters of inertia and damping that the region has to hold for every value of: within a share "
-    "(10%), some by name (m=5%,X_u=20%), or `stated` for the intervals of the file.",
+    help="Inertia and damping parameters over whose whole range the region has to "
+    "hold: within a fraction (10%), some by name (m=5%,X_u=20%), or `stated` for the intervals of the file.",
     show_default="the values of the file",
 )
 _OBSERVER = typer.Option(
-    metavar="FILE", help="Also judge the loop with the Kalman filter of this observer file."
+    metavar="FILE", help="Also analyse the loop with the Kalman filter of this observer file."
 )
 _REPAIR = typer.Option(help="Propose the smallest change of the gains that satisfies these conditions.")
 

@@ -1,4 +1,4 @@
-"""Linearise a vehicle at a steady motion: poles, zeros, margins, controllability, observability, pictures.
+"""Linearise a vehicle at a steady motion: poles, zeros, margins, controllability, observability, plots.
 
 The steady motion (trim) is found first: --at states part of it, and the rest is chosen with as little drift,
 tilt and command as possible. Without --at the vehicle hovers, with --current in moving water. Values are in
@@ -17,8 +17,8 @@ different parameters and the vehicle is at rest, --direction says which to use.
     undertow linearize mini-auv --gains paper-pid --direction u=-1 --plot root-locus --out locus.png
 
 --family 200 draws vehicles from the standard deviations of the vehicle file and the covariance of its last
-fit, adds the corners, and says how many are unstable; pictures show them all. An unstable trim is pointed
-out; --require-stable refuses it.
+fit, adds the corners, and counts the unstable ones; plots show them all. An unstable trim is reported;
+--require-stable refuses it.
 
 --dt gives the sampled system: commands are held (zero-order hold), the law runs as its C code does, dead
 times are whole samples, poles and zeros are in z.
@@ -100,8 +100,8 @@ def linearize(
     dt: Annotated[str | None, _DT] = None,
     together: Annotated[bool, _TOGETHER] = False,
     require_stable: Annotated[bool, _STABLE] = False,
-    plot: Annotated[Plot | None, typer.Option(help="Draw a picture.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where to write the picture.")] = None,
+    plot: Annotated[Plot | None, typer.Option(help="Draw a plot.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where to write the plot.")] = None,
     json: JsonOption = False,
     effects: EffectsOption = None,
 ) -> None:

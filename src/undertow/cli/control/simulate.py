@@ -1,4 +1,4 @@
-"""Simulate a vehicle under a controller on its way to a goal.
+"""Simulate a vehicle under closed-loop control on its way to a goal.
 
 Model, sensors, control law, schedule, thrust allocation and integrator (fourth-order Runge-Kutta) are
 compiled into one call. The controller is sampled every --dt and its commands are held in between; with
@@ -19,15 +19,15 @@ model, or straight legs by line of sight (docs/missions.md). The output gives th
 VEHICLE is both the true vehicle and the controller's model, unless --plant names another true vehicle. A
 set-point has x, y, z as far as the vehicle has them, and optionally a heading; without one, the heading is
 taken from the direction of the set-point (--heading). Numbers are in SI unless they have a unit: 135deg. The
-controller does not know of current, noise and disturbances.
+controller does not know the current, the noise or the disturbances.
 
 With --observer, the controller uses the estimate of a Kalman filter; its sensors have the noise and report at
 the times stated in the file (undertow observe --save writes one from a log).
 
 --out writes a log that undertow can read: the sensor readings, and the mean of every command from one row to
-the next. A --dt that is too long for the law is refused, and the limit is named. The exit code is 1 if a run
+the next. A --dt that is too long for the law is refused, and the limit is stated. The exit code is 1 if a run
 diverges: the state is not finite, a speed exceeds 100 m/s or 100 rad/s, or the pose is farther from the start
-than twice the distance that such speeds allow. Tables, log and pictures end there. A run that has not settled
+than twice the distance that such speeds allow. Tables, log and figures end there. A run that has not settled
 yet has not diverged.
 """
 
@@ -91,7 +91,7 @@ _CONTINUOUS = typer.Option(
     "--continuous", help="Continuous controller: no sampling, Runge-Kutta steps of at most --dt."
 )
 _LOG = typer.Option(metavar="SECONDS", help="Interval between the rows of --out.", show_default="~5000 rows")
-_FIGURES = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
+_FIGURES = typer.Option(metavar="FOLDER", help="Write figures (PNG) to this folder.")
 
 
 @dataclass(frozen=True)

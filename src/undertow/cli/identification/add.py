@@ -1,7 +1,7 @@
-"""Put an effect into a vehicle file, refit, regenerate the code, and show the error before and after.
+"""Add an effect to a vehicle file, refit, regenerate the code, and show the error before and after.
 
 The effect is added to the model, all parameters marked as estimated are refitted with it, and both models are
-judged on validation data: the logs given with --holdout, or stretches of the logs where none is given.
+evaluated on validation data: the logs given with --holdout, or segments of the logs if none is given.
 Parameters of the effect that turn out to be zero are left out (--all keeps them).
 
     undertow add ocean_current rov.toml run1.csv run2.csv --holdout run3.csv --out better.toml
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from undertow.identification.diagnosis.addition import Addition
 
 _EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
-_FORCE = typer.Option("--force", help="Add the effect even if it does not help.")
+_FORCE = typer.Option("--force", help="Add the effect even if it does not reduce the error.")
 _CODEGEN = typer.Option("--codegen/--no-codegen", help="Regenerate the C code of the new vehicle.")
 _BUILD = typer.Option(metavar="FOLDER", help="Folder for the code; it goes into a subfolder NAME.")
 _PICTURE = typer.Option(metavar="FILE.png", help="Draw the error before and after.")
@@ -74,7 +74,7 @@ def add(
         check_folder(build)
     loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT, out=target)
     model, train, test, _, _ = loaded
-    with progress("fitting the model as it is") as report:
+    with progress("fitting the model as given") as report:
         setup, addition = try_effect(
             model, effect, train, test, known=known, keep_all=all, report=report, trust_log=options.trust_log
         )

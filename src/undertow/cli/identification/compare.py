@@ -1,10 +1,10 @@
 """Show where a model fails on logs: in which motion, in which regime, and how much of it is noise.
 
 The model is not fitted. It is simulated from the measured motion, driven by the logged commands: once without
-any correction (the free run), and over short windows (the prediction ahead). What the motion needs and the
-model lacks is shown as a force, which the weak form finds without differentiating any signal.
+any correction (free run), and over short windows (prediction ahead). The force that the motion requires and
+the model lacks is found by the weak form, without differentiating any signal.
 
---plots writes pictures (PNG) into a folder: measured against simulated motion, the error map by degree of
+--plots writes figures (PNG) to a folder: measured and simulated motion, the error map by degree of
 freedom and regime, the force budget, and the residual force against every variable.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from undertow.identification.comparison import ComparisonResult
 
 _HORIZON = typer.Option(metavar="SECONDS", help="How far ahead to predict.", min=0.001)
-_PLOTS = typer.Option(metavar="FOLDER", help="Write pictures (PNG) into this folder.")
+_PLOTS = typer.Option(metavar="FOLDER", help="Write figures (PNG) to this folder.")
 
 
 @bundled

@@ -1,24 +1,24 @@
-"""Find out which physical effect a model lacks, and write it into a new vehicle file.
+"""Find which physical effect a model lacks, and write it to a new vehicle file.
 
-Every effect of the catalogue is added to the model in turn and refitted with it. What counts is the error on
-validation data: the logs given with --holdout, or stretches of the logs where none is given. The answer is
-one of: nothing is missing (adequate), a missing effect with its parameters (missing_effect), a set of effects
-that these data cannot tell apart (indistinguishable, or not_identifiable if there are many), an effect that
-improves predictions without being established as the cause (helps_prediction), or unexplained.
+Every effect in the catalogue is added to the model in turn, and the model is refitted. It is the error on
+validation data that counts: the logs given with --holdout, or segments of the logs if none is given. The
+answer is one of: nothing is missing (adequate), a missing effect with its parameters (missing_effect), a set
+of effects that these data cannot tell apart (indistinguishable, or not_identifiable if there are many), an
+effect that improves predictions without being established as the cause (helps_prediction), or unexplained.
 
-No model of a real vehicle leaves only sensor noise. Where more is left, an effect has to lower the error of
-simulation over the vehicle's own time constants by --worth, to be the best one in nine of ten resamples, and
-to have about the same size in all runs and at all speeds (within half of it).
+No model of a real vehicle reduces the residual to sensor noise alone. If more remains, an effect has to
+reduce the simulation error over the vehicle's own time constants by --worth, be the best one in nine of ten
+resamples, and have about the same size in all runs and at all speeds (within half of it).
 
-Values that are fixed in the vehicle file (all without estimate = true) are tried as well: if others explain
-more than any effect, the answer names them, and the file that is written has them fitted. Mass, inertia,
+Values that are fixed in the vehicle file (all without estimate = true) are tried as well: if correcting them
+explains more than any effect, the answer names them, and they are fitted in the output file. Mass, inertia,
 weight, buoyancy and their centres are taken as known; errors in them show as an effect: entrained_water,
 net_buoyancy, trim_offset.
 
 Logs in which a towing carriage or a planar motion mechanism holds some motions (--held, or `held` in the
-mapping files) are grouped by their free motions, and each group is diagnosed by itself. --apply writes one
-file with what all of them found; --json and --report write a file for each group, with the free motions in
-its name.
+mapping files) are grouped by their free motions, and each group is diagnosed separately. --apply writes one
+file with the findings of all groups; --json and --report write a file per group, with its free motions in the
+name.
 
 On Linux all cores share the work, which does not change the result; UNDERTOW_JOBS=1 in the environment uses
 one core.
@@ -62,12 +62,13 @@ _FALSE_ALARMS = typer.Option(
 )
 _WORTH = typer.Option(
     metavar="SHARE",
-    help="If more than noise is left: how much an effect has to lower the error of long predictions.",
+    help="If the residual exceeds the noise: fraction by which an effect has to "
+    "reduce the error of long predictions.",
 )
-_REPORT = typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all pictures.")
+_REPORT = typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all figures.")
 _APPLY = typer.Option(
     metavar="OUT.toml",
-    help="Write a vehicle file with the effects that were found, or only refitted.",
+    help="Write a vehicle file with the effects that were found, or only refitted values.",
 )
 
 
@@ -212,7 +213,7 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
         say(
-            f"to make an effect of it: undertow effects new ID --from {written or '(the file of --json)'}",
+            f"to turn it into an effect: undertow effects new ID --from {written or '(the file of --json)'}",
             "dim",
         )
     shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
@@ -226,12 +227,12 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     from undertow.identification.report.sentences import chance
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
-    model = "model with fitted values" if diagnosis.freed else "model as it is"
+    model = "model with fitted values" if diagnosis.freed else "model as given"
     longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
     rest = len(diagnosis.ranking) - len(helping)
     if rest and not helping:
-        say(f"{rest} effects were tried, and none of them helps.", "dim")
+        say(f"{rest} effects were tried, and none of them improves predictions.", "dim")
         return
     heads = ("effect", *([f"{longest} error"] if longest else []), "error", "explains", "chance", "sure")
     numbers = (
@@ -243,10 +244,10 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     section(
         f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)", table(heads, numbers)
     )
-    more = f"{rest} more effects were tried and do not help. " if rest else ""
+    more = f"{rest} more effects were tried and do not improve predictions. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
     later = len(diagnosis.effects) + len(diagnosis.helps) > 1
-    beside = " Each effect that was chosen is beside those chosen before it." if later else ""
+    beside = " Effects chosen later were fitted with those chosen earlier in the model." if later else ""
     say(
         f"{more}Chance: the probability that the best of all candidates looks as good when nothing is "
         f"missing.{beside}{partly}",
@@ -285,7 +286,7 @@ def _content(diagnosis: Diagnosis) -> str:
     """What a vehicle file with the outcome of a diagnosis has that the given one had not."""
     freed = f", including {', '.join(diagnosis.freed)}, which were fixed" if diagnosis.freed else ""
     if not diagnosis.effects:
-        return f"the same effects with refitted values{freed}; none was added, because none is named"
+        return f"the same effects with refitted values{freed}; none was added, since none was established"
     summary = f"{' and '.join(diagnosis.effects)} added, values refitted{freed}"
     for equals in diagnosis.indistinguishable:
         chosen = next((e for e in equals.effects if e in diagnosis.effects), None)

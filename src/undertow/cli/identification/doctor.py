@@ -1,32 +1,31 @@
 """Find mistakes in logs and in how they are read, before you blame the physics.
 
 The doctor checks the clock and the samples, the rate of the pose against the body velocities, and the motion
-against the commands. Where they disagree, it tries the usual mistakes one after the other: degrees for
-radians, mm/s, knots or feet for SI, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis,
-velocities north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or a
-thousand times too large, the dry mass. If pose and velocity are wrong in the same way, or one of them is
-missing, the force that the motion needs and the size of the vehicle decide. A mistake is reported only if
-correcting it explains the log, with the line of the mapping file that corrects it. What could not be
-examined, for lack of velocities or of a pose, is listed.
+against the commands. Where they disagree, it tries the usual mistakes one by one: degrees for radians, mm/s,
+knots or feet for SI, milliseconds for seconds, ENU for NED, FLU for FRD, a flipped axis, velocities
+north-east-down or through the water, swapped or reversed thrusters, commands in percent, late or a thousand
+times too large, the dry mass. If pose and velocity are wrong in the same way, or one of them is missing, the
+force that the motion requires and the size of the vehicle decide. A mistake is reported only if correcting it
+explains the log, with the line of the mapping file that corrects it. Checks that were impossible for lack of
+velocities or of a pose are listed.
 
     undertow doctor rov.toml run1.csv run2.csv --map log.toml --mend mended.toml
 
 might print
 
-    mistake: psi is in degrees, read as radians: undone, the mismatch of pose rate and velocity of x, y
-             104 % → 0.02 %, of psi 97 % → < 0.01 % of the motion (mean square; noise 0.14 %)
+    mistake: psi is in degrees, read as radians: when corrected, the mismatch between pose rate and velocity
+             changes: x, y 104 % → 0.02 %, psi 97 % → < 0.01 % of the motion (mean square; noise 0.14 %)
         in log.toml:
             [columns]
             heading = { channel = "psi", unit = "deg" }
 
-and `undertow diagnose rov.toml run1.csv run2.csv --map mended.toml` goes on from there. Everything else it
-finds is a warning (a velocity sensor that is late or off the origin, a motion that is never excited) or a
-note.
+and `undertow diagnose rov.toml run1.csv run2.csv --map mended.toml` continues from there. All other findings
+are warnings (a late velocity sensor, or one away from the origin, a motion never excited) or notes.
 
-Every command that fits to logs runs the quick checks first: an impossible log is refused, with the line that
-corrects it, unless --trust-log is given.
+Every command that fits parameters to logs runs the quick checks first: an impossible log is refused, with the
+line that corrects it, unless --trust-log is given.
 
-The exit code is 0 when no mistake was found, 1 when there are mistakes.
+The exit code is 0 if no mistake was found, 1 if there are mistakes.
 """
 
 from __future__ import annotations
@@ -109,7 +108,7 @@ def verdict(result: Examination) -> str:
     if not count:
         return f"no mistake found in how the logs are read{others} ({result.seconds:.1f} s)"
     first = result.mistakes[0].clause(result.runs)
-    return f"{count} mistake{'s' * (count != 1)}{others}; first of all: {first} ({result.seconds:.1f} s)"
+    return f"{count} mistake{'s' * (count != 1)}{others}; first to correct: {first} ({result.seconds:.1f} s)"
 
 
 _HEAD = ("motion", "rms", "noise", "moving", "one way", "reversals", "command range")

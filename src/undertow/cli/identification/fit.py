@@ -1,13 +1,13 @@
-"""Refit the parameters that a vehicle file marks as estimated, and judge the result on validation data.
+"""Refit the parameters that a vehicle file marks as estimated, and evaluate the result on validation data.
 
 By default the weak form comes first (quick, needs no simulation), then output error: simulation of many
 windows, with estimated initial states. The windows are as long as the vehicle's own time constants, and whole
-runs where little more than noise is left; the result is kept if it predicts validation data no worse.
+runs where the residual is close to noise; the result is kept if it predicts validation data no worse.
 --method chooses one method alone: weak; integral, its simplest kind; output-error, over windows of --horizon
-seconds; prediction-error, for vehicles disturbed by forces that no log holds, whose strength is estimated
-along with the parameters; or instrumental variables, which remove the bias that noisy velocities cause in the
-weak form, with regressors from the simulated motion. Every value comes with its standard error. Values that
-the logs do not determine, or that are far from the stated ones, are pointed out.
+seconds; prediction-error, for vehicles disturbed by unmeasured forces, whose intensity is estimated together
+with the parameters; or instrumental variables, which remove the bias that noisy velocities cause in the weak
+form, with regressors from the simulated motion. Every value comes with its standard error. Values that the
+logs do not determine, or that are far from the stated ones, are reported.
 
     undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
 
@@ -16,20 +16,20 @@ drops samples that differ from their neighbours).
 
     undertow fit rov.toml run1.csv run2.csv --method output-error --loss student-t
 
-The mass matrix stays positive definite, and coefficients stay within physical limits. --equal fits
-coefficients as one that are known to be alike. What the logs do not determine is held by the stated standard
-deviations (sigma, taken five times as wide) or, where none is stated, by what a vehicle of this mass, inertia
-and length can have.
+The mass matrix stays positive definite, and coefficients stay within physical limits. --equal ties
+coefficients that are known to be equal. Parameters that the logs do not determine are constrained by the
+stated standard deviations (sigma, widened five times) or, if none is stated, by what is plausible for a
+vehicle of this mass, inertia and length.
 
     undertow fit float.toml run1.csv --equal "Y_vdot = Z_wdot" --equal "M_q = 0.9 N_r"
 
-In logs of a towing tank or a planar motion mechanism, few motions are free. Logs with the same free motions
-form an experiment, which is fitted by itself; the results are combined in one vehicle file:
+In logs from a towing tank or a planar motion mechanism, few motions are free. Logs with the same free motions
+form an experiment, which is fitted separately; the results are combined in one vehicle file:
 
     undertow fit rov.toml surge.csv heave.csv yaw.csv --held unlogged --out fitted.toml
 
-Without --map, a mapping file with the name of a log (surge.toml beside surge.csv) is used for that log.
-Without --holdout, stretches of the logs are used for validation. Without --out or --in-place, nothing is
+Without --map, a mapping file with the name of a log (surge.toml next to surge.csv) is used for that log.
+Without --holdout, segments of the logs are used for validation. Without --out or --in-place, nothing is
 written. If the refitted model predicts validation data worse than the model as given, no vehicle file is
 written and the exit code is 1; --force writes it anyway.
 """
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 _METHOD = typer.Option(help="Estimator; default: the weak form, then output error.")
 _LOSS = typer.Option(help="Loss function; huber and student-t resist outliers.")
 _EQUAL = typer.Option(
-    metavar='"A = B"', help='Fit A as B, or as a multiple of it: "M_q = 0.9 N_r"; may be repeated.'
+    metavar='"A = B"', help='Set A equal to B, or to a multiple of it: "M_q = 0.9 N_r"; may be repeated.'
 )
 _DISSIPATIVE = typer.Option(
     "--dissipative", help="Constrain linear damping to dissipate energy in every motion, including coupling."

@@ -107,7 +107,7 @@ def diagnose(
     daily: Annotated[list[str] | None, _DAILY] = None,
     passes: Annotated[int, _PASSES] = 1,
 ) -> int:
-    """A table for each vehicle and month: parameters, and which effect grew (fouling, thruster wear).
+    """Tabulate parameters by vehicle and month, and find which effect grew (fouling, thruster wear).
 
     Every file is the log of one vehicle and day: logs/vehicle=V/day=2026-05-01/part.parquet. Without such
     folders, vehicle and day come from columns `vehicle` and `day`, or from the name of the folder (the
@@ -119,9 +119,9 @@ def diagnose(
         undertow fleet diagnose 'fitted/{vehicle}.toml' logs --scheduler tcp://10.0.0.1:8786
 
     Each log is reduced to a small table, which is kept under --out by the content of the file: a second run
-    only does what is missing. A change is named only if it exceeds the day-to-day scatter, corrected for
-    everything that was tested (1 % for a single false name in the whole report), and if nothing else that was
-    tried explains it; otherwise the report says that it cannot tell.
+    computes only what is missing. A change is named only if it exceeds the day-to-day scatter, corrected for
+    all tests (1 % chance of a single false name in the whole report), and if nothing else that was tried
+    explains it; otherwise the report says that it cannot tell.
 
     Exit code 0: all files were used; 1: some could not be used, and are named; 2: a mistake in the input.
     """
@@ -146,7 +146,7 @@ def diagnose(
             trust_log=options.trust_log,
         )
         store = Store(out)
-        with progress("looking at files") as report:
+        with progress("checking files") as report:
             found = diagnose_fleet(logs, job, engine, store, report, passes=passes)
         show(found)
         with together():
@@ -191,8 +191,8 @@ def rollouts(
 
     Parameters are drawn from the covariance that a fit wrote into the vehicle file (or from stated standard
     deviations), within physical bounds. Every window of a log starts from the measured motion and is driven
-    by the logged commands. The table says how much of the measurement lies within the band of the rollouts
-    plus sensor noise.
+    by the logged commands. The table gives the fraction of the measurement that lies within the band of the
+    rollouts plus sensor noise.
 
     \b
         undertow fit rov.toml run1.csv run2.csv --out fitted.toml
@@ -244,7 +244,7 @@ def _show_bands(bands: Sequence[Band], count: int, horizon: float, coverage: flo
     if low:
         say(
             f"  {', '.join(low)}: the measurement leaves the {coverage:.0%} band more than three times as "
-            "often as it should: more is wrong than the parameter uncertainty (undertow diagnose)",
+            "often as it should: parameter uncertainty alone does not explain this (undertow diagnose)",
             "yellow",
         )
     return diverged
@@ -276,7 +276,7 @@ def show(found: FleetReport) -> None:
         for line in _lines(of):
             say(f"  {line}")
     out.print()
-    worked = f"{found.worked} computed now, {found.done - found.worked} known before"
+    worked = f"{found.worked} computed now, {found.done - found.worked} reused"
     out.print(text(f"{found.done} of {found.found} files were used ({worked})"))
     for path, words in [*found.failed.items()][:_SHOWN]:
         say(f"left out: {_failed(path, words)}", "yellow")

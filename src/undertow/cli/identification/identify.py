@@ -9,7 +9,7 @@ estimated from the logs in that direction.
 
     undertow identify mini-auv surge.csv heave.csv yaw.csv --cases all --out identified.toml
 
-Among the cases with physical estimates only, the one with the least residual variance is taken.
+Among the cases whose estimates are all physical, the one with the least residual variance is selected.
 
     undertow identify mini-auv surge.csv --figures figures
 
@@ -21,7 +21,7 @@ automatically if possible, shorter ones with --stream.
     undertow identify mini-auv week.parquet --stream
 
 This is the baseline for other methods: filtering the motion but not the force biases the estimates, and the
-stated errors take smoothed samples as independent. `undertow fit` has neither fault.
+stated errors treat smoothed samples as independent. `undertow fit` avoids both.
 """
 
 from __future__ import annotations
@@ -198,10 +198,12 @@ def _verdict(estimations: Sequence[Estimation]) -> str:
     if pick is None:
         return (
             "no case is physical (inertia above that of the body, damping that dissipates energy): "
-            "none is taken"
+            "none is selected"
         )
     count = sum(e.valid for e in estimations)
-    return f"taken: case {pick.case.name} ({pick.case}); {RULE} ({count} of {len(estimations)} are physical)"
+    return (
+        f"selected: case {pick.case.name} ({pick.case}); {RULE} ({count} of {len(estimations)} are physical)"
+    )
 
 
 def _doubts(experiment: Experiment, estimations: Sequence[Estimation]) -> list[str]:

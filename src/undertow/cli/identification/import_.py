@@ -4,11 +4,11 @@
     undertow import dive.bin --vehicle my-rov.toml --out dive.parquet
 
 Every command that takes a log reads such files directly. An imported log is read faster, needs no extra
-library and can be passed on. The mapping file beside it (dive.toml) says which column became which channel;
+library and can be shared. The mapping file next to it (dive.toml) records which column became which channel;
 correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml. If no column is recognised as a
-motion, the table has all of them, and the mapping file asks what they are, as undertow map new does.
+motion, the table has all of them, and the mapping file asks for their meaning, as undertow map new does.
 
---list shows what the file holds: series, how often they report, from when to when, and the longest gap.
+--list shows the contents of the file: series, their rates and time spans, and the longest gap.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Write a first mapping file for a log: guesses, and questions about what the log does not say.
+"""Draft a mapping file for a log: guesses, and questions about what cannot be inferred from the log.
 
     undertow map new run1.csv --vehicle rov.toml --out log.toml
 
@@ -23,18 +23,20 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False)
 
 _VEHICLE = typer.Option(
-    metavar="VEHICLE", help="Vehicle file or name; its commands are looked for in the log."
+    metavar="VEHICLE", help="Vehicle file or name; its commands are searched for in the log."
 )
 
 
 @app.command()
 def new(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log: a table, or a vehicle log as it is.")],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="The log: a table, or a vehicle log in its own format.")
+    ],
     vehicle: Annotated[str | None, _VEHICLE] = None,
     out: Annotated[Path, typer.Option(metavar="NEW.toml", help="Output file.")] = Path("log.toml"),
     force: NewForceOption = False,
 ) -> None:
-    """Guess what the columns of a log mean, and write it as a mapping file with questions."""
+    """Guess what the columns of a log mean, and write a mapping file with open questions."""
     from undertow.files import write_whole
     from undertow.identification.logs.formats.by_name import first_mapping
     from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
@@ -51,7 +53,7 @@ def new(
     if not guessed.columns:
         say(f"no column looks like a motion or a command: give theirs a channel in {out}", "yellow")
     left = sum(len(names) for names in guessed.ignored.values())
-    say(f"wrote {out}: {len(guessed.columns)} columns read, {left} left out; look at every line with '# ?'")
+    say(f"wrote {out}: {len(guessed.columns)} columns read, {left} left out; check every line with '# ?'")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {log} --map {out}")
 
 

@@ -2,28 +2,27 @@
 
 An extended (or unscented) Kalman filter and a Rauch-Tung-Striebel smoother process the log. Sensors may
 report at different rates, late (a velocity_delay in the vehicle file), or not at all. The innovations are
-tested for their size against what the filter expects (NIS) and for whiteness.
+tested for consistency with the filter's covariance (NIS) and for whiteness.
 
     undertow observe rov.toml dive.csv --map log.toml --out smoothed.csv --plot observed.png
 
     undertow observe rov.toml dive.csv --process model --current --bias r
 
---process kinematics, the default, uses no forces: the acceleration wanders at random. Its velocities may be
-used for a diagnosis of a log that has none:
+--process kinematics, the default, uses no forces: the acceleration is a random walk. Its velocities may be
+used to diagnose a log that has none:
 
     undertow observe rov.toml dive.csv --out smoothed.csv
     undertow diagnose rov.toml smoothed.csv
 
 --process model predicts with the equations of the vehicle file. It is more accurate if the model is right,
 and can estimate the current (--current), but it is biased towards the model: a diagnosis of such a log only
-confirms the model that made it. So it is written only with --trust-model.
+confirms the model that produced it. It is therefore written only with --trust-model.
 
 Sensor noise is taken from the mapping file, or from differences of the log; process noise is estimated by
 maximum likelihood.
 
-Several logs (or stretches of one) each have their own filter and noise; the tests are over all of them.
-Output files are numbered in the order of the logs (smoothed-1.csv ...), and an observer file has the noise of
-all.
+Several logs (or segments of one) each have their own filter and noise; the tests are over all of them. Output
+files are numbered in the order of the logs (smoothed-1.csv ...), and an observer file has the noise of all.
 
     undertow observe rov.toml dive1.csv dive2.csv --out smoothed.csv
 """

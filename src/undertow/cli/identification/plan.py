@@ -2,8 +2,8 @@
 
 Manoeuvres of many kinds (steps, doublets, multisines, random steps, chirps, reversals, coast-downs, sweeps,
 circles, zigzags; of all motions together, in turn, or actuator by actuator) are simulated with the model and
-judged by the information that their log would give, in addition to the vehicle file and existing logs. Every
-command stays within its limit, the predicted motion within --max-..., and the ends are smooth.
+ranked by the information that their log would add to the vehicle file and existing logs. Every command stays
+within its limit, the predicted motion within --max-..., and the ends are smooth.
 
     undertow plan rov.toml run1.csv --duration 90 --out plan.csv --picture plan.png
 

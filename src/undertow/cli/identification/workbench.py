@@ -1,8 +1,8 @@
-"""Look at logs and model on a local page: where it fails, what is missing, and what repairs it.
+"""Work on logs and model in a local web page: where the model fails, what is missing, and what corrects it.
 
-The page shows the logs with the doctor's findings, the error map, the candidate effects and what each of them
-does to the error, and the parameters; buttons add and undo effects. The session is kept in a folder
-(VEHICLE.workbench, or that of --session), with the vehicle files made on the way, and continues at the next
+The page shows the logs with the doctor's findings, the error map, the candidate effects and how each of them
+changes the error, and the parameters; buttons add and undo effects. The session is kept in a folder
+(VEHICLE.workbench, or that of --session), with the vehicle files made on the way, and resumed at the next
 start.
 
     undertow workbench rov.toml run1.csv run2.csv --holdout run3.csv

@@ -10,8 +10,8 @@ priors to be estimated from logs, with standard deviation and source.
 
     undertow added-mass mesh hull.stl --unit mm --frame FLU --into rov.toml --in-place
 
-All of it assumes ideal fluid, without flow separation, openings or small parts. So the standard deviation of
-a prior is never less than --sigma.
+All methods assume an ideal fluid, without flow separation, openings or small parts. The standard deviation of
+a prior is therefore never less than --sigma.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def ellipsoid(
 @app.command()
 @bundled
 def sphere(diameter: Annotated[float, _DIAMETER], options: BodyOptions) -> None:
-    """A sphere: half of what it displaces, in every direction."""
+    """A sphere: half of the displaced mass, in every direction."""
     from undertow.shape.bodies import positive
     from undertow.shape.bodies import sphere as body
 

@@ -11,8 +11,8 @@ that do no work, damping that dissipates energy, effects without their counterpa
     undertow audit
     undertow audit rov.toml
 
-The exit code is 1 if something is wrong, so that a pipeline stops; what is only missing or assumed ("open")
-does not count.
+The exit code is 1 if something is wrong, so that a pipeline stops; items that are only missing or assumed
+("open") do not count.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def audit(
 def audit_tables(json: JsonOption = False) -> int:
     """Check the paper's printed tables of estimates for numbers that contradict each other.
 
-    Tables A1 to A6 of the paper on the mini-AUV come with undertow as they were printed, with what its
-    Table 4 took from them. Found are repeated rows, values that change their sign on the way, values far
-    from the trend of the other cases, digits of another table, a case that its own rule does not take,
-    sums that do not add up, values within their error of zero, and estimates that are not physical.
+    Tables A1 to A6 of the mini-AUV paper are bundled as printed, with the values that its Table 4 takes from
+    them. The check finds repeated rows, values whose sign changes between tables, values far from the trend
+    of the other cases, digits of another table, a case that the stated rule does not select, sums that do not
+    add up, values within their error of zero, and unphysical estimates.
 
-    The exit code is 1 where something is found, as that of audit is, so that a pipeline stops.
+    As with audit, the exit code is 1 if something is found, so that a pipeline stops.
     """
     from dataclasses import asdict
 

@@ -1,4 +1,4 @@
-"""List the catalogue of effects, show or check one, or begin one of your own.
+"""List the catalogue of effects, show or check an effect, or start one of your own.
 
 Without a subcommand, it lists the catalogue. `show` prints the physics of one effect, `check` checks a file
 of your own, `new` writes such a file from the unexplained residual of a diagnosis.
@@ -91,11 +91,11 @@ def new(
     out: Annotated[Path | None, _OUT] = None,
     force: NewForceOption = False,
 ) -> None:
-    """Write a file with an effect of your own to edit: from a diagnosis, or with one example term.
+    """Write a template for an effect of your own: from a diagnosis, or with one example term.
 
     With --from it has a parameter for everything that correlates with the unexplained force. It passes
-    'undertow effects check' as it is, and 'undertow diagnose --effects FILE' tries it along with the
-    catalogue. You have to add what causes the force, and a reference.
+    'undertow effects check' as it is, and 'undertow diagnose --effects FILE' tries it together with the
+    catalogue. You have to add the cause of the force and a reference.
     """
     from undertow.errors import UndertowError
     from undertow.files import write_whole

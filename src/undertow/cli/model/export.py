@@ -78,7 +78,7 @@ def sdf(
     force: NewForceOption = False,
     effects: EffectsOption = None,
 ) -> None:
-    """Write a world for Gazebo with the vehicle in it.
+    """Write a Gazebo world that contains the vehicle.
 
     \b
     undertow export sdf bluerov2 --out bluerov2.sdf
@@ -210,15 +210,15 @@ def c(
     undertow export c mini-auv --controller paper-pid
     undertow export c mini-auv --sizes "arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb -DMINI_AUV_SINGLE"
 
-    C99 in float or double with math.h behind it, nothing allocated, parameters, gains and allocation in
+    C99 in float or double, using only math.h, without dynamic memory; parameters, gains and allocation in
     structs; with CMakeLists.txt (install target), library.properties for Arduino and PlatformIO, README, an
-    example main for each module and a manifest. What has changed since the last time is printed. Examples
-    that were edited are kept.
+    example main for each module and a manifest. Changes since the last time are printed. Edited examples are
+    kept.
 
     A controller is one step function with schedule, thrust allocation and anti-windup; with --path it follows
     a mission: reference or line of sight, and law. An observer is predict, and one update for each sensor
     (undertow observe --save writes its file from a log). With --check nothing is written; the exit code is 1
-    when the code does not fit the files any more.
+    if the code no longer matches the files.
     """
     from undertow.control.api import library_of
     from undertow.control.gains import load_gains

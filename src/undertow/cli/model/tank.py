@@ -61,10 +61,10 @@ _SPAN = typer.Option(
 _DEPTH = typer.Option(
     metavar="M", help="Depth of the centre of volume below the surface.", show_default="deeply submerged"
 )
-_STEP = typer.Option(metavar="SHARE", help="Share of the usual time step; smaller if a run diverges.")
+_STEP = typer.Option(metavar="SHARE", help="Fraction of the usual time step; reduce it if a run diverges.")
 _GRIDS = typer.Option(metavar="N", min=1, max=4, help="Number of grids to run, coarsest first.")
 _CASE = typer.Option(metavar="NAME", help="Draw one case only.", show_default="all that were run")
-_PICTURES = typer.Option(metavar="FOLDER", help="Where to write the pictures.", show_default="TANK/pictures")
+_PICTURES = typer.Option(metavar="FOLDER", help="Where to write the figures.", show_default="TANK/pictures")
 
 
 @app.command()
@@ -93,8 +93,8 @@ def new(
 ) -> None:
     """Write OpenFOAM cases around a hull, for every motion and direction, on several grids.
 
-    The hull has to be closed. Where both directions are mirror images there is one case for both, and the
-    water is halved at planes of symmetry. This command does not need OpenFOAM.
+    The hull has to be closed. If both directions are mirror images there is one case for both, and the domain
+    is halved at planes of symmetry. This command does not need OpenFOAM.
     """
     from undertow.files import check_folder, sha256_of
     from undertow.shape.first import motions
@@ -154,7 +154,7 @@ def _refuse_old(out: Path, force: bool) -> None:
 @app.command()
 def run(
     root: Annotated[Path, _ROOT],
-    cores: Annotated[int, typer.Option(metavar="N", min=1, help="Processes that the solver runs on.")] = 1,
+    cores: Annotated[int, typer.Option(metavar="N", min=1, help="Number of solver processes.")] = 1,
     grids: Annotated[int, _GRIDS] = 1,
     json: JsonOption = False,
 ) -> None:

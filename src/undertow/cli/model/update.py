@@ -1,8 +1,8 @@
-"""Bring everything that follows from a vehicle file up to date after an edit, and say what has changed.
+"""Regenerate everything derived from a vehicle file after an edit, and report what has changed.
 
 It writes into build/NAME/ the C library of the model and of each gain file's controller (as undertow export c
-does), and pictures of poles, loops and their steps. It checks the conditions on gains again, and prints what
-has changed since the last time: parameters, eigenvalues, margins, verdicts.
+does), and plots of poles, loops and step responses. It checks the conditions on gains again, and prints what
+has changed since the last update: parameters, eigenvalues, margins, verdicts.
 
     undertow update rov.toml --gains pd.toml --gains pid.toml --at u=0.5
 

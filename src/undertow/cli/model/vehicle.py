@@ -1,4 +1,4 @@
-"""Make a first vehicle file from a hull, a type and its dimensions, a log's parameters, or a towing tank.
+"""Draft a vehicle file from a hull, a type and its dimensions, a log's parameters, or a towing tank.
 
     undertow vehicle new --mesh hull.stl --unit mm --frame FLU --mass 12 --cg 0,0,0.02 --out my.toml
 
@@ -98,7 +98,7 @@ _DOF = typer.Option(
 )
 _VOLUME = typer.Option(
     metavar="M3",
-    help="Displaced volume of a hull that floods; the rest of the hull holds water that moves along.",
+    help="Displaced volume of a hull that floods; the rest of the hull contains water that moves with it.",
     show_default="volume enclosed by the hull",
 )
 _CD = typer.Option(
@@ -169,12 +169,12 @@ def new(
     out: Annotated[Path | None, _OUT] = None,
     force: NewForceOption = False,
 ) -> None:
-    """Write a first vehicle file: inertia, added mass, drag, weight and buoyancy from a hull and its mass.
+    """Draft a vehicle file: inertia, added mass, drag, weight and buoyancy from a hull and its mass.
 
     From the mesh it takes volume, centre of buoyancy, projected areas and inertia (mass spread evenly); added
     mass from panels (extra undertow[bem]) or from a box or ellipsoid of the same extents; drag from
     coefficients for blunt, rounded or streamlined hulls. Each value has its source and a standard deviation;
-    added mass, drag and buoyancy are marked to be estimated from logs. Thrusters are left for you to state.
+    added mass, drag and buoyancy are marked to be estimated from logs. You have to state the thrusters.
 
     With --floating the hull floats at the draught that its mass gives, with the origin in the waterline:
     waterplane stiffness, added mass at infinite frequency, and wave radiation as a passive state-space model
@@ -312,7 +312,7 @@ def _tests(root: Path, spec: HullSpec, origin: str) -> list[EffectTable]:
     made = read_tank(root)
     if made.sha256 != spec.sha256:
         raise UndertowError(
-            f"--tank {root} was made of a different hull ({made.hull}) than {spec.mesh}: give that one"
+            f"--tank {root} was made with a different hull ({made.hull}) than {spec.mesh}: give that one"
         )
     found = coefficients(root, made)
     say(f"tested in the tank: {', '.join(dict.fromkeys(c.motion for c in found))}")

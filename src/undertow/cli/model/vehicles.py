@@ -1,7 +1,7 @@
 """List the bundled vehicles, or show one vehicle file.
 
 Without a subcommand, it lists the bundled vehicles. `show` prints effects and parameters of a vehicle in the
-sign convention of its file, with units and sources, and what the file leaves open.
+sign convention of its file, with units and sources, and what is missing or assumed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def vehicles(context: typer.Context, json: JsonOption = False) -> None:
 
 @app.command()
 def show(vehicle: VehicleArgument, json: JsonOption = False, effects: EffectsOption = None) -> None:
-    """Show effects and parameters of a vehicle with their sources, and what the file leaves open."""
+    """Show effects and parameters of a vehicle with their sources, and what is missing or assumed."""
     from undertow.model.loading import load_vehicle, resolve_vehicle
     from undertow.model.plausibility import hints
 

@@ -430,8 +430,7 @@ class Choices:
         """A closed loop with these choices.
 
         `gains` and `observer` are files, or names of bundled ones, for the vehicle that the controller knows;
-        `plant` is the vehicle that moves, by default the same. The current of a mission holds where none is
-        chosen.
+        `plant` is the vehicle that moves, by default the same. The current of a mission is the default.
         """
         known = self.with_sway(vehicle)
         wet = replace(self, current=mission.current) if mission and self.current is None else self

@@ -378,8 +378,7 @@ def least(
     """Bound a margin from below over all attitudes: by algebra, or by branch and bound on boxes of angles.
 
     The bound is refined until it is above a share of the least value that is found at a point, which is all
-    that its sign needs; where that value is not positive, the point is a counterexample and no bound is
-    sought.
+    that its sign needs; where that value is not positive, the point is a counterexample, without a bound.
 
     `margin` leads from J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below
     it. `turned` says that it is the same at every heading, `depends` that it contains J at all.

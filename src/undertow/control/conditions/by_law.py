@@ -22,7 +22,7 @@ from .attitude import block, least_eigenvalue, transposed
 
 FORMS = {
     "printed": "as the mini-AUV paper prints them",
-    "units": "the printed ones with units that fit (ι in 1/s)",
+    "units": "the printed ones with consistent units (ι in 1/s)",
     "derived": "derived from the model itself",
 }
 """Where a condition comes from."""
@@ -111,26 +111,26 @@ _FROM_PD_ENERGY = "derived here from V = q_dot' M q_dot/2 + e' K_P e/2 along the
 
 PD_SPRING = Condition(
     "K_P", "printed", "K_P > 0", "K_P ≻ 0",
-    "The Lyapunov function (24) is positive, so that the set-point is its lowest place.",
+    "The Lyapunov function (24) is positive, so that the set-point is its minimum.",
     "mini-AUV paper (2021), text of (20)",
     lambda s: s.K_P,
 )  # fmt: skip
 PD_DAMPER = Condition(
     "K_V", "printed", "K_V > 0", "K_V ≻ 0",
-    "The law itself takes energy from every motion, as the paper demands it for (25).",
+    "The law itself dissipates energy in every motion, as the paper requires for (25).",
     "mini-AUV paper (2021), text of (20) and (25)",
     lambda s: s.K_V,
 )  # fmt: skip
 DERIVED_PD_DAMPER = Condition(
     "K_V + D", "derived", "K_V + D > 0", "K_V + D_q ≻ 0",
-    "Law and water together take energy from every motion; V_dot = -q_dot' (K_V + D_q) q_dot.",
+    "Law and water together dissipate energy in every motion; V_dot = -q_dot' (K_V + D_q) q_dot.",
     _FROM_PD_ENERGY,
     lambda s: s.K_V + s.D, uses="D",
 )  # fmt: skip
 
 # --- PID ------------------------------------------------------------------------------------------
 _PAPER = "mini-AUV paper (2021), text between (33) and (34)"
-_UNITS = f"{_PAPER}, with units mended"
+_UNITS = f"{_PAPER}, with units corrected"
 _FROM_PID_CANDIDATE = "derived here from V and V_dot along the closed loop"
 
 PRINTED_DAMPER = Condition(
@@ -153,7 +153,7 @@ PRINTED_SPRING = Condition(
 )  # fmt: skip
 PRINTED_LAST = Condition(
     "last", "printed", "(1 - ι) K_P/2 > ι M", "(1 - ι) K_P/2 - ι M_q ≻ 0",
-    "The block of the velocities in V_dot at the set-point; K_V must be meant where K_P is printed.",
+    "The block of the velocities in V_dot at the set-point; presumably K_V is meant where K_P is printed.",
     _PAPER,
     lambda s: (1 - s.iota) * s.K_P / 2, lambda s: s.iota * s.M, uses="M", uses_iota=True,
 )  # fmt: skip
@@ -201,14 +201,14 @@ FALLING_CANDIDATE = Condition(
 # is positive, V is as well: K^2/4 >= iota M (K - iota M) always.
 SOME_IOTA = Condition(
     "some iota", "derived", "K k_p - M k_i > K √(K k_i), K = k_v + d", "",
-    "Exactly then some ι makes the Lyapunov function of this channel work.",
+    "Necessary and sufficient for an ι with which this channel has a Lyapunov function.",
     _FROM_PID_CANDIDATE,
     lambda s: (s.K_V + s.D) * s.K_P - s.M * s.K_I,
     lambda s: (s.K_V + s.D) * s.root((s.K_V + s.D) * s.K_I), uses="MD",
 )  # fmt: skip
 ROUTH = Condition(
     "Routh", "derived", "K k_p > M k_i, K = k_v + d", "",
-    "Exactly then the channel, linearised at rest, is stable (Routh-Hurwitz).",
+    "Necessary and sufficient for the channel, linearised at rest, to be stable (Routh-Hurwitz).",
     "Routh-Hurwitz criterion on M s^3 + K s^2 + k_p s + k_i",
     lambda s: (s.K_V + s.D) * s.K_P, lambda s: s.M * s.K_I, uses="MD",
 )  # fmt: skip
@@ -224,7 +224,7 @@ REACHES = Condition(
 )  # fmt: skip
 SLIDES = Condition(
     "Lambda", "printed", "Λ > 0", "Λ ≻ 0",
-    "On the surface e_dot = -Λ e, so that the error dies out.",
+    "On the surface e_dot = -Λ e, so that the error decays.",
     _SLIDING_REFERENCE,
     lambda s: s.Lambda,
 )  # fmt: skip
@@ -234,7 +234,7 @@ DERIVED_REACHES = replace(
 DERIVED_SLIDES = replace(SLIDES, form="derived", source="derived here: S = 0 means q_dot = Λ (q_d - q)")
 LAYER_WIDTH = Condition(
     "width", "derived", "width > 0", "width ≻ 0",
-    "Inside the layer S_dot = -(K_Z/width) S: S dies out, so on the exact model nothing is left of it.",
+    "Inside the layer S_dot = -(K_Z/width) S: on the exact model S decays to zero.",
     "derived here from V = S' S/2; Slotine and Li (1991), chapter 7",
     lambda s: s.width,
 )  # fmt: skip

@@ -179,7 +179,7 @@ def _fate(axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness:
     """Whether unactuated axes come to rest, and where they go, in words."""
     names = ", ".join(axes)
     if poles[0].real > SETTINGS.slowest:
-        return False, f"{names}: unactuated and unstable, it leaves its place at {poles[0].real:.4g} 1/s"
+        return False, f"{names}: unactuated and unstable, it diverges at {poles[0].real:.4g} 1/s"
     free = [a for a, row in zip(axes, stiffness, strict=True) if not np.any(row)]
     loaded = {a: abs(f) for a, f in zip(axes, forces, strict=True) if a in free and abs(f) > 1e-9}
     if loaded:

@@ -117,7 +117,7 @@ def _require_start(gains: GainSet, start: Mapping[str, float] | None) -> None:
                 f"start: '{gains.plant.vehicle.name}' has no {name}, it has {', '.join(known)}"
             )
         if not 0 <= size < np.inf:
-            raise UndertowError(f"start: {name} = {size:g} is no size of an error: state one from zero up")
+            raise UndertowError(f"start: {name} = {size:g} is not the size of an error: give zero or more")
     if start is not None and not any(start.values()):
         raise UndertowError("start: every error is zero: state the largest ones, as x=0.5")
 
@@ -162,7 +162,8 @@ def _shares(names: Sequence[str], uncertain: float | Mapping[str, float]) -> lis
             )
         if not 0 < share < 1:
             raise UndertowError(
-                f"--uncertain {name} = {share:.4g} is no share of a value: state one between 0 and 1, as 10%"
+                f"--uncertain {name} = {share:.4g} is not a fraction of a value: give one between 0 and 1, "
+                "such as 10%"
             )
         found |= dict.fromkeys(own, share)
     return [found[n] for n in names]

@@ -100,7 +100,8 @@ def rotation_of(plant: Plant) -> sm.Matrix:
     Raises
     ------
     UndertowError
-        If it is none: then the frame of an error counts, and inertia that is the same in all axes turns, too.
+        If it does not count as a region: then the frame of an error counts, and inertia that is the same in
+        all axes turns, too.
     """
     own = [i for i, d in enumerate(plant.vehicle.dof_indices) if d < 3]
     rotation = plant.J.extract(own, own)
@@ -485,7 +486,7 @@ def motion_terms(plant: Plant, spread: Spread = NO_SPREAD) -> list[Term]:
     Raises
     ------
     UndertowError
-        If it is none.
+        If it does not count as a region.
     """
     found = terms_of(plant, plant.C + plant.D, spread)
     if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):

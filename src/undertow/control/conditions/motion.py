@@ -175,7 +175,7 @@ def bounds_within(of: Amplitudes, exponents: Array, times: Array, growing: Ampli
     """Bounds on |Re sum of a e^(exponent t)| in each piece of time, the last without end, (rows, pieces).
 
     With `growing` the sum is of (a + t b) e^(exponent t); then the last piece has to begin after the slowest
-    time constant.
+    time.
     """
     decay = np.exp(np.outer(exponents.real, times))
     turned = decay * np.exp(1j * np.outer(exponents.imag, times))
@@ -445,8 +445,8 @@ class Motion:
     """The loop of one vehicle about set-points of any heading, z = (integral, error, -error rate).
 
     Coordinates are those of the set-point: north is where it heads. There pose rates follow the error
-    exactly, and the frame's turning is in them, so that Coriolis forces are left only where inertia differs
-    by axis.
+    exactly, and the frame's turning is in them, so that Coriolis forces remain only where inertia differs by
+    axis.
     """
 
     def __init__(self, problem: Problem) -> None:

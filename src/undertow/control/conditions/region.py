@@ -58,7 +58,7 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
     except UndertowError as error:
         found = _none(str(error))
     except np.linalg.LinAlgError:
-        found = _none("V is not positive at every attitude with digits to spare")
+        found = _none("V is not positive at every attitude by more than rounding")
     found = replace(found, parameters=_intervals(problem))
     if start is None:
         return found
@@ -189,7 +189,7 @@ def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:
 def _region_of_level(commands: Commands, level: float, ends: str) -> Region:
     problem = commands.problem
     if level >= _HIGHEST:
-        return Region("everywhere", "everywhere: V falls at any speed, from any error (half a turn aside)")
+        return Region("everywhere", "everywhere: V falls at any speed, from any error (except half a turn)")
     reach = _starts(problem, level)
     speeds = _by_velocity(problem, _pd_speeds(problem, level))
     text = f"motions that begin with V < {level:.4g} stay there and come to rest ({_BEYOND} {ends})"
@@ -203,8 +203,8 @@ def _bounded(problem: Problem, found: Region) -> Region:
     smallest = min(starts, key=lambda c: starts[c])
     if starts[smallest] < SETTINGS.smallest_error:
         return _none(
-            f"it would end at {starts[smallest]:.2g} {_unit(smallest)} in {smallest}, and below "
-            f"{SETTINGS.smallest_error:g} it is none"
+            f"it would end at {starts[smallest]:.2g} {_unit(smallest)} in {smallest}; below "
+            f"{SETTINGS.smallest_error:g} it does not count as a region"
         )
     return replace(found, starts=dict(starts), text=found.text + _gate(problem))
 
@@ -368,7 +368,7 @@ def _sliding(commands: Commands) -> Region:
     caps = dict.fromkeys(tilted, problem.attitudes.tilt) | {"psi": np.pi}
     largest_box = np.array([caps.get(c, np.inf) for c in problem.coordinates])
     if not len(commands.limits) and not tilted:
-        return Region("everywhere", "everywhere: S falls at any speed, from any error (half a turn aside)")
+        return Region("everywhere", "everywhere: S falls at any speed, from any error (except half a turn)")
     bounds = SlidingCommands(commands)
 
     def allowed(scale: float) -> bool:

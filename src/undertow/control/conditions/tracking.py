@@ -367,11 +367,11 @@ def _jumping_row(gains: GainSet) -> MissionRow:
     return MissionRow(
         "legs",
         "all poles on every leg decay",
-        "A law that jumps has no linear form on its surface, and sampled no steady motion either.",
+        "A discontinuous law has no linearisation on its surface, and sampled no steady motion either.",
         "linearisation",
         0.0,
         UNPROVED,
-        f"law '{gains.law.id}' jumps: simulate it, or take 'sliding-mode-boundary-layer'",
+        f"law '{gains.law.id}' is discontinuous: simulate it, or use 'sliding-mode-boundary-layer'",
     )
 
 

@@ -156,8 +156,8 @@ def _without_jump(gains: GainSet) -> GainSet:
         return gains
     if gains.plant.left_out:
         raise UndertowError(
-            f"law '{gains.law.id}' jumps at its set-point: with {', '.join(gains.plant.left_out)} it has no "
-            "linear form there; take 'sliding-mode-boundary-layer'"
+            f"law '{gains.law.id}' is discontinuous at its set-point: with {', '.join(gains.plant.left_out)} "
+            "it has no linearisation there; use 'sliding-mode-boundary-layer'"
         )
     values, drive = dict(gains.values), JUMPING[gains.law.id]
     for c in gains.signals.coordinates:
@@ -191,7 +191,7 @@ def _linear_verdict(case: _Case, loop: LinearLoop) -> WholeLoop:
     constant = int(np.sum(poles.real >= -SETTINGS.slowest))
     places = len(matrix) - _rank(matrix)
     if case.idle and constant > places:
-        text = f"what nothing pushes runs away, or an integral of its error does ({case.where or 'at rest'})"
+        text = f"an unactuated motion, or the integral of its error, diverges ({case.where or 'at rest'})"
         return WholeLoop("unstable", worst, text)
     if constant > case.idle:
         text = f"not judged: a motion neither decays nor grows ({case.where or 'at rest'}); a dead band, say"

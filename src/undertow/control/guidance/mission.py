@@ -238,7 +238,8 @@ def load_mission(source: str | Path) -> Mission:
     Raises
     ------
     UndertowError
-        If it is none, or a number of it is none that a mission can have.
+        If it does not count as a region, or a number of it does not count as a region that a mission can
+        have.
     """
     path = Path(source)
     if not is_file(path):

@@ -103,8 +103,7 @@ def lqr(
     The weights are Bryson's: an error as large as `error` counts as much as a force as large as `force`. The
     law of a gain file is diagonal, so of the full optimal gain the diagonal is taken, in x and y the larger
     one for both. Thrust counts as ideal in the design; the loop that it closes is checked with the lag of
-    thrusters and the like. Where conditions are given and fail, the integral is given more time until they
-    hold.
+    thrusters and the like. Where conditions are given and fail, the integral is slowed down until they hold.
 
     Parameters
     ----------

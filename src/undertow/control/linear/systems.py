@@ -365,8 +365,8 @@ class LawSystem:
         law = self.gains.law
         if law.id in JUMPING:
             raise UndertowError(
-                f"law '{law.id}' of '{self.gains.name}' jumps at its set-point, so it has no linear form "
-                "there: take 'sliding-mode-boundary-layer', or simulate it"
+                f"law '{law.id}' of '{self.gains.name}' is discontinuous at its set-point, so it has no "
+                "linearisation there: use 'sliding-mode-boundary-layer', or simulate it"
             )
         if trim.turning:
             raise UndertowError(

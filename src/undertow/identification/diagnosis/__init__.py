@@ -1,1 +1,1 @@
-"""From residuals to a verdict: which effect is missing, or that none is, or that none fits."""
+"""From residuals to a verdict: which effect is missing, that none is, or that none explains the residual."""

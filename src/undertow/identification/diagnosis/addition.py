@@ -1,4 +1,4 @@
-"""Putting one effect into a model: the refit, and the error on validation data before and after."""
+"""Adding one effect to a model: the refit, and the error on validation data before and after."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ from .validation import SimulationValidator
 
 @dataclass(frozen=True)
 class AdditionSetup:
-    """Logs to fit to and to judge by, and the model as it is, fitted to them.
+    """Training and validation logs, and the model as given, fitted to them.
 
     vehicle: the model as it was given.
     train, test: the logs.
     bench: data, noise and the fitted model without the effect.
-    validator: who simulates them.
+    validator: simulates them.
     """
 
     vehicle: Vehicle
@@ -51,14 +51,14 @@ class AdditionSetup:
 
 @dataclass(frozen=True)
 class Addition:
-    """An effect that was put into a model.
+    """An effect that was added to a model.
 
     effect: its id.
     fit: the fit of the model with it.
-    kept, dropped: parameters of the effect that are in the model now, and those that proved to be zero.
-    given, before, after: error on validation data (1 = noise of the sensors) and prediction ahead: of the
-        model as it was given, refitted without the effect, and refitted with it.
-    evidence: how strongly the validation data speak for the effect.
+    kept, dropped: parameters of the effect that are in the model now, and those that turned out to be zero.
+    given, before, after: error on validation data (1 = sensor noise) and prediction ahead, of the model as
+    given, refitted without the effect, and refitted with it.
+    evidence: how strongly the validation data support the effect.
     ahead: error of predicted velocities over the vehicle's horizons without and with it, as shares.
     """
 
@@ -79,8 +79,8 @@ class Addition:
 
     @property
     def helps(self) -> bool:
-        """Whether the force on validation data is explained better by more than chance and the motion no
-        worse, or the motion is predicted so much better that it is worth having.
+        """Whether the force on validation data is explained significantly better and the motion no worse, or
+        the motion is predicted better by enough to matter.
         """
         before, after = self.ahead
         explains = self.evidence.beyond_chance(DEFAULT) and self.after.error < self.before.error
@@ -90,7 +90,7 @@ class Addition:
 def set_up_addition(
     vehicle: Vehicle, runs: Runs, holdout: Runs = (), *, trust_log: bool = False
 ) -> AdditionSetup:
-    """Fit a model as it is, and get ready to judge what is added to it."""
+    """Fit a model as given, and prepare to evaluate effects added to it."""
     vehicle, runs, holdout = normalised(vehicle, runs, holdout)
     train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
@@ -101,7 +101,7 @@ def set_up_addition(
 
 
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
-    """Put an effect into the model, refit all, and judge it on validation data."""
+    """Add an effect to the model, refit all parameters, and evaluate it on validation data."""
     base = setup.bench.base.model.functions.vehicle
     candidate = replace(_candidate(effect, base), runs=origins(setup.bench.train.runs))
     candidate = without_redundant(candidate, setup.bench)
@@ -139,14 +139,14 @@ def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
 
 
 def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]]:
-    """Effects that could be added to the model and that these logs could show."""
+    """Effects that could be added to the model and could be identified from these logs."""
     bench = setup.bench
     possible = candidates(bench.base.model.functions.vehicle, known, runs=origins(bench.train.runs))
     return [c.effect for c in possible if _visible(c, screen(c, bench)[0].start)]
 
 
 def _visible(candidate: Candidate, start: WeakFit) -> bool:
-    """Whether its parameters change anything: a delay of commands that a vehicle lacks never could."""
+    """Whether its parameters have any influence: a command delay has none on a vehicle without commands."""
     felt = {plain(n) for n, own in zip(start.model.free, np.diag(start.gram), strict=True) if own > 0.0}
     return not candidate.parameters or any(p.name in felt for p in candidate.parameters)
 
@@ -198,7 +198,7 @@ def _step(setup: AdditionSetup, added: list[str], model: Fitted | Vehicle, noise
 def force_errors(
     models: Sequence[Fitted | Vehicle], runs: Sequence[Run], vehicle: Vehicle, sigma: Array
 ) -> list[float]:
-    """Errors of the force of several models on the same runs, over the noise that the last one makes of it.
+    """Force errors of several models on the same runs, relative to the noise of the last one.
 
     sigma: (2n,), noise of the channels of `vehicle`.
     """

@@ -1,4 +1,4 @@
-"""What a residual force correlates with: variables, a period, time, the run. Associations, never causes."""
+"""What a residual force correlates with: variables, a period, time, the run. Associations, not causes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STEP = re.compile(r"step\(t - (-?\d+(?:\.\d+)?)\)")
 
 @dataclass(frozen=True)
 class AssociationSettings:
-    """How a residual force is searched for what it correlates with."""
+    """Settings of the search for terms that a residual force correlates with."""
 
     step_times: int = 24  # times at which a step is tried, evenly over the logs: within 2 % of their length
     patterns: int = 1999  # sign patterns for the chance of the best term: shows 0.05 %
@@ -45,7 +45,7 @@ SETTINGS = AssociationSettings()
 
 @dataclass(frozen=True)
 class Term:
-    """Columns that are judged together.
+    """Columns that are tested together.
 
     label: what the term is called.
     columns: factors of each column.
@@ -61,7 +61,7 @@ class Term:
 
 
 def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
-    """Every term that the motions, the measured pose and the commands of a vehicle give."""
+    """All terms made of the motions, the measured pose and the commands of a vehicle."""
     velocities, commands = vehicle.velocity_names, [_COMMAND + n for n in vehicle.command_names]
     columns: list[Column] = [(), ("t",)]
     for a in velocities:
@@ -98,7 +98,7 @@ def steps_of(t: Array) -> list[Term]:
 
 
 def sudden(column: Sequence[str], steps: Sequence[Term]) -> list[Term]:
-    """What grows with the time (``t |u| u``) as something that is there from some time on, at every step."""
+    """Terms that grow with time (``t |u| u``), replaced by ones that set in at each of the steps."""
     rest = tuple(f for f in column if f != "t")
     columns = [(*step.columns[0], *rest) for step in steps] if rest and "t" in column else []
     return [Term(label_of(c), (c,)) for c in columns]
@@ -110,25 +110,25 @@ def _heading(angle: str, *factors: str) -> Term:
 
 
 def step_time(column: Sequence[str]) -> str | None:
-    """Time of a column that is a step, s, as it is written there; None for all others."""
+    """Time of a step column, s, as written in it; None for all others."""
     step = STEP.fullmatch(column[0]) if column else None
     return None if step is None else step[1]
 
 
 def label_of(column: Column) -> str:
-    """A column as people write it: ``|r| u``, ``t |u| u``, ``a step at 35 s``, ``|u| u from 35 s on``."""
+    """A column in readable form: ``|r| u``, ``t |u| u``, ``a step at 35 s``, ``|u| u from 35 s on``."""
     if (time := step_time(column)) is not None:
         return f"{label_of(column[1:])} from {time} s on" if column[1:] else f"a step at {time} s"
     return " ".join(f.replace(_COMMAND, "") for f in column) or "a constant"
 
 
 def plain_of(factor: str) -> str:
-    """A factor without its bars: ``|r|`` gives ``r``."""
+    """A factor without magnitude bars: ``|r|`` gives ``r``."""
     return factor[1:-1] if factor.startswith("|") and factor.endswith("|") else factor
 
 
 def command_of(factor: str) -> str | None:
-    """Name of the command in a factor, or None where it is none."""
+    """Name of the command in a factor, or None if there is none."""
     plain = plain_of(factor)
     return plain.removeprefix(_COMMAND) if plain.startswith(_COMMAND) else None
 
@@ -145,7 +145,7 @@ def unit_of(factor: str) -> str:
 
 
 def coefficient_unit(force: str, column: Column) -> str:
-    """Unit of what multiplies a column to give a force in `force`: ``N/((m/s)^2 s)``."""
+    """Unit of the coefficient of a column that gives a force in `force`: ``N/((m/s)^2 s)``."""
     count = Counter(u for u in map(unit_of, column) if u != "1")
     below = " ".join(_power(f"({u})" if "/" in u or " " in u else u, n) for u, n in count.items())
     return f"{force}/({below})" if len(count) > 1 else f"{force}/{below}" if count else force
@@ -157,10 +157,10 @@ def _power(unit: str, exponent: int) -> str:
 
 @dataclass(frozen=True)
 class Along:
-    """Motion and commands at N samples, from which columns are worked out.
+    """Motion and commands at N samples, from which columns are computed.
 
     values: (N,), velocities through the water, pose and time.
-    commands: (N,), what reaches each thruster, and known forces; held between samples.
+    commands: (N,), command that reaches each thruster, and known forces; held between samples.
     """
 
     values: dict[str, Array]
@@ -204,8 +204,8 @@ class Sample:
     """A residual in units of its noise.
 
     r: (m,), residual.
-    own: (m, k), its derivative in what the model may adjust.
-    columns: (m, q), its derivative in the coefficients of all terms, side by side.
+    own: (m, k), its derivative with respect to the model's free parameters.
+    columns: (m, q), its derivative with respect to the coefficients of all terms.
     block: (m,), block of time of each entry.
     """
 
@@ -233,10 +233,10 @@ class Sample:
 
 @dataclass(frozen=True)
 class Samples:
-    """The same residual three times.
+    """The same residual on three bases.
 
-    fitted, validation: on the data of the fit, and on validation data, with what is left counted as noise.
-    shown: on validation data, in units of the noise of the sensors alone.
+    fitted, validation: on the training and validation data, with the remainder counted as noise.
+    shown: on validation data, in units of sensor noise alone.
     """
 
     fitted: Sample
@@ -250,12 +250,12 @@ class Samples:
 
 @dataclass(frozen=True)
 class Found:
-    """A term with what the data say of it.
+    """A term with its evidence.
 
     term: the term.
     coefficients, errors: (k,), coefficient of each of its columns, and standard errors.
     gain: fall of the sum of squares on validation data.
-    chance: share of sign patterns with which the best of all terms gains as much.
+    chance: fraction of sign patterns for which the best of all terms gains as much.
     alike: labels of terms that gain nearly as much.
     """
 
@@ -286,13 +286,12 @@ class _Tried:
 
 @dataclass(frozen=True)
 class Association:
-    """A residual from which terms are taken one by one.
+    """A residual from which terms are removed one by one.
 
     terms: what it may correlate with; their columns stand side by side in the samples.
     samples: the residual.
-    stiffness: (k, k), what else (other equations, priors) says about the model's own parameters, as
-        information.
-    taken: labels of the terms that were taken out.
+    stiffness: (k, k), information on the model's own parameters from elsewhere (other equations, priors).
+    taken: labels of the terms removed.
     """
 
     terms: tuple[Term, ...]
@@ -301,7 +300,7 @@ class Association:
     taken: frozenset[str] = frozenset()
 
     def strongest(self) -> Found | None:
-        """The term that takes most of the validation residual away; None where none takes any."""
+        """The term that removes most of the validation residual; None if none removes any."""
         tried = self._tried
         counts = self.samples.fitted.blocks, self.samples.validation.blocks
         gains = np.array([t.gain(*(np.ones((1, n)) for n in counts))[0] for t in tried])
@@ -318,7 +317,7 @@ class Association:
         return self._found(tried[order[0]], best, chance, alike)
 
     def without(self, found: Found) -> Association:
-        """What is left when a term is taken out; its coefficients stay free to adjust."""
+        """The residual without a term; its coefficients remain free."""
         place = self.places[found.term.label]
         rest = self.samples.mapped(lambda s: self._moved(s, place, found.coefficients))
         more = len(found.coefficients)
@@ -330,7 +329,7 @@ class Association:
         return replace(s, r=s.r + self._beside(s)[:, place] @ coefficients, own=own)
 
     def _beside(self, sample: Sample) -> Array:
-        """The columns together with the answer of the model's own parameters to them."""
+        """The columns together with the response of the model's own parameters to them."""
         return sample.columns - sample.own @ self._answer
 
     @cached_property
@@ -340,7 +339,7 @@ class Association:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Where the columns of each term stand."""
+        """Column indices of each term."""
         places, first = {}, 0
         for term in self.terms:
             places[term.label] = slice(first, first := first + len(term.columns))
@@ -374,8 +373,8 @@ class Difference:
     """Coefficients of the same columns in every run that is long enough.
 
     runs: (g,), numbers of these runs.
-    values: (g, k), the coefficients; what a run leaves open is that of all runs.
-    chance: chance of so large differences when all runs are alike.
+    values: (g, k), the coefficients; those that a run does not determine are the values of all runs.
+    chance: p-value of the differences if all runs are alike.
     """
 
     runs: Index
@@ -384,7 +383,7 @@ class Difference:
 
 
 def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference | None:
-    """Fit columns to a residual in every run by itself that is long enough; None unless two are.
+    """Fit columns to a residual separately in every run that is long enough; None unless two are.
 
     r: (m,), residual in units of its noise.
     columns: (m, k), its derivative in the coefficients.
@@ -416,7 +415,7 @@ def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference
 
 
 def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:
-    """Coefficients and their covariance: what noise gives at least, and what the scatter of blocks shows."""
+    """Coefficients and their covariance: from the scatter of blocks, and at least that from noise."""
     inverse = inverse_of(columns.T @ columns)
     value = -inverse @ (columns.T @ r)
     scores = columns * (r + columns @ value)[:, None]
@@ -432,7 +431,7 @@ _MEDIAN = float(np.log(2.0))
 
 @dataclass(frozen=True)
 class Series:
-    """A series on the clock of its runs.
+    """A series with the times of its runs.
 
     t, r: (K,), time, s, and value, in units of its noise.
     run: (K,), run of each entry.
@@ -460,7 +459,7 @@ class Peak:
 
     frequency: hz.
     gain: sum of squares of the validation series in its band, above that of the neighbouring frequencies.
-    chance: chance of so high a power at this frequency on validation data when it does not stand out.
+    chance: p-value of the power at this frequency on validation data.
     """
 
     frequency: float
@@ -482,7 +481,7 @@ def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | N
 
 
 def power(series: Series, grid: Array) -> Array:
-    """Sum of squares that a sine of each frequency takes away, over all runs, phases free."""
+    """Sum of squares removed by a sine of each frequency, over all runs, with free phases."""
     return np.asarray(sum(_power_of_run(s, grid) for s in series.runs))
 
 
@@ -506,7 +505,7 @@ def _summit(grid: Array, power: Array, place: int) -> float:
 
 
 def _chance(power: Array, grid: Array, place: int, runs: int) -> float:
-    """Chance of the highest power within the width of the line, about three independent draws."""
+    """p-value of the highest power within the line width, about three independent draws."""
     near = slice(max(place - SETTINGS.fine, 0), place + SETTINGS.fine + 1)
     ratio = np.max(power[near]) / _neighbours(power, grid)[place]
     return float(min(1.0, 3 * gamma.sf(runs * ratio, runs)))
@@ -520,7 +519,7 @@ def _band_gain(power: Array, frequency: float, grid: Array, length: float) -> fl
 
 
 def without_waves(r: Array, waves: Array, run: Index) -> tuple[Array, Array]:
-    """A series less what a cosine and a sine take away in every run, and their coefficients.
+    """A series without a fitted cosine and sine in every run, and their coefficients.
 
     r: (K,), series.
     waves: (K, 2), what a cosine and a sine of unit amplitude add to it.
@@ -569,7 +568,7 @@ class Clock:
         return float(np.median(np.diff(self.t)))
 
     def blocks(self, seconds: float) -> Index:
-        """Number of the block of time of each entry; blocks never span two pieces."""
+        """Index of the time block of each entry; blocks never span two pieces."""
         return blocks_of_time(self.t - self.start, seconds, self.log, self.start)
 
     def series(self, r: Array) -> Series:

@@ -1,4 +1,4 @@
-"""The bench on which candidates are tried: data, their noise model, and the model without a candidate."""
+"""The common basis on which candidates are compared: data, noise model, and the model without a candidate."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ from .settings import DEFAULT, Settings
 
 @dataclass(frozen=True)
 class Score:
-    """A model on data that it was not fitted to.
+    """A model evaluated on data that it was not fitted to.
 
     r: (m,), whitened residual.
     mean_square: (2n,), mean square for each equation.
-    open: (m,), part of the residual that belongs to unknown first states of effects, which no model could
-        have foretold; it is that of the model beside which this one is judged.
+    open: (m,), part of the residual due to unknown initial states of effects, which no model could predict;
+    that of the model with which this one is compared.
     error: normalised error: geometric mean over the equations of the whitened rms.
     """
 
@@ -62,7 +62,7 @@ class Score:
 
 
 def comparable_mean_squares(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
-    """Mean squares of two models for each equation, without what the later one leaves open."""
+    """Mean squares of two models for each equation, without the part due to unknown initial states."""
     return mean_square(before.r - after.open, data), mean_square(after.r - after.open, data)
 
 
@@ -72,7 +72,7 @@ def error_of(mean_squares: Array) -> float:
 
 
 def scored(fit: Fitted, data: WeakData, noise: list[Whitening], beside: Array | None = None) -> Score:
-    """Score of a model on data, judged beside the residual of another (see `whitened`)."""
+    """Score of a model on data, compared with the residual of another (see `whitened`)."""
     parts = fit.model.linearise(data, fit.p)
     r = whitened(parts, noise, beside).r
     stated = beside is not None and any(np.any(part.start) for part in parts)
@@ -81,12 +81,12 @@ def scored(fit: Fitted, data: WeakData, noise: list[Whitening], beside: Array | 
 
 @dataclass(frozen=True)
 class Bench:
-    """Data and noise model that all candidates face alike.
+    """Data and noise model common to all candidates.
 
-    train, test: what models are fitted to, and what they are judged by.
+    train, test: training and validation data.
     train_whitening, test_whitening: noise of both, the same for all candidates.
     base: the model without any candidate, fitted to the training data.
-    settings: the numbers that decide.
+    settings: the decision thresholds.
     """
 
     train: WeakData
@@ -98,15 +98,14 @@ class Bench:
 
     @cached_property
     def base_score(self) -> Score:
-        """How the model without any candidate does on the validation data."""
+        """Score of the model without any candidate on the validation data."""
         return self.judge(self.base)
 
     @cached_property
     def stated(self) -> dict[str, float]:
-        """Stated values of the free parameters, where the refit of the model as it is moved one of them far.
+        """Stated values of the free parameters, if the refit of the model as given moved one of them far.
 
-        That is a sign of something missing, and then the better place to begin from once that is there;
-        otherwise empty.
+        That indicates a missing effect; with it, the stated values are the better start. Else empty.
         """
         model = self.base.model
         if not np.any(moved(model, self.base.p) > self.settings.far_from_prior):
@@ -115,7 +114,7 @@ class Bench:
         return {n: v for n, v in values.items() if np.isfinite(v)}
 
     def work_out(self) -> None:
-        """What all candidates look at, once; processes that share this bench then need not."""
+        """Compute once what all candidates use, before processes share this bench."""
         for name in ("base_score", "seen", "stated"):
             getattr(self, name)
 
@@ -129,33 +128,33 @@ class Bench:
         return Score(r, mean_square(r, self.test), score.open)
 
     def _by_the_rest(self, fit: WeakFit, r: Array) -> Array:
-        """A residual that is no smaller where a fit learned of a run than in the rest of that run."""
+        """A residual, raised where a fit used data of a run to the level of the rest of that run."""
         data = self.test
         first = learned_from(fit, data.runs, data.run_of, data.time)
         return r * np.sqrt(factor_of_the_rest(r**2, first, numbered(data.run_of, data.equation)))
 
     @cached_property
     def _first_parts(self) -> list[WeakData]:
-        """First parts of the validation runs that are no stretches of what is fitted."""
+        """First parts of the validation runs that are not segments of training runs."""
         fitted, vehicle = origins(self.train.runs), self.base.model.functions.vehicle
         others = (r for r in self.test.runs if r.origin not in fitted)
         parts = (first_part(r, vehicle, self.train.sigma) for r in others)
         return [part for part in parts if part is not None]
 
     def in_all_runs(self, fit: WeakFit) -> WeakFit:
-        """A fit with values in the validation runs of what has a value in every run."""
+        """A fit with values in the validation runs for the parameters with a value per run."""
         if not fit.model.values.split:
             return fit
         return replace(fit, model=fit.model.knowing(values_in(fit, self._first_parts)))
 
     def on_train(self, fit: WeakFit) -> Linearised:
-        """A fitted model on the data for the fit, under the noise model of the bench."""
+        """A fitted model on the training data, under the noise model of the bench."""
         if fit.whitening is self.train_whitening:
             return fit.at
         return whitened(fit.model.linearise(self.train, fit.p), self.train_whitening)
 
     def on_test(self, fit: WeakFit) -> Linearised:
-        """A fitted model on the validation data, where unknown first states win nothing over the base."""
+        """A fitted model on the validation data; unknown initial states bring no advantage over the base."""
         parts = fit.model.linearise(self.test, fit.p)
         at = whitened(parts, self.test_whitening, self.base_score.r)
         return replace(at, r=self._by_the_rest(fit, at.r)) if fit.model.values.known else at
@@ -185,21 +184,19 @@ class Bench:
 
     @cached_property
     def noise_level(self) -> Array:
-        """Mean square that the noise of the channels alone would have on the validation data, for each
-        equation.
-        """
+        """Mean square that channel noise alone would have on the validation data, for each equation."""
         rng = np.random.default_rng(0)
         return mean_square(np.concatenate([w.noise_sample(rng) for w in self.test_whitening]), self.test)
 
     def sharpened(self, fit: WeakFit) -> Bench:
-        """The bench with the noise model of a better fit, so that what is left is weighed rightly."""
+        """The bench with the noise model of a better fit, so that the remainder is weighted correctly."""
         fit = with_reestimated_noise(fit, most=self.settings.noise_rounds)
         test = with_process_noise(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
         refitted = self._base_under(fit.whitening, fit.disturbance, self.settings.rough_step)
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
 
     def without_disturbance(self) -> Bench:
-        """The bench under the noise of the sensors alone."""
+        """The bench under sensor noise alone."""
         base = self.base
         sensor_noise = base.model.whitening(self.train, base.p)
         refitted = self._base_under(sensor_noise, np.zeros_like(base.disturbance))
@@ -225,7 +222,7 @@ class Bench:
 
     @cached_property
     def seen(self) -> dict[str, tuple[float, float]]:
-        """Least and greatest value of each pose coordinate, and of the dominant frequency of what is left."""
+        """Range of each pose coordinate, and of the dominant frequency of the residual."""
         names = self.base.model.functions.vehicle.pose_names
         poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
         low, high = np.nanmin(poses, axis=0).tolist(), np.nanmax(poses, axis=0).tolist()
@@ -235,7 +232,7 @@ class Bench:
 
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
-    """Fit the model as it is and take its noise model for both parts of the data."""
+    """Fit the model as given and use its noise model for both parts of the data."""
     base = _marked(fit_weak_by_run(vehicle, train))
     sensor_noise = base.model.whitening(test, base.p)
     noise = base.whitening, with_process_noise(sensor_noise, base.disturbance, test)
@@ -244,7 +241,7 @@ def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Sett
 
 
 def _marked(fit: WeakFit) -> WeakFit:
-    """The fit of a vehicle that says which of its parameters were found to have a value in every run."""
+    """The fit of a vehicle, with the parameters marked that have a value in every run."""
     if not fit.model.values.split:
         return fit
     vehicle = fit.model.functions.vehicle
@@ -253,16 +250,16 @@ def _marked(fit: WeakFit) -> WeakFit:
 
 
 def noise_ratio(fit: Fitted, data: WeakData) -> Array:
-    """Mean square of the residual for each equation, in units of what the sensors' noise alone gives.
+    """Mean square of the residual for each equation, relative to that of sensor noise alone.
 
-    The noise model has no room for a disturbance here, so a slow error of the model shows with full force.
+    The noise model includes no disturbance here, so a slow model error counts fully.
     """
     whitening = fit.model.whitening(data, fit.p)
     return mean_square(whitened(fit.model.linearise(data, fit.p), whitening).r, data)
 
 
 def only_noise(fit: Fitted, data: WeakData, settings: Settings = DEFAULT) -> bool:
-    """Whether the sensors' noise explains what a model leaves in each equation, as far as rows can show."""
+    """Whether sensor noise explains the residual of a model in each equation, given the number of rows."""
     return is_noise(noise_ratio(fit, data), rows_of(data), settings)
 
 
@@ -272,7 +269,7 @@ def rows_of(data: WeakData) -> NDArray[np.intp]:
 
 
 def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT) -> bool:
-    """Whether mean squares over so many rows each are those of noise; what has no rows has no say."""
+    """Whether mean squares over so many rows each are those of noise; equations without rows are ignored."""
     used = rows > 0
     limit = 1.0 + settings.noise_uncertainty + settings.chance_errors * np.sqrt(2.0 / rows[used])
     return bool(np.all(ratio[used] <= limit))

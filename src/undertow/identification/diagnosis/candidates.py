@@ -1,4 +1,4 @@
-"""Effects that could be missing: what each would add to a vehicle, and where a fit of it begins."""
+"""Effects that could be missing: what each would add to a vehicle, and the starting values of its fit."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Candidate:
     effect: the effect.
     base: the model without it.
     runs: names of the runs that it is fitted to, for what has a value in each.
-    redundant: parameters for which free ones of the model stand in exactly (see `trial.without_redundant`),
-        or of a sensor that there was not.
+    redundant: parameters that free ones of the model reproduce exactly (see `trial.without_redundant`), or of
+    a sensor that was absent.
     """
 
     effect: type[Effect]
@@ -47,12 +47,12 @@ class Candidate:
 
     @cached_property
     def vehicle(self) -> Vehicle:
-        """The model with the effect, at values that change nothing yet."""
+        """The model with the effect at its neutral values."""
         return self.base.with_effect(self.effect, {})
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters that the effect adds to the equations and that have to be found."""
+        """Parameters that the effect adds to the equations and that have to be estimated."""
         stated = (self.base.parameter_of(n) for n in self.base.values)
         known = {p.name for p in stated if p is not None}
         names = set(self.vehicle.parameter_names) - {*self.redundant}
@@ -60,7 +60,7 @@ class Candidate:
         return tuple(p for p in own if p.name in names and p.name not in known and self._open(p))
 
     def _open(self, parameter: Parameter) -> bool:
-        """Whether a parameter has to be found: not what an effect that is there takes as known."""
+        """Whether a parameter has to be estimated: not those that a present effect takes as known."""
         if parameter.default is None:
             return True
         sought = not parameter.assumed or bool(parameter.starts)
@@ -68,25 +68,25 @@ class Candidate:
 
     @property
     def adds_nothing(self) -> bool:
-        """Whether the model already has all of the effect that its degrees of freedom can show."""
+        """Whether the model already contains all of the effect that its degrees of freedom can show."""
         present = any(e.id == self.id for e in self.base.effects)
         return not self.parameters and (present or self.vehicle.residual == self.base.residual)
 
     @property
     def removable(self) -> tuple[str, ...]:
-        """Parameters that may be left out if they prove to be zero.
+        """Parameters that may be left out if they turn out to be zero.
 
-        A time constant next to gains of the same effect says nothing by itself: the gains decide.
+        A time constant with gains of the same effect means nothing by itself: the gains decide.
         """
         linear = tuple(p.name for p in self.parameters if p.linear)
         return linear or tuple(p.name for p in self.parameters)
 
     def shown_by(self, kept: Collection[str]) -> bool:
-        """Whether these parameters of the effect, all others being zero, are still the effect."""
+        """Whether these parameters of the effect alone, with all others zero, still make up the effect."""
         return any(p.alone for p in self.parameters if p.name in kept)
 
     def free(self) -> tuple[str, ...]:
-        """What a fit of the model with the effect may change."""
+        """Free parameters of the model with the effect."""
         own = free_parameters(self.base)
         base = with_values_by_run(own, stated_by_run(self.base, own), self.runs)
         return (*base, *(p.name for p in self.parameters))
@@ -120,7 +120,7 @@ class Candidate:
         self, command_scale: float, seen: Mapping[str, tuple[float, float]] | None = None
     ) -> list[dict[str, float]]:
         """Starting points of the search: one for each combination of the shape parameters' starts, unless the
-        effect knows better ones for where the vehicle has been seen.
+        effect provides better ones for the observed poses.
         """
         shaped = [p for p in self.parameters if p.starts]
         if seen and (near := self.effect.starts_near(seen)):
@@ -133,7 +133,7 @@ class Candidate:
         ]
 
     def adopted(self, values: Mapping[str, float]) -> Vehicle:
-        """The model with the effect in it for good: what was found of its parameters, all else as stated."""
+        """The model with the effect added permanently: its parameters as found, all others as stated."""
         by_run = {plain(n) for n in values if run_of(n)}
         found = {
             p.name: Value(values[p.name], estimate=True, per_run=True if p.name in by_run else None)
@@ -159,8 +159,8 @@ def possible(
 ) -> list[Candidate]:
     """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it.
 
-    derived: velocities that were taken from the pose. What only their sensors could have is not tried: a rate
-    that no gyro measured has no scale and no bias.
+    derived: velocities that were taken from the pose. Errors of their sensors are not tried: a rate that no
+    gyro measured has no scale error and no bias.
     """
     fitting = [c for c in known.values() if not (c.built_in or c.of_shape or vehicle.lacks(c))]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
@@ -186,8 +186,7 @@ def _of_no_sensor(candidate: Candidate, derived: Collection[str]) -> tuple[str, 
 def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:
     """Least and greatest angular frequency around the sharpest line in a residual, rad/s.
 
-    r: (m,), whitened residual.
-    None where the runs are too short for three periods of anything.
+    r: (m,), whitened residual. None if the runs are too short for three periods.
     """
     cell = 2 * np.pi / max(float(s.t[-1] - s.t[0]) for s in data.segments)
     # A stretch between two gaps may hold a single test function.
@@ -207,7 +206,7 @@ def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -
 
 
 def _without(r: Array, data: WeakData, slow: Array) -> Array:
-    """The residual without slow swings in body axes: seen from the earth they beat with the turning."""
+    """The residual without slow oscillations in body axes, which turning modulates in earth axes."""
     table, kept, first = r.reshape(-1, len(data.rows)), [], 0
     for s in data.segments:
         part = table[first : first + s.functions.count]
@@ -219,7 +218,7 @@ def _without(r: Array, data: WeakData, slow: Array) -> Array:
 
 
 def _turned(r: Array, data: WeakData) -> Array:
-    """The residual with its horizontal part seen from the earth: waves do not turn with the vehicle."""
+    """The residual with its horizontal part in earth axes: waves do not turn with the vehicle."""
     half = len(data.names) // 2
     places = [data.names.index(n) for n in ("u", "v", "psi") if n in data.names]
     if len(places) < 3:
@@ -245,6 +244,6 @@ def _power(r: Array, data: WeakData, grid: Array) -> Array:
 
 
 def _beside(power: Array, wide: int) -> Array:
-    """Median power around each frequency, over so many on either side."""
+    """Median power around each frequency, over this many on either side."""
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, wide, mode="reflect"), 2 * wide + 1)
     return np.asarray(np.median(windows, axis=1))

@@ -1,4 +1,4 @@
-"""Whether an effect is what it is called: the same everywhere in the logs, and known from them."""
+"""Whether an effect is consistent: the same everywhere in the logs, and determined by them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .settings import DEFAULT, Settings
 class Agreement:
     """Size of an effect in parts of the logs, in units of the fitted one.
 
-    over: what the parts are: runs, parts of a run, levels of a signal.
+    over: kind of parts: runs, parts of a run, levels of a signal.
     value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
     """
 
@@ -42,15 +42,15 @@ class Agreement:
         return heterogeneity(self.value, self.error**2)[1]
 
     def absent(self, settings: Settings = DEFAULT, among: int = 1) -> Flags:
-        """Whether a part has nothing of the effect: zero is possible there, and half of it is not.
+        """Whether the effect is absent from a part: zero is possible there, and half its size is not.
 
-        Sizes that scatter are those of an approximate law; one that is zero is no scatter.
+        Sizes scatter if a law is approximate; a zero is not scatter.
         """
         margin = norm.isf(settings.comparison_level / (among * len(self.value))) * self.error
         return (self.value - margin <= 0.0) & (self.value + margin < 1.0 - settings.size_spread)
 
     def doubt(self, settings: Settings = DEFAULT, among: int = 1) -> str:
-        """How the parts disagree, in words; empty where they agree, the worst of so many divisions."""
+        """How the parts disagree, in words; empty if they agree, given the number of divisions tested."""
         q, _ = heterogeneity(self.value, self.error**2)
         by_chance = among * chi2.sf(q, len(self.value) - 1) > settings.comparison_level
         differs = self.spread >= settings.size_spread or self.absent(settings, among).any()
@@ -84,10 +84,9 @@ def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
 
 
 def disagreement(finding: FoundEffect, bench: Bench, later: Sequence[FoundEffect] = ()) -> str:
-    """How the size of an effect differs between parts of the logs, in words; empty where it does not.
+    """How the size of an effect differs between parts of the logs, in words; empty if it does not.
 
-    What else is missing moves it: an effect that is the same everywhere beside what was found later is
-    the same.
+    Other missing effects shift it: an effect is consistent if it is so with later effects in the model.
     """
     words = _differing(finding, bench)
     vehicle = bench.base.model.functions.vehicle
@@ -110,7 +109,7 @@ def _differing(finding: FoundEffect, bench: Bench) -> str:
 def _agreement(
     over: str, before: Array, change: Array, part: Index, block: Index, settings: Settings
 ) -> Agreement:
-    """Sizes by part: the share of the change by which the residual is least there."""
+    """Sizes by part: the fraction of the change that minimises the residual there."""
     power = np.bincount(part, change**2)
     size = -np.bincount(part, before * change) / np.maximum(power, 1e-300)
     score = (before + size[part] * change) * change
@@ -122,7 +121,7 @@ def _agreement(
 
 
 def _numbered(parts: Sequence[Index]) -> Index:
-    """Numbers of several tables, so that none comes twice."""
+    """Numbers of several tables, made unique."""
     first = np.cumsum([0, *(int(p.max(initial=-1)) + 1 for p in parts)])
     return np.concatenate([p + start for p, start in zip(parts, first, strict=False)])
 
@@ -174,15 +173,14 @@ def _levels(values: Array, settings: Settings) -> Index:
 def undetermined(
     effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], settings: Settings = DEFAULT
 ) -> str:
-    """What of an effect these logs leave open that makes it another, in words; empty where nothing is.
+    """Which characteristic parameter of an effect these logs do not determine, in words; empty if none.
 
-    A memory without a time of its own is a spring or a damper, and so is one that is as slow or as quick as
-    it may be. A limit of the commands that is not known may leave all of the thrust, or none. What has run
-    into a bound is not what it is called. Where an effect is there beyond chance but nothing that it is
-    proportional to is known, only a product is, which another effect may be: a soft spring to a far point
-    pulls like a constant force.
+    A memory without a determined time constant is a spring or a damper, and so is one at a limit of its
+    range. A command limit that is not determined may leave all of the thrust, or none. A parameter at its
+    bound does not confirm the effect. If an effect is significant but none of its factors is determined, only
+    a product is, which may belong to another effect: a soft spring to a far point is a constant force.
 
-    values, errors: those of its free parameters, by name, with standard errors.
+    values, errors: of its free parameters, by name, with standard errors.
     """
     own = [p for p in effect.parameters if p.name in values]
     words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
@@ -191,16 +189,18 @@ def undetermined(
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
         if own_time and not (p.name in known and values[p.name] > 0.0):
             which = "time constant" if p.unit == "s" else "frequency"
-            return f"its {which} {words[p.name]} is not known from these logs"
+            return f"its {which} {words[p.name]} is not determined by these logs"
         ends = p.bounds if own_time else p.bounds[1:]
         if np.isclose(values[p.name], ends, rtol=1e-6).any():
             return f"{p.name} = {values[p.name]:.3g} is at its bound"
     sizes = [p.name for p in own if p.linear]
     if own and not sizes and not known:
-        return f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not known from these logs"
+        return (
+            f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not determined by these logs"
+        )
     if sizes and len(own) > len(sizes) and not known & {*sizes}:
         size = ", ".join(words[name] for name in sizes)
-        return f"its size {size} is not known from these logs, only its product with other parameters"
+        return f"its size {size} is not determined by these logs, only its product with other parameters"
     return ""
 
 
@@ -211,9 +211,9 @@ def left_open(finding: FoundEffect, settings: Settings) -> str:
 
 
 def no_step(finding: FoundEffect, bench: Bench) -> str:
-    """What of an effect is a smoothed step wider than the motion, in words; empty where nothing is.
+    """Which smoothed step of an effect is wider than the motion, in words; empty if none.
 
-    Friction that is fully there only at speeds that the logs hardly reach is a damping like others.
+    Friction that is fully developed only at speeds that the logs hardly reach is ordinary damping.
     """
     fit = finding.trial.fit
     for p in finding.trial.candidate.effect(()).parameters:
@@ -239,20 +239,20 @@ def _most_moved(unit: str, data: WeakData) -> float:
 
 
 def is_spring(finding: FoundEffect) -> bool:
-    """Whether a memory of the flow would take more inertia from slow motion than the water has.
+    """Whether a fluid memory would remove more inertia from slow motion than the added mass.
 
-    A memory of waves cannot do that, and a stiffness does; drag that lags the motion can.
+    A memory due to waves cannot do that, a stiffness does; drag that lags the motion can.
     """
     fit = finding.trial.fit
     slow = added_mass_at_zero_frequency(fit.model.functions, fit.p[: fit.model.values.size])
     return slow is not None and bool(np.any(np.diag(slow) < 0.0))
 
 
-SPRING = "it would remove more inertia from slow motion than the water has, as a stiffness would"
+SPRING = "in slow motion it would remove more inertia than the added mass, as a stiffness does"
 
 
 def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
-    """What of the inertia is zero beside an effect, and is not without it.
+    """Inertias that become zero with an effect, and are not zero without it.
 
     before, after: fits of the model without and with it.
     """
@@ -262,9 +262,9 @@ def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
 
 
 def never_turned(finding: FoundEffect, bench: Bench) -> str:
-    """Why these logs do not tell a current from a force fixed to the vehicle; empty where they do.
+    """Why these logs cannot tell a current from a body-fixed force; empty if they can.
 
-    Of a sensor that reads the speed through the water they always do: no force parts pose and velocity.
+    For a sensor of speed through the water they always can: no force acts between pose and velocity.
     """
     if finding.of_sensors or not issubclass(finding.trial.candidate.effect, Flow):
         return ""
@@ -275,7 +275,7 @@ def never_turned(finding: FoundEffect, bench: Bench) -> str:
     turned = max(map(_turned, headings)) if by_run else _turned(np.concatenate(headings))
     if turned >= bench.settings.least_turn:
         return ""
-    return f"the heading turns by only {turned:.2g} rad: a force fixed to the vehicle may explain the same"
+    return f"the heading turns by only {turned:.2g} rad: a body-fixed force may explain the same"
 
 
 def _turned(heading: Array) -> float:
@@ -290,20 +290,20 @@ def _added_symbols(base: Vehicle, grown: Vehicle) -> set[str]:
 
 
 def states_time(base: Vehicle, grown: Vehicle) -> bool:
-    """Whether what an effect adds to the equations is a function of the time itself, as waves are."""
+    """Whether an effect depends explicitly on time, as waves do."""
     return "t" in _added_symbols(base, grown)
 
 
 def knows_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
-    """Whether an effect may depend on the time itself; of actuators, whose equations stand aside, all may."""
+    """Whether an effect may depend explicitly on time; all actuator effects may."""
     return states_time(base, grown) or candidate.effect.family == "actuation"
 
 
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
-    """Velocities, pose and commands that what an effect adds to the equations depends on.
+    """Velocities, pose and commands on which the terms of an effect depend.
 
-    Of an effect of the sensors they are the velocities, of one of the actuators the commands. A constant
-    force depends on none.
+    For a measurement effect these are the velocities, for actuator effects the commands. A constant force
+    depends on none.
     """
     symbols = _added_symbols(base, grown) - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u

@@ -1,4 +1,4 @@
-"""How strong the evidence is: paired comparison over blocks, and the null distribution of the best."""
+"""Strength of the evidence: paired comparison over blocks, and the null distribution of the best."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ class Comparison:
 
     mean: mean fall of the whitened mean square.
     interval: 95 % interval of the mean over blocks.
-    p_value: chance of so consistent a fall when the models are equally good (Wilcoxon signed-rank test,
-        one-sided).
+    p_value: p-value of the fall if the models are equally good (Wilcoxon signed-rank test, one-sided).
     """
 
     mean: float
@@ -40,7 +39,7 @@ class Comparison:
     p_value: float
 
     def beyond_chance(self, settings: Settings = DEFAULT, among: int = 1) -> bool:
-        """Whether the fall is enough to matter and, the best among so many, beyond chance."""
+        """Whether the fall is large enough to matter and significant, as the best of so many."""
         return among * self.p_value < settings.false_alarm_rate and self.mean > settings.least_fall
 
 
@@ -68,10 +67,10 @@ def _summary(means: Array) -> Comparison:
 
 
 def explained(before: Array, after: Array, noise: Array, settings: Settings = DEFAULT) -> float:
-    """Share of the excess over noise of the sensors that went away, from mean squares by equation.
+    """Fraction of the excess over sensor noise that was removed, from mean squares by equation.
 
-    Equations that the noise explains have no say; the others count by how far they are above it, in
-    that one very bad equation does not hide the rest.
+    Equations that noise explains are ignored; the others are weighted by their excess, such that one very bad
+    equation does not hide the rest.
     """
     floor = np.maximum(noise, 1e-12)
     counted = np.nan_to_num(before / floor) > settings.equation_noise_limit
@@ -83,7 +82,7 @@ def explained(before: Array, after: Array, noise: Array, settings: Settings = DE
 
 
 def as_good(best: Score, other: Score, bench: Bench) -> bool:
-    """Whether the validation data leave open which of two models is the better one."""
+    """Whether the validation data do not decide which of two models is better."""
     gap, settings = compare_scores(other, best, bench.test), bench.settings
     return gap.p_value > settings.comparison_level or gap.mean < settings.least_fall
 
@@ -94,11 +93,11 @@ class FoundEffect:
 
     trial: the candidate after its fit.
     evidence: fall of the validation error, block by block.
-    explained: share of the excess over noise that it takes away.
-    p_value: chance that the best of all candidates lowers the error as much when nothing is missing.
-    significant: whether it is held to be there, and competes with others.
-    slow_p_value: the chance where a slow disturbance acts, by blocks that forget each other.
-    inclusion: how often it is the best one when the blocks of the logs are drawn anew; NaN if not compared.
+    explained: fraction of the excess over noise that it removes.
+    p_value: probability that the best of all candidates reduces the error as much if nothing is missing.
+    significant: whether it is significant and competes with others.
+    slow_p_value: the same under a slow disturbance, with blocks long enough to be uncorrelated.
+    inclusion: how often it is the best one when the blocks of the logs are resampled; NaN if not compared.
     """
 
     trial: Trial
@@ -111,7 +110,7 @@ class FoundEffect:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Parameters that its fit brings into the model."""
+        """Parameters that its fit adds to the model."""
         free = {plain(n) for n in self.trial.fit.model.free}
         return tuple(p.name for p in self.trial.candidate.parameters if p.name in free)
 
@@ -121,12 +120,12 @@ class FoundEffect:
         return self.trial.id
 
     def by_slow_disturbance(self, settings: Settings = DEFAULT) -> bool:
-        """Whether chance does as much where a slow disturbance acts: then the effect may be that."""
+        """Whether a slow disturbance would score as well by chance: then the effect may be one."""
         return self.slow_p_value >= settings.false_alarm_rate
 
     @property
     def of_sensors(self) -> bool:
-        """Whether it says how the sensors read."""
+        """Whether it is a measurement effect."""
         return issubclass(self.trial.candidate.effect, Measurement)
 
 
@@ -134,10 +133,10 @@ IsNoise = Callable[[WeakFit, WeakData], bool]
 
 
 def hidden_by_disturbance(bench: Bench) -> bool:
-    """Whether a model leaves a little more than noise, which its noise model takes for a disturbance.
+    """Whether a residual slightly above noise is absorbed by the disturbance of the noise model.
 
-    By the weak form, also where the simulation of windows finds nothing but noise: their estimated starts
-    take up part of a small steady force. Whether what is found is needed is for the simulation to say again.
+    Decided by the weak form, even if the simulation of windows finds only noise, since their estimated
+    initial states absorb part of a small steady force. Simulation then decides if it is needed.
     """
     ratio = noise_ratio(bench.base, bench.test)
     return a_little_more_than_noise(bench.base.disturbance, ratio, rows_of(bench.test), bench.settings)
@@ -146,7 +145,7 @@ def hidden_by_disturbance(bench: Bench) -> bool:
 def a_little_more_than_noise(
     disturbance: Array, ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT
 ) -> bool:
-    """Whether mean squares exceed noise, but not by far, where there is process noise to take them up."""
+    """Whether mean squares exceed noise, but not by far, and there is process noise to absorb them."""
     if not np.any(disturbance) or is_noise(ratio, rows, settings):
         return False
     # What is far off hardly comes down to noise by what the first search has not found.
@@ -154,7 +153,7 @@ def a_little_more_than_noise(
 
 
 def explains_all(bare: Bench, fit: WeakFit, residual_is_noise: IsNoise) -> bool:
-    """Whether nothing but noise is left with effects that were found without room for a disturbance."""
+    """Whether only noise remains with effects that were found without a disturbance in the noise model."""
     scores = comparable_mean_squares(bare.base_score, bare.judge(fit), bare.test)
     share = explained(*scores, bare.noise_level, bare.settings)
     # A model that is just above the limit of noise may get below it by chance.
@@ -166,7 +165,7 @@ class Blocks:
     """Products of the columns of a linearised model, block by block.
 
     The whitened residual of the model is r + shift + J delta: r is that of the model without the candidate,
-    shift what the candidate changes at the point of linearisation, J its derivative there.
+    shift its change by the candidate at the point of linearisation, J its derivative there.
 
     table: (B, k + 2, k + 2), gram matrices of the columns of J (k of them), shift and r, one for each block.
     """
@@ -188,7 +187,7 @@ class Blocks:
         return len(self.table)
 
     def joined(self, group: NDArray[np.intp]) -> Blocks:
-        """With the blocks of a group as one; `group` (B,) is the number of that of each block."""
+        """With the blocks of a group merged; `group` (B,) is the number of that of each block."""
         table = np.zeros((int(group.max()) + 1, *self.table.shape[1:]))
         np.add.at(table, group, self.table)
         return Blocks(table)
@@ -213,7 +212,7 @@ class Blocks:
         )
 
     def without(self, dropped: int) -> Blocks:
-        """The model without the shift and the last `dropped` columns of J: the one without the candidate."""
+        """The model without the shift and the last `dropped` columns of J, that is, without the candidate."""
         size = self.table.shape[1]
         kept = [*range(size - 2 - dropped), size - 2, size - 1]
         table = self.table[:, kept][:, :, kept].copy()
@@ -223,10 +222,10 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Linear:
-    """A candidate linearised where it was fitted, on the data for the fit and on those for validation.
+    """A candidate linearised at its fit, on training and validation data.
 
     train, test: the model's own parameters first, the candidate's last.
-    own: how many of the columns belong to the candidate.
+    own: number of columns that belong to the candidate.
     stiffness: (k,), weight of the stated priors.
     """
 
@@ -238,7 +237,7 @@ class Linear:
     def falls(self, train_signs: Array, test_signs: Array) -> Array:
         """Fall of the validation mean square by the candidate when both models are refitted, (draws,).
 
-        As a share of what it was: what is left says how much chance can do.
+        Relative to its value before: the remainder sets how much chance can do.
         """
         without = Linear(
             self.train.without(self.own), self.test.without(self.own), 0, self.stiffness[: -self.own or None]
@@ -267,7 +266,7 @@ class Linear:
 
 
 def _inverse(gram: Array, stiffness: Array) -> Array:
-    """Inverse of the information; a parameter that the data do not feel at all stays where it is."""
+    """Inverse of the information; a parameter without any influence on the data stays unchanged."""
     felt = np.diag(gram) > 0.0
     inverse = np.zeros_like(gram)
     inverse[np.ix_(felt, felt)] = inverse_of((gram + np.diag(stiffness**2))[np.ix_(felt, felt)])
@@ -275,10 +274,10 @@ def _inverse(gram: Array, stiffness: Array) -> Array:
 
 
 def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
-    """Largest relative fall of the validation error by a candidate where nothing is missing, (draws,).
+    """Largest relative fall of the validation error by any candidate if nothing is missing, (draws,).
 
     The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
-    of every block is drawn at random (wild bootstrap), which undoes whatever the blocks have in common.
+    of every block is drawn at random (wild bootstrap), which removes whatever the blocks have in common.
     """
     if not candidates:
         return np.zeros(settings.null_draws)
@@ -290,11 +289,11 @@ def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT
 
 @dataclass(frozen=True)
 class Chance:
-    """What chance does for the best of all candidates, with blocks as long as each of them needs.
+    """Null distribution of the best of all candidates, with blocks as long as each of them needs.
 
-    A slow disturbance goes on from one block to the next: with blocks that do not forget each other it has
-    fewer independent pieces than blocks, and chance does more than their signs would show. What has to be
-    forgotten is the product of what an effect changes and of what the best candidate leaves (its score).
+    A slow disturbance extends over several blocks: if blocks are correlated there are fewer independent
+    pieces than blocks, and chance findings are larger than their signs suggest. The quantity that has to be
+    uncorrelated is the product of the change by an effect and the residual of the best candidate (its score).
     """
 
     candidates: Sequence[Linear]
@@ -302,7 +301,7 @@ class Chance:
     _known: dict[int, Array] = field(default_factory=dict)
 
     def p_value(self, fall: float, times: int) -> float:
-        """Chance that the best lowers the error by as much, with blocks so many times as long as usual."""
+        """Probability that the best reduces the error as much, with blocks longer by this factor."""
         if times not in self._known:
             self._known[times] = null_distribution(self._joined(times), self.bench.settings)
         return p_value(fall, self._known[times])
@@ -321,10 +320,9 @@ def _groups(data: WeakData, times: int) -> NDArray[np.intp]:
 
 
 def times_longer(trial: Trial, left: Array, bench: Bench) -> int:
-    """How many times as long as usual blocks have to be, for the score of an effect to forget itself.
+    """Factor by which blocks have to be longer for the score of an effect to be uncorrelated between them.
 
-    left: (m,), residual on the data of the fit of the best candidate: no other one leaves less that is not
-        disturbance.
+    left: (m,), residual of the best candidate on the training data: the closest estimate of the disturbance.
     """
     data, change = bench.train, bench.base.at.r - bench.on_train(trial.fit).r
     score = (left * change).reshape(-1, len(data.rows)).sum(axis=1)
@@ -333,12 +331,12 @@ def times_longer(trial: Trial, left: Array, bench: Bench) -> int:
 
 
 def p_value(fall: float, by_chance: Array) -> float:
-    """Chance that the best candidate lowers the error by at least this much when nothing is missing."""
+    """Probability that the best candidate reduces the error by at least this much if nothing is missing."""
     return float((1 + np.count_nonzero(by_chance >= fall)) / (1 + len(by_chance)))
 
 
 def inclusion(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
-    """How often each candidate is the best one when the blocks are drawn anew, shape (len(candidates),)."""
+    """How often each candidate is the best one when the blocks are resampled, shape (len(candidates),)."""
     if not candidates:
         return np.zeros(0)
     rng = np.random.default_rng(settings.seed)
@@ -352,7 +350,7 @@ def inclusion(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Arr
 
 
 def linear(at: WeakFit, bench: Bench) -> Linear:
-    """Linearise a model with a candidate where a fit of it stands, beside the model without it."""
+    """Linearise a model with a candidate at its fit, and the model without it."""
     base = bench.base
     own = len(at.model.free) - len(base.model.free)
     train, test = bench.on_train(at), bench.on_test(at)
@@ -370,7 +368,7 @@ class EffectSet:
 
     findings: the effects, in the order in which they were found.
     fit: the model with all of them.
-    score: how it does on the validation data.
+    score: its score on the validation data.
     """
 
     findings: tuple[FoundEffect, ...]
@@ -379,10 +377,10 @@ class EffectSet:
 
 
 def with_effects(vehicle: Vehicle, findings: Sequence[FoundEffect]) -> Vehicle:
-    """The model with effects in it, at the values at which they were found.
+    """The model with effects, at the values at which they were found.
 
-    What shares parameters of an effect that is not there is left out: without an added mass that was found,
-    there is no memory of it either.
+    Effects that share parameters of an absent effect are left out: without the added mass that was found, its
+    memory is left out, too.
     """
     for finding in findings:
         candidate = finding.trial.candidate
@@ -392,7 +390,7 @@ def with_effects(vehicle: Vehicle, findings: Sequence[FoundEffect]) -> Vehicle:
 
 
 def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> EffectSet:
-    """Fit a model with effects together, as of `with_effects`, and judge it."""
+    """Fit a model with several effects (see `with_effects`), and score it."""
     grown = with_effects(vehicle, findings)
     there = {e.id for e in grown.all_effects}
     free = free_parameters(grown)
@@ -403,11 +401,10 @@ def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> E
 
 
 def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> FoundEffect | None:
-    """Another effect with those of its terms alone that give the force of the chosen one.
+    """Another effect reduced to those of its terms that reproduce the force of the chosen one.
 
-    None where it cannot give that force with as few terms, does not explain half as much of the validation
-    data, or was tried with no other terms. Terms that explain something else, rightly or wrongly, are no
-    evidence against it here.
+    None if it cannot reproduce that force with as few terms, does not explain half as much of the validation
+    data, or has no other terms. Terms that explain something else are no evidence against it here.
     """
     mine, theirs = _terms_of(chosen.trial.fit, chosen, bench), _terms_of(other.trial.full, other, bench)
     if mine is None or theirs is None:
@@ -436,7 +433,7 @@ class _Terms(NamedTuple):
 
 
 def _terms_of(fit: WeakFit, found: FoundEffect, bench: Bench) -> _Terms | None:
-    """What an effect does to the residual of the data for the fit; None where that is not linear."""
+    """Change of the training residual by an effect; None if that is not linear."""
     own = {p.name: p for p in found.trial.candidate.parameters}
     places = [k for k, n in enumerate(fit.model.free) if n in own]
     names = [fit.model.free[k] for k in places]
@@ -446,7 +443,7 @@ def _terms_of(fit: WeakFit, found: FoundEffect, bench: Bench) -> _Terms | None:
 
 
 def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
-    """The effect_set without effects that those found later make superfluous."""
+    """The effect_set without effects made redundant by those found later."""
     for finding in effect_set.findings[:-1]:
         shorter = fitted(vehicle, [f for f in effect_set.findings if f is not finding], bench)
         if as_good(effect_set.score, shorter.score, bench):
@@ -455,7 +452,7 @@ def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
 
 
 def under_own_noise(effect_set: EffectSet, bench: Bench) -> EffectSet:
-    """The same effects, fitted under the noise model that goes with what they leave themselves."""
+    """The same effects, fitted under the noise model of their own residual."""
     fit = with_reestimated_noise(effect_set.fit)
     return EffectSet(effect_set.findings, fit, bench.judge(fit))
 
@@ -463,10 +460,10 @@ def under_own_noise(effect_set: EffectSet, bench: Bench) -> EffectSet:
 def alternatives(
     vehicle: Vehicle, effect_set: EffectSet, place: int, rivals: Sequence[FoundEffect], bench: Bench
 ) -> list[EffectSet]:
-    """Effect sets with another effect in one place that do as well or better, the best first.
+    """Effect sets with one effect exchanged that do as well or better, the best first.
 
-    The noise model of the bench is that of the effect found: it passes the sensors' noise through that model,
-    and has room for what it leaves. What does less well under it may leave less of its own noise.
+    The noise model of the bench is that of the effect found: sensor noise passed through that model, plus its
+    disturbance. An effect that does worse under it may do better under its own noise model.
     """
     found = []
     least = cache(lambda: _times_own_noise(under_own_noise(effect_set, bench), bench))
@@ -487,5 +484,5 @@ def alternatives(
 
 
 def _times_own_noise(effect_set: EffectSet, bench: Bench) -> float:
-    """What a model leaves of the validation data over what the sensors' noise gives, over all equations."""
+    """Validation residual of a model relative to sensor noise, over all equations."""
     return float(np.nansum(noise_ratio(effect_set.fit, bench.test)))

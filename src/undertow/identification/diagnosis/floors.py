@@ -1,4 +1,4 @@
-"""Two floors: the noise of the sensors, and the disturbance of the motion that no sensor's noise explains."""
+"""Two floors: sensor noise, and the disturbance of the motion that no sensor's noise explains."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ SETTINGS = FloorSettings()
 
 
 def noise_floors(fit: Fitted, data: WeakData) -> Floors:
-    """Noise of every measured channel and disturbance in every force equation of a fit, from logs.
+    """Noise of every measured channel and disturbance in every force equation of a fit.
 
-    The disturbance is first-order noise whose autocorrelation is that of the residual force less that of the
-    sensors' noise in it, which is known.
+    The disturbance is first-order noise whose autocorrelation is that of the residual force minus the known
+    one of sensor noise.
     """
     vehicle, rows = fit.model.functions.vehicle, ForceRows(fit, data)
     stated = [stated_disturbance(run.mapping) for run in data.runs if run.mapping is not None]
@@ -119,15 +119,15 @@ def _seen(lags: int, time: float) -> Array:
 
 
 def in_words(left: float, found: Sequence[Predictability]) -> str:
-    """How much of what a model leaves can be predicted, as a sentence; `left` is its share of the motion."""
+    """How much of a residual can be predicted, as a sentence; `left` is its share of the motion."""
     shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.significant]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]
     head = (
-        f"the model leaves {100 * left:.0f} %; of that at most {listed(shares)} can be predicted from the "
+        f"an error of {100 * left:.0f} % remains; of that at most {listed(shares)} can be predicted from the "
         "logged signals"
         if shares
-        else f"the model leaves {100 * left:.0f} %, and the logged signals predict no more of it than chance"
+        else f"an error of {100 * left:.0f} % remains; the logged signals predict no more of it than chance"
     )
-    return f"{head}; the rest is " + (f"disturbance: {listed(rest)}" if rest else "the noise of the sensors")
+    return f"{head}; the rest is " + (f"disturbance: {listed(rest)}" if rest else "sensor noise")

@@ -26,7 +26,7 @@ from .associations import (
 
 @dataclass(frozen=True)
 class ForceSettings:
-    """When a residual force counts as noise, and how long it is averaged to stand out."""
+    """When a residual force counts as noise, and how long it is averaged to exceed it."""
 
     noise_limit: float = 1.3  # mean square, in units of the noise, up to which there is no disturbance
     matching_steps: int = 12  # steps in which the intensity of a disturbance is matched; converged
@@ -47,8 +47,8 @@ SETTINGS = ForceSettings()
 class ForceRow:
     """One force equation of a fitted model along logs.
 
-    parts: for every segment the force that the model has beyond what the motion needs, and its derivative in
-        the free parameters, times the weight of the test functions, N s or N m s.
+    parts: for every segment the force of the model in excess of that required by the motion, and its
+    derivative with respect to the free parameters, times the weight of the test functions, N s or N m s.
     sensor_noise: noise of the channels in it.
     weight: mean integral of a test function, s.
     """
@@ -81,13 +81,13 @@ class ForceRow:
 
     @property
     def noise_rms(self) -> float:
-        """Rms that the noise of the channels gives to it, N or N m."""
+        """Rms of its channel noise, N or N m."""
         variance = np.concatenate([w.covariance.diagonal() for w in self.sensor_noise])
         return float(np.sqrt(np.mean(variance))) / self.weight
 
     @property
     def excess_rms(self) -> float:
-        """Rms of the force beyond the noise, averaged over the shortest time in which it stands out of it."""
+        """Rms of the force above the noise, averaged over the shortest time in which it exceeds it."""
         for width in SETTINGS.widths:
             total, noise = self._averaged(width)
             if total > SETTINGS.stands_out * noise:
@@ -113,7 +113,7 @@ class ForceRow:
 
     @cached_property
     def is_noise(self) -> bool:
-        """Whether the noise of the channels explains it."""
+        """Whether channel noise explains it."""
         return self.ratio < SETTINGS.noise_limit
 
     @cached_property
@@ -129,7 +129,7 @@ class ForceRow:
 
 
 def sliding(count: int, width: int) -> csr_array:
-    """Sums over every `width` neighbours among `count` rows, shape (max(count - width + 1, 0), count)."""
+    """Sums over every `width` consecutive rows of `count`, shape (max(count - width + 1, 0), count)."""
     shape = max(count - width + 1, 0), count
     return csr_array(diags_array([np.ones(shape[0])] * width, offsets=range(width), shape=shape))
 
@@ -140,7 +140,7 @@ def _beside(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linea
 
 
 class ForceRows:
-    """Force equations of a fitted model along logs; a force that one of them lacks shows in no other."""
+    """Force equations of a fitted model along logs; a force missing from one of them shows in no other."""
 
     def __init__(self, fit: Fitted, data: WeakData) -> None:
         self._fit, self.data = fit, data
@@ -186,7 +186,7 @@ class ForceRows:
 
     # --- further forces -----------------------------------------------------------------------
     def columns(self, columns: Sequence[Column]) -> list[Array]:
-        """What forces with unit coefficients of columns add to a row, shape (K, columns) in every segment."""
+        """Contribution of columns with unit coefficients to a row, shape (K, columns) in every segment."""
         return [tested(s, along, columns) for s, along, _ in self.along]
 
     def waves(self, frequency: float) -> list[Array]:

@@ -1,4 +1,4 @@
-"""Independent pieces of work on all cores, with the same results in the same order as one after the other."""
+"""Independent tasks on all cores, with the same results in the same order as sequentially."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ _work: list[Callable[[int], Any]] = []
 def jobs() -> int:
     """Processes to use: the cores that this process may use, or what UNDERTOW_JOBS says.
 
-    One where processes cannot share what is in memory (all systems but Linux), and where this process is a
-    helper itself.
+    One where processes cannot share memory (all systems but Linux), and in a worker process.
     """
     if sys.platform != "linux" or _work or multiprocessing.current_process().daemon:
         return 1
@@ -38,8 +37,8 @@ def jobs() -> int:
 def one_thread() -> Iterator[None]:
     """The linear algebra in one thread while the block, or the decorated function, runs.
 
-    Matrices are small here: threads that wait for each other take longer than they save, several times as
-    long beside helper processes or other programs. Limits only what is loaded already.
+    Matrices are small here: thread synchronisation costs more than it saves, several times more with other
+    busy processes. Limits only libraries that are loaded already.
     """
     with threadpool_limits(1):
         yield
@@ -67,7 +66,7 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
 
 @contextmanager
 def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
-    """Do something on another core while the block runs; what is handed out waits for the result."""
+    """Run a task on another core while the block runs; the object yielded waits for its result."""
     if jobs() < 2:
         found = work()
         yield lambda: found
@@ -105,7 +104,7 @@ def _submitted(work: Callable[[int], T], count: int, processes: int) -> Iterator
 
 
 def _begin() -> None:
-    """In a child: it says nothing, and an interruption is for the parent to hear."""
+    """In a child process: no output, and interrupts are left to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.disable()
 

@@ -1,9 +1,8 @@
-"""How much of what a model leaves could be predicted at all: a flexible function of the logged signals.
+"""How much of the residual of a model could be predicted at all: a flexible function of the logged signals.
 
-False alarms on simulated vehicles, three runs of a minute to learn from and one to be judged by: in 0 of
-48 motions where nothing is missing, in 1 of 60 with gusts. A missing current was predicted by 93 % of what
-exceeds the noise (median), a missing lift by 60 %, and on 2 of 8 ships not beyond chance: what is predicted
-is a lower bound.
+False alarms on simulated vehicles, three training runs of a minute and one for validation: in 0 of
+48 motions where nothing is missing, in 1 of 60 with gusts. Of a missing current, 93 % of the excess over
+noise (median) was predicted, of a missing lift 60 %, and on 2 of 8 ships nothing significant: a lower bound.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from .result import Predictability
 
 @dataclass(frozen=True)
 class ReferenceSettings:
-    """Numbers of the reference; they were chosen on simulated vehicles for its time and its false alarms."""
+    """Settings of the reference, chosen on simulated vehicles for computing time and false alarms."""
 
     # Test functions that are averaged over, and the mean square over that of noise from which it is enough.
     widths: tuple[int, ...] = (1, 2, 4, 8, 16)
@@ -79,21 +78,21 @@ def predictable(
     test: WeakData,
     variables: Sequence[str] | None = None,
 ) -> list[Predictability]:
-    """How much of the residual force of every degree of freedom depends on what was logged.
+    """How much of the residual force of every degree of freedom depends on the logged signals.
 
-    Ridge regressions on the signals and their products, and boosted trees on what these leave, as far as they
-    predict held-out stretches of the training data; judged on the validation data. What other values of the
-    model's own parameters would predict as well does not count.
+    Ridge regressions on the signals and their products, and boosted trees on their residual, as far as they
+    predict held-out segments of the training data; scored on the validation data. A part that other values of
+    the model's own parameters would predict as well does not count.
 
     Parameters
     ----------
     fit : Fitted
         The model.
     train, test : WeakData
-        What is learned from, and what is judged by.
+        Training and validation data.
     variables : sequence of str, optional
-        Signals that may be used: velocities, pose, commands, further channels; by default all of them but
-        the place and the time, of which a force of the water is no function.
+        Signals that may be used: velocities, pose, commands, further channels; by default all except position
+        and time, on which a hydrodynamic force does not depend.
 
     Returns
     -------
@@ -111,7 +110,7 @@ def _forces(
     test: WeakData,
     variables: Sequence[str] | None,
 ) -> tuple[list[_Force], Array]:
-    """The residual force of every degree of freedom, and the change of the parameters that suits all."""
+    """The residual force of every degree of freedom, and the best common change of the parameters."""
     logs = _logs(fit, train, test)
     signals = _Signals.common(logs, variables)
     forces = [_Force(logs, signals, i) for i in range(len(logs[0].vehicle.dof_indices))]
@@ -121,7 +120,7 @@ def _forces(
 def is_disturbance(found: Sequence[Predictability], noisy: Container[str]) -> bool:
     """Whether the signals predict nothing, and these logs are long enough to say so.
 
-    noisy: degrees of freedom in which the noise of the sensors explains all: nothing can hide there.
+    noisy: degrees of freedom whose residual is sensor noise: nothing can be hidden there.
     """
     hidden = (p for p in found if p.interval[1] > SETTINGS.most_hidden)
     return not any(p.significant for p in found) and all(p.degree_of_freedom in noisy for p in hidden)
@@ -134,17 +133,17 @@ def captured(
     test: WeakData,
     variables: Sequence[str],
 ) -> float:
-    """Share of what a flexible function of some variables explains that an effect explains.
+    """Fraction explained by an effect of what a flexible function of some variables explains.
 
-    One where nothing of what the effect leaves depends on them. Degrees of freedom count by how much the
-    effect explains in them: what else may be missing in the others is no matter of this effect.
+    One if the remaining residual does not depend on them. Degrees of freedom are weighted by how much the
+    effect explains in them: other things missing elsewhere do not matter here.
 
     Parameters
     ----------
     base, fit : Fitted
         The model without the effect and with it.
     train, test : WeakData
-        What is learned from, and what is judged by.
+        Training and validation data.
     variables : sequence of str
         Variables of the effect.
     """
@@ -163,7 +162,7 @@ def captured(
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Small trees lose more time by waiting for other threads than they win."""
+    """Small trees lose more time waiting for other threads than they gain."""
     import sklearn.ensemble  # noqa: F401  takes long to import, and brings the threads that are limited
 
     with one_thread():
@@ -172,7 +171,7 @@ def _one_thread() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Signals:
-    """Columns that are learned from, and choices among them; the first are the signals one by one."""
+    """Columns to learn from, and subsets of them; the first are the individual signals."""
 
     columns: list[Column]
     choices: tuple[Index, ...]
@@ -227,14 +226,14 @@ class _Log:
 
     @property
     def further(self) -> list[str]:
-        """Logged channels that are no part of the model."""
+        """Logged channels that are not part of the model."""
         data = self.rows.data
         known = {*data.names, *data.commands, *ACCELERATION}
         first, *others = data.runs
         return [n for n in first.channels if n not in known and all(r.has(n) for r in others)]
 
     def table(self, signals: _Signals, width: int) -> list[Array]:
-        """Columns averaged as forces are, (K - width + 1, q) in every segment."""
+        """Columns averaged like the forces, (K - width + 1, q) in every segment."""
         if width not in self._tables:
             self._tables[width] = [
                 (sliding(s.functions.count, width) @ tested(s, self._with_lags(s, along), signals.columns))
@@ -243,7 +242,7 @@ class _Log:
         return self._tables[width]
 
     def _with_lags(self, s: Segment, along: Along) -> Along:
-        """The signals with the further ones, and with the commands after each lag."""
+        """The signals with the further ones, and with the lagged commands."""
         run = self.rows.data.runs[s.run]
         values = along.values | {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
         step = float(np.median(np.diff(s.t)))
@@ -253,7 +252,7 @@ class _Log:
 
 
 def _logs(fit: Fitted, train: WeakData, test: WeakData) -> list[_Log]:
-    """What is learned from and what is judged by, with the same lags, whatever their samples."""
+    """Training and validation data, with the same lags whatever their sampling."""
     learned, judged = (_Log(fit, data) for data in (train, test))
     judged.lags = learned.lags
     return [learned, judged]
@@ -269,7 +268,7 @@ def _filtered(signal: Array, rate: float) -> Array:
 
 @dataclass(frozen=True)
 class _Table:
-    """A residual force with what it may depend on."""
+    """A residual force with the signals it may depend on."""
 
     force: Array  # (K,) N or N m
     noise: float  # mean square that the sensors give to it
@@ -292,7 +291,7 @@ class _Share(NamedTuple):
 
 
 class _Force:
-    """The residual force of one degree of freedom, and what predicts it."""
+    """The residual force of one degree of freedom, and its predictors."""
 
     def __init__(self, logs: Sequence[_Log], signals: _Signals, dof: int) -> None:
         self._logs, self._signals, self._dof = logs, signals, dof
@@ -300,7 +299,7 @@ class _Force:
         self._width = self._enough()
 
     def _enough(self) -> int:
-        """Test functions to be averaged over, so that the force stands out of the noise."""
+        """Number of test functions to average over, so that the force exceeds the noise."""
         for width in SETTINGS.widths:
             force, variance = (np.concatenate(c) for c in zip(*self._rows[0].averaged(width), strict=True))
             if not len(force) or np.mean(force**2) > SETTINGS.stands_out * np.mean(variance):
@@ -327,7 +326,7 @@ class _Force:
         return _Table(force, float(np.mean(noise)), inertia, signals, own, place)
 
     def square_of(self, rows: ForceRows) -> float:
-        """Mean square of another model's residual, averaged over as long as this one's."""
+        """Mean square of another model's residual, averaged over the same time as this one's."""
         parts = [force for force, _ in rows.row(self._dof).averaged(self._width)]
         return float(np.mean(np.concatenate(parts) ** 2))
 
@@ -347,14 +346,14 @@ class _Force:
         return learner.learned(self.learned)
 
     def share(self, change: Array) -> _Share:
-        """Share that can be predicted beyond a change (n_free,) of the parameters."""
+        """Share that can be predicted in addition to a change (n_free,) of the parameters."""
         judged = self.judged
         other_values = judged.force - judged.own @ change
         before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
         return self._share(before, judged.force - self._predict(judged.signals))
 
     def result(self, change: Array) -> Predictability:
-        """What can be predicted, on the validation data, beyond a change (n_free,) of the parameters."""
+        """What can be predicted on the validation data, in addition to a change (n_free,) of parameters."""
         judged, (share, interval, left) = self.judged, self.share(change)
         square = max(judged.square, 1e-300)
         vehicle = self._logs[0].vehicle
@@ -388,7 +387,7 @@ class _Force:
         return _Share(middle, (low, high), left)
 
     def _needed(self) -> dict[str, float]:
-        """Share of the mean square that is lost where a signal is taken from another instant."""
+        """Share of the mean square that is lost if a signal is taken from another instant."""
         judged, predict = self.judged, self._predict
         other = np.random.default_rng(0).permutation(len(judged.force))
         without = np.mean((judged.force - predict(judged.signals)) ** 2)
@@ -405,9 +404,9 @@ class _Force:
 
 
 def _other_values(fit: Fitted, tables: Sequence[_Table]) -> Array:
-    """Change of the model's parameters, (n_free,), that suits the training data best in all equations.
+    """Change of the model's parameters, (n_free,), that fits the training data best in all equations.
 
-    Each counts by what is left in it, so that none is left out; priors hold.
+    Each is weighted by its residual, so that none is ignored; priors apply.
     """
     centre, weight = search_prior(fit.model)
     scale = [1.0 / max(np.sqrt(table.square), 1e-300) for table in tables]
@@ -420,10 +419,10 @@ def _other_values(fit: Fitted, tables: Sequence[_Table]) -> Array:
 
 
 class Learner:
-    """Ridge regressions, and boosted trees on what they leave, as far as they predict held-out stretches.
+    """Ridge regressions, and boosted trees on their residual, as far as they predict held-out segments.
 
-    The regressions on few columns and on many are mixed with the weights, none negative, with which the
-    held-out stretches are predicted best (stacking; Breiman, Machine Learning 24, 1996, 49-64).
+    The regressions on few columns and on many are combined with the non-negative weights that predict the
+    held-out segments best (stacking; Breiman, Machine Learning 24, 1996, 49-64).
     """
 
     def __init__(self, choices: Sequence[Index], width: int) -> None:
@@ -455,11 +454,11 @@ class Learner:
         return lambda signals: mixed(signals) + boosted.predict(signals[:, self._single])
 
     def _ridge(self, X: Array, y: Array, folds: Sequence[_Fold]) -> tuple[Callable[[Array], Array], Array]:
-        """Ridge regression with the best penalty, and without each fold what it says of all rows."""
+        """Ridge regression with the best penalty, and its out-of-fold predictions of all rows."""
         without = [Ridge(X[kept], y[kept]) for kept, _ in folds]
 
         def left(penalty: float) -> float:
-            """Sum of squares that the other folds leave of each, with this penalty."""
+            """Sum of squared out-of-fold residuals with this penalty."""
             pairs = zip(without, folds, strict=True)
             return sum(float(np.sum((y[out] - r.predict(X[out], penalty)) ** 2)) for r, (_, out) in pairs)
 
@@ -468,9 +467,9 @@ class Learner:
         return lambda table: whole.predict(table, penalty), np.array([r.predict(X, penalty) for r in without])
 
     def _trees(self, X: Array, left: Array, folds: Sequence[_Fold]) -> int:
-        """Trees with which held-out stretches are predicted best, or none.
+        """Trees that predict held-out segments best, or none.
 
-        `left` (folds, K) is what the regressions leave that did not see the fold.
+        `left` (folds, K) is the residual of the regressions fitted without the fold.
         """
         square = np.zeros(SETTINGS.trees + 1)
         for y, (kept, out) in zip(left, folds, strict=True):
@@ -494,7 +493,7 @@ class Learner:
         ).fit(X, y)
 
     def _folds(self, count: int, gap: int) -> Iterator[_Fold]:
-        """Rows to learn from and stretch to be predicted, which no average has a part in."""
+        """Rows to learn from and segment to be predicted, which no average overlaps."""
         edges = np.linspace(0, count, SETTINGS.folds + 1).astype(int)
         place = np.arange(count)
         for low, high in pairwise(edges.tolist()):

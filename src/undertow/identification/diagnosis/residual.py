@@ -43,7 +43,7 @@ from .result import BetweenRuns, Dependence, Remaining, Spectrum, Trend
 
 @dataclass(frozen=True)
 class DescriptionSettings:
-    """When something is said of a residual force."""
+    """Thresholds for the description of a residual force."""
 
     most_terms: int = 4  # terms that are reported of one residual force
     chance_of_line: float = 1e-4  # p-value above which a period is not reported; many frequencies are tried
@@ -68,7 +68,7 @@ def measured_pose(data: WeakData) -> tuple[str, ...]:
 
 @dataclass
 class ResidualDescription:
-    """What is known of the residual force of one degree of freedom."""
+    """Description of the residual force of one degree of freedom."""
 
     depends_on: list[Dependence] = field(default_factory=list)
     spectrum: Spectrum | None = None
@@ -78,11 +78,11 @@ class ResidualDescription:
 
 @dataclass(frozen=True)
 class ResidualForce:
-    """One residual force, ready to be looked at.
+    """One residual force with the data for its description.
 
     association: the residual with the terms that it may correlate with.
-    clocks: clock of the data of the fit, and of those for validation.
-    rows: where each of the three samples comes from, with the disturbance that it was whitened with.
+    clocks: times of the training and of the validation data.
+    rows: source of each of the three samples, with the disturbance used to whiten it.
     unit: unit of the force.
     """
 
@@ -92,12 +92,12 @@ class ResidualForce:
     unit: str
 
     def waves(self, frequency: float) -> list[Array]:
-        """What a cosine and a sine in time add to each of the three samples, shape (K, 2)."""
+        """Contribution of a cosine and a sine in time to each of the three samples, shape (K, 2)."""
         return [row.whitened(level, rows.waves(frequency)).J[:, -2:] for rows, row, level in self.rows]
 
 
 class Characterisation:
-    """The search for what one residual correlates with."""
+    """The search for terms that one residual correlates with."""
 
     def __init__(self, force: ResidualForce) -> None:
         self._force, self._left = force, force.association
@@ -121,7 +121,7 @@ class Characterisation:
         return term is not None and self._take(term)
 
     def _accept(self, after: Association) -> float:
-        """Go on with what is left; the share that went away, or zero where it is too small to be reported."""
+        """Continue with the remainder; return the share removed, or zero if it is too small to report."""
         fall = self._left.samples.shown.square - after.samples.shown.square
         share = float(np.clip(fall / self._excess, 0.0, 1.0))
         if share < SETTINGS.smallest_share:
@@ -172,7 +172,7 @@ class Characterisation:
         return replace(self._left, samples=Samples(*kept)), amplitude
 
     def _phase(self, frequency: float) -> tuple[float, bool]:
-        """Whether all runs have the same phase since their start; then the frequency that suits them best."""
+        """Whether all runs have the same phase since their start; then the frequency that fits them best."""
         width = 1.0 / max(c.series(c.t).length for c in self._force.clocks)
         near = frequency + width * np.arange(-SETTINGS.fine, SETTINGS.fine + 1) / SETTINGS.fine
         fits = [self._common(f) for f in near]
@@ -185,7 +185,7 @@ class Characterisation:
         return (float(near[best]) if in_step else frequency), in_step
 
     def _common(self, frequency: float) -> tuple[float, float]:
-        """Fall of the sum of squares by one wave for all runs: on the data of the fit, on validation data."""
+        """Fall of the sum of squares by one wave for all runs: on training and validation data."""
         waves = self._force.waves(frequency)
         samples = self._left.samples
         coefficients = -np.linalg.lstsq(waves[0], samples.fitted.r, rcond=None)[0]
@@ -241,7 +241,7 @@ def _dependence(found: Found, share: float, unit: str) -> Dependence:
 
 
 def _trend(dependence: Dependence) -> Trend | None:
-    """What a term that grows with time says about 100 s."""
+    """Effect over 100 s of a term that grows with time."""
     column = tuple(dependence.columns[0])
     if "t" not in column:
         return None
@@ -267,10 +267,10 @@ _FASTER = {
 
 
 def sentence(left: Remaining, loud: bool) -> str:
-    """One sentence: ``surge: 0.8 N rms is left beyond the noise; 71 % of it correlates with |r| u``."""
+    """One sentence: ``surge: 0.8 N rms remains above the noise; 71 % of it correlates with |r| u``."""
     if not loud:
-        return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms is left, which is noise"
-    size = f"{left.excess_rms:.2g} {left.unit} rms is left beyond the noise"
+        return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms remains, which is noise"
+    size = f"{left.excess_rms:.2g} {left.unit} rms remains above the noise"
     parts = list(_parts(left)) or [
         "it correlates with none of the logged variables, and no period stands out"
     ]
@@ -287,7 +287,7 @@ def _parts(left: Remaining) -> Iterator[str]:
 
 
 def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
-    """What a term does to the motion, as far as its sign says."""
+    """Effect of a term on the motion, as far as its sign tells."""
     coefficients, column = dependence.coefficients, dependence.columns[0]
     if len(coefficients) > 1:
         return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
@@ -331,14 +331,14 @@ def _percent(share: float) -> str:
 
 
 def _statable(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:
-    """Terms without logged inputs: those are for the effects that declare them, no other can state them."""
+    """Terms without logged inputs, which only the effects that declare them can contain."""
     for term in terms:
         if not {command_of(f) for c in term.columns for f in c} & {*vehicle.inputs}:
             yield term
 
 
 class Characteriser:
-    """Residual forces of a fitted model, on the data of the fit and on validation data."""
+    """Residual forces of a fitted model, on training and validation data."""
 
     def __init__(self, fit: Fitted, known: WeakData, validation: WeakData) -> None:
         vehicle = fit.model.functions.vehicle
@@ -354,15 +354,15 @@ class Characteriser:
         return [self._validation.row(i) for i in range(len(self._units))]
 
     def is_loud(self, dof: int) -> bool:
-        """Whether more is left in a degree of freedom than the noise explains."""
+        """Whether the residual of a degree of freedom exceeds the noise."""
         row = self.rows[dof]
         count = sum(len(p.r) for p in row.parts)
         return row.ratio > max(SETTINGS.loud, 1.0 + SETTINGS.spreads * float(np.sqrt(2.0 / count)))
 
     def of(self, dof: int) -> ResidualDescription:
-        """Describe what is left in a degree of freedom, by its place among those of the vehicle.
+        """Describe the residual of a degree of freedom, by its place among those of the vehicle.
 
-        Of what grows with the time it is asked whether it has come suddenly, too.
+        For growth with time, a sudden onset is tried as well.
         """
         found = self._described(dof)
         growing = {t.label: t for d in found.depends_on for t in sudden(d.columns[0], self._steps)}
@@ -397,7 +397,7 @@ class Characteriser:
         return Association((*self._terms, *further), Samples(*samples), self._stiffness(dof))
 
     def _stiffness(self, dof: int) -> Array:
-        """What priors and the equations of the other motions say about the parameters, as information."""
+        """Information on the parameters from priors and from the equations of the other motions."""
         others = [self._information[i] for i in range(len(self._units)) if i != dof]
         return np.asarray(np.diag(self._prior**2) + sum(others, np.zeros((len(self._prior),) * 2)))
 
@@ -416,7 +416,7 @@ class Characteriser:
 
     @cached_property
     def _columns(self) -> tuple[list[Array], list[Array]]:
-        """What each term adds to a row, on the data of the fit and on those for validation."""
+        """Contribution of each term to a row, on training and validation data."""
         columns = [c for t in self._terms for c in t.columns]
         return self._fitted.columns(columns), self._validation.columns(columns)
 
@@ -430,12 +430,12 @@ def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remain
 def unknown_to(
     own: Collection[str], left: Iterable[Remaining], vehicle: Vehicle, *, periodic: bool = False
 ) -> list[Remaining]:
-    """What of residual forces depends on more than an effect knows: variables of its own are left out.
+    """Residual forces that depend on variables other than those of an effect.
 
-    A drag that grows with the time is news to thrust that fades with it, and so is what begins suddenly.
+    A drag that grows with time is such a force for thrust that fades with it, and so is a sudden onset.
 
-    own: velocities, pose, commands and, as "t", the time, as far as the effect depends on them.
-    periodic: whether the effect swings in time itself, so that a period is no news.
+    own: velocities, pose, commands and time ("t"), as far as the effect depends on them.
+    periodic: whether the effect itself oscillates in time, so that a period does not count.
     """
     found = []
     for r in left:
@@ -447,7 +447,7 @@ def unknown_to(
 
 
 def _variables(dependence: Dependence, vehicle: Vehicle) -> set[str]:
-    """Pose, velocities, commands, the time and a step in it, as far as a dependence is one on them."""
+    """Pose, velocities, commands, time and a step in it, as far as a dependence contains them."""
     names = {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names, "t", "step"}
     return names & {word for columns in dependence.columns for c in columns for word in re.findall(r"\w+", c)}
 

@@ -1,4 +1,4 @@
-"""What a diagnosis says, as it is written to JSON."""
+"""The result of a diagnosis, as it is written to JSON."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ Verdict = Literal[
 Content = TypeVar("Content", bound=BaseModel)
 Role = Literal["train", "holdout", "blocks"]
 
-#: What is said where more than noise is left and nothing was found.
+#: What is said if the residual exceeds the noise and nothing was found.
 NO_EVIDENCE = (
-    "Unexplained: the refitted model leaves more than the noise of the sensors, and no effect of the "
-    "catalogue has enough evidence in the validation data."
+    "Unexplained: the residual of the refitted model exceeds the sensor noise, and the validation data do "
+    "not support any effect in the catalogue."
 )
 
 
 class RunInfo(ResultTable):
-    """A log and what it was used for."""
+    """A log and its role."""
 
     name: str  # name of the run
     source: str  # path of the file
@@ -46,7 +46,7 @@ class RunInfo(ResultTable):
 
 
 def run_info(run: Run, role: Role) -> RunInfo:
-    """What is written of a run."""
+    """The entry of a run in the result."""
     return RunInfo(
         name=run.name,
         source=run.source,
@@ -90,9 +90,9 @@ class ValuesByRun(ResultTable):
 
 
 class Ranked(ResultTable):
-    """A candidate effect, and what adding it does to the error on validation data.
+    """A candidate effect, and how adding it changes the error on validation data.
 
-    Significance is judged with a noise model that includes a disturbance; the errors are multiples of the
+    Significance is tested with a noise model that includes a disturbance; the errors are multiples of the
     sensor noise alone. `sure` combines both.
     """
 
@@ -106,11 +106,10 @@ class Ranked(ResultTable):
     improvement: float  # mean fall of the mean square over the blocks of the validation data
     interval: tuple[float, float]  # 95 % interval of `improvement`
     significant: bool  # whether it helps by more than chance
-    # Probability that the best of all candidates looks as good when nothing is missing; null for candidates
-    # that do not help.
+    # Probability that the best of all candidates looks as good when nothing is missing; null for idle
+    # candidates.
     p_value: float | None = None
-    # Share of resamples of the blocks in which this candidate is the best; null for candidates that do not
-    # help.
+    # Share of resamples of the blocks in which this candidate is the best; null for idle candidates.
     inclusion: float | None = None
     not_named: str = ""  # why a significant candidate is not named
     # Relative fall of the prediction error by horizon, for candidates that were simulated; if given, it
@@ -119,19 +118,19 @@ class Ranked(ResultTable):
 
     @property
     def sure(self) -> str:
-        """How sure it is that the candidate helps, see `how_sure`."""
+        """Whether the candidate certainly reduces the error, see `how_sure`."""
         return how_sure(self.significant, self.error_before, self.error_after)
 
 
 IN_PART = "in part"
 IN_PART_MEANS = (
-    f"{IN_PART[0].upper()}{IN_PART[1:]}: better than chance with a disturbance in the noise model, while "
-    "the error with all equations weighted equally does not fall."
+    f"{IN_PART[0].upper()}{IN_PART[1:]}: significant with a disturbance in the noise model, but with all "
+    "equations weighted equally the error does not fall."
 )
 
 
 def how_sure(significant: bool, before: float, after: float) -> str:
-    """ "yes" or "no", or "in part" where an effect helps by more than chance and the error does not fall."""
+    """ "yes" or "no", or "in part" if an effect is significant but the error does not fall."""
     return "no" if not significant else "yes" if after < before else IN_PART
 
 
@@ -158,7 +157,7 @@ class Step(ResultTable):
 
     @property
     def changes(self) -> list[str]:
-        """What the model has beside what was given, in words."""
+        """Changes of the model relative to the given one, in words."""
         return [*(["other values"] if self.freed else []), *self.added]
 
 
@@ -237,13 +236,12 @@ class Predictability(ResultTable):
     noise_share: float  # share of sensor noise
     disturbance_rms: float  # rms of what nothing explains
     relative_to_inertia: float  # mean square of the residual over that of inertia times acceleration
-    # Signals that the prediction needs, largest first: the part of the residual that is lost without each of
-    # them.
+    # Signals that the prediction needs, largest first: part of the residual lost without each.
     variables: dict[str, float]
 
     @property
     def at_most(self) -> float:
-        """Share that may be predictable: the end of the interval, or all that anything predicted if more."""
+        """Share that may be predictable: the upper end of the interval, or the share predicted, if larger."""
         reached = 1.0 - self.noise_share - (self.disturbance_rms / max(self.residual_rms, 1e-300)) ** 2
         return max(self.interval[1], reached)
 
@@ -260,7 +258,7 @@ class ChannelNoise(ResultTable):
 
 
 class DisturbanceLevel(ResultTable):
-    """What a model leaves in one force beyond sensor noise."""
+    """Residual of one force above sensor noise."""
 
     degree_of_freedom: str
     unit: str
@@ -278,7 +276,7 @@ class Floors(ResultTable):
 
 
 class Remaining(ResultTable):
-    """What the final model leaves in one degree of freedom on validation data."""
+    """Residual of the final model in one degree of freedom on validation data."""
 
     degree_of_freedom: str
     normalised_error: float  # multiple of the noise
@@ -295,7 +293,7 @@ class Remaining(ResultTable):
 
 
 class AddedEffect(ResultTable):
-    """An effect that was added where more than noise is left."""
+    """An effect that was added if the residual exceeds the noise."""
 
     effect: str
     # Relative fall, by horizon, of the error of predicted velocities (for an effect of the sensors, of
@@ -339,12 +337,12 @@ class Diagnosis(ResultTable):
 
     @property
     def freed(self) -> list[str]:
-        """Values that the vehicle file holds fixed and that were fitted with the rest."""
+        """Values that the vehicle file holds fixed and that were also fitted."""
         return self.steps[-1].freed if self.steps else []
 
     @property
     def last_step(self) -> Step:
-        """The model as it is handed on: with the effects that are named, or with none of those tried."""
+        """The final model: with the named effects, or with none of those tried."""
         return [s for s in self.steps if set(s.added) <= set(self.effects)][-1]
 
 
@@ -358,7 +356,7 @@ def read_diagnosis(path: Path, kind: type[Content]) -> Content:
         elif content == json_ready(content):
             return found
         else:
-            why = "a number in it is infinite or none"
+            why = "a number in it is infinite or missing"
     except ValidationError as error:
         first = error.errors()[0]
         why = ": ".join(filter(None, (".".join(map(str, first["loc"])), first["msg"])))

@@ -1,4 +1,4 @@
-"""One step of the search: all candidates, then the leading ones; and other values of what is held fixed."""
+"""One step of the search: all candidates, then the leading ones; and other values of fixed parameters."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _log = logging.getLogger("undertow.diagnosis")
 
 @dataclass(frozen=True)
 class Round:
-    """One step of the search: the model so far and what every candidate would do for it.
+    """One step of the search: the model so far and how every candidate would improve it.
 
     bench: data, noise model and the model so far.
     findings: all candidates, best first.
@@ -73,7 +73,7 @@ class Round:
 
 @np.errstate(over="ignore", invalid="ignore")  # what grows without bound is refused by its cost
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
-    """Try every candidate on top of a model."""
+    """Try every candidate in addition to a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
     runs = origins(bench.train.runs)
     listed = [
@@ -109,7 +109,7 @@ class _Look(NamedTuple):
 
 
 def _screened(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
-    """What every candidate promises that adds anything, the most promising first."""
+    """Predicted improvement of every candidate with parameters to add, the most promising first."""
     bench.work_out()
     # What has to be searched takes longest: started first, it leaves no core idle at the end.
     listed = sorted(listed, key=lambda c: not any(p.starts for p in c.effect(()).parameters))
@@ -122,7 +122,7 @@ def _screened(listed: Sequence[Candidate], bench: Bench, report: Progress) -> li
 
 
 def _worth_a_fit(screened: Sequence[_Look], bench: Bench) -> list[_Look]:
-    """The candidates that are fitted, of those that come in order of what they promise."""
+    """The candidates to be fitted, from a list ordered by predicted improvement."""
     settings = bench.settings
     falls = [bench.base.cost - s.cost for s in screened]
     enough = settings.predicted_fall_share * max(falls, default=0.0)
@@ -133,7 +133,7 @@ def _worth_a_fit(screened: Sequence[_Look], bench: Bench) -> list[_Look]:
 
 
 def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, PackedTrial]]:
-    """Fits of the candidates that promise something."""
+    """Fits of the promising candidates."""
 
     enough = bench.settings.first_step
 
@@ -161,8 +161,8 @@ def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, flo
 def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Bench, list[Trial]]:
     """Judge the leading candidates again, with the noise model of the best of them.
 
-    Under the noise model of a poor fit a mediocre candidate may lead, and its own hides less: who leads then
-    sets the next.
+    Under the noise model of a poor fit a mediocre candidate may lead; under its own noise model less is
+    hidden, and the new leader sets the next noise model.
     """
     if not finalists or finalists[0].score.error >= bench.base_score.error:
         return bench, finalists
@@ -188,9 +188,10 @@ def _all_again(finalists: list[Trial], sharp: Bench, best: Trial, report: Progre
 
 
 def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
-    """A trial under the finer noise model; what is far behind with all its parameters is not fitted again.
+    """A trial under the finer noise model; candidates far behind with all their parameters are not fitted
+    again.
 
-    What the coarser noise model hid of an effect was left out of it, and may be what makes it the right one.
+    Parameters hidden by the coarser noise model were dropped from an effect, and may be decisive.
     """
     if trial is not best and _out_of_reach(trial, sharp, best):
         return replace(trial, score=sharp.judge(trial.fit))
@@ -198,10 +199,10 @@ def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
 
 
 def _out_of_reach(trial: Trial, sharp: Bench, best: Trial) -> bool:
-    """Whether an effect is far behind the best one, and no step of a fit would change that.
+    """Whether an effect is far behind the best one, and a further step of the fit would not change that.
 
-    A rough fit under a coarse noise model may end many standard errors of the finer one from where it
-    belongs: a step brings it there.
+    A rough fit under a coarse noise model may end many standard errors of the finer one from its optimum: a
+    step brings it there.
     """
     left, least = (float(np.mean(sharp.judge(t.full).r ** 2)) for t in (trial, best))
 
@@ -214,13 +215,13 @@ def _out_of_reach(trial: Trial, sharp: Bench, best: Trial) -> bool:
 def far_behind(
     left: float, least: float, after_a_step: Callable[[], float], settings: Settings = DEFAULT
 ) -> bool:
-    """Whether a mean square is far above the least one, and stays so after a further step of the fit."""
+    """Whether a mean square is far above the least one, and remains so after a further step of the fit."""
     limit = settings.refit_limit
     return left > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
 class _Evidence(NamedTuple):
-    """Falls of the errors of candidates, what chance does, and the residual of the best one, (m,)."""
+    """Error reductions of candidates, their null distribution, and the residual of the best one, (m,)."""
 
     falls: dict[str, float]
     chance: Chance
@@ -259,13 +260,13 @@ def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, 
 def _chances(
     trial: Trial, compared: Comparison, bench: Bench, evidence: _Evidence, count: int
 ) -> tuple[float, float]:
-    """Chance that the best of all candidates does as well as this one when nothing is missing; and the same
-    where a slow disturbance acts.
+    """Probability that the best of all candidates does as well as this one if nothing is missing; and the
+    same under a slow disturbance.
 
-    The bootstrap weighs blocks by what falls in them, the rank test counts them: either may show what the
-    other is blind to, and each gets half of the false alarms.
+    The bootstrap weights blocks by their error reduction, the rank test counts them: each may detect what the
+    other misses, and each gets half of the false alarms.
 
-    compared: the candidate and the model without it by the usual blocks.
+    compared: the candidate and the model without it over the usual blocks.
     """
     if trial.id not in evidence.falls:
         return 1.0, 1.0
@@ -283,11 +284,11 @@ def _chances(
 
 @dataclass(frozen=True)
 class OtherValues:
-    """The model with fitted values in place of some that the vehicle file holds fixed.
+    """The model with some of the values that the vehicle file holds fixed fitted instead.
 
-    alike: names of those values, each with fixed values that would do the same in its place.
+    alike: names of those values, each with alternatives that would have the same effect.
     fit: the fit with them free.
-    score: how it does on the validation data.
+    score: its score on the validation data.
     """
 
     alike: dict[str, tuple[str, ...]]
@@ -296,10 +297,11 @@ class OtherValues:
 
 
 def values_to_free(current: Round, residual_is_noise: IsNoise) -> dict[str, tuple[str, ...]]:
-    """Fixed values whose change explains more than the best effect, or as much with less strain on the rest.
+    """Fixed values whose change explains more than the best effect, or as much with smaller changes
+    elsewhere.
 
-    Names of the values, each with fixed values that would do the same in its place; empty where an effect, or
-        the model as it is, is to be preferred.
+    Names of the values, each with alternatives that would have the same effect; empty if an effect, or the
+    model as given, is to be preferred.
     """
     bench = current.bench
     if not _fixed(bench) or residual_is_noise(bench.base, bench.test):
@@ -316,7 +318,7 @@ def values_to_free(current: Round, residual_is_noise: IsNoise) -> dict[str, tupl
 
 
 def other_values(bench: Bench) -> OtherValues | None:
-    """The model with those fixed values free that the data want to be others; None where they want none."""
+    """The model with those fixed values free that the data contradict; None if there are none."""
     alike = _wanted(bench)
     if not alike:
         return None
@@ -326,7 +328,7 @@ def other_values(bench: Bench) -> OtherValues | None:
 
 
 def _unlikely(fit: WeakFit, score: Score) -> float:
-    """Twice the negative logarithm of the likelihood of what is left, if that is noise, and of the values.
+    """Twice the negative log-likelihood of the residual, if that is noise, and of the values.
 
     Stated priors have their full weight here.
     """
@@ -346,14 +348,14 @@ def _preferred(
 
 # --- which values ---------------------------------------------------------------------------------
 def _fixed(bench: Bench) -> tuple[str, ...]:
-    """Fixed values that the file states and no effect stands for: all but what is weighed and measured."""
+    """Fixed values without a corresponding effect: all except weighed and measured ones."""
     vehicle = bench.base.model.functions.vehicle
     own = {p.name for e in vehicle.all_effects if not (e.weighed or e.built_in) for p in e.parameters}
     return tuple(n for n in _held(bench) if n in vehicle.values and vehicle.declaration(n).name in own)
 
 
 def _held(bench: Bench) -> tuple[str, ...]:
-    """All values of the equations that a fit may not change."""
+    """All values in the equations that a fit may not change."""
     model = bench.base.model
     names = model.functions.parameter_names
     vehicle = model.functions.vehicle
@@ -362,8 +364,8 @@ def _held(bench: Bench) -> tuple[str, ...]:
 
 
 def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
-    """Fixed values that bring the error down in the linearised problem, one after the other, each with those
-    that would do the same in its place.
+    """Fixed values that reduce the error in the linearised problem, one after the other, each with
+    alternatives of the same effect.
     """
     fixed = _fixed(bench)
     if not fixed:
@@ -389,7 +391,7 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
 
 
 def _normal(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Information and slope of the model's own parameters and of these values, in their order."""
+    """Information and gradient of the model's own parameters and of these values, in their order."""
     base = bench.base
     by_run = {n: base.values[n] for n in base.model.values.split}
     held, p = WeakModel(base.model.functions, names, known=by_run), base.p[: base.model.values.size]

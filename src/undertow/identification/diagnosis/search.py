@@ -1,4 +1,4 @@
-"""The search for what is missing: effect after effect, pairs where one is not enough, a last fit."""
+"""The search for missing effects: one by one, pairs where one is not enough, a final fit."""
 
 from __future__ import annotations
 
@@ -46,9 +46,10 @@ from .trial import parameters_that_matter
 
 
 def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
-    """Two effects that without the best single one explain clearly more than that, if the logs leave no more.
+    """Two effects other than the best single one that together explain clearly more than it, if only noise
+    remains.
 
-    A pair with the best single effect is found by the next round.
+    A pair that includes the best single effect is found in the next round.
     """
     good = [
         c
@@ -59,10 +60,10 @@ def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
 
 
 def lone_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
-    """Two effects of which neither is in evidence alone and that together leave only noise.
+    """Two effects of which neither is significant alone and that together leave only noise.
 
-    All pairs of effects were in the race, so that by chance the best of them looks good more easily than the
-    best single one; and of several that do as well, none is in evidence.
+    All pairs of effects were tried, so the best of them looks good by chance more easily than the best single
+    one; and if several do as well, none is established.
     """
     bench = current.bench
     if residual_is_noise(bench.base, bench.test):
@@ -74,7 +75,7 @@ def lone_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
 def only_one_in_evidence(
     tried: Sequence[EffectSet], bench: Bench, count: int, residual_is_noise: IsNoise
 ) -> EffectSet | None:
-    """The pair, of `count` possible ones, that leaves only noise, if no other one does as well."""
+    """The pair, of `count` possible ones, that leaves only noise, if no other does as well."""
     good = [c for c in tried if _in_evidence(c, bench, count) and residual_is_noise(c.fit, bench.test)]
     best = min(good, key=lambda c: c.score.error, default=None)
     if best is None or any(as_good(best.score, c.score, bench) for c in tried if c is not best):
@@ -83,7 +84,7 @@ def only_one_in_evidence(
 
 
 def _tried(current: Round, most: int) -> list[EffectSet]:
-    """The most promising pairs of effects, fitted, without those of the best single one if there is one."""
+    """The most promising pairs of effects, fitted, excluding those with the best single one, if any."""
     bench = current.bench
     vehicle = bench.base.model.functions.vehicle
     pairs = promising_pairs(current.findings, bench, most)
@@ -98,9 +99,9 @@ def _in_evidence(pair: EffectSet, bench: Bench, count: int) -> bool:
 def promising_pairs(
     findings: Sequence[FoundEffect], bench: Bench, most: int
 ) -> list[tuple[FoundEffect, FoundEffect]]:
-    """Pairs of candidates by what they promise together, the most promising first.
+    """Pairs of candidates by their joint predicted improvement, the most promising first.
 
-    What each changes where it was fitted is added up, and all parameters are refitted linearly.
+    Their changes at their fits are added up, and all parameters are refitted linearly.
     """
     leading = [f for f in findings if f.trial.kept][: bench.settings.pair_candidates]
     columns = [_columns(f, bench) for f in leading]
@@ -110,7 +111,7 @@ def promising_pairs(
 
 
 def _columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Array]:
-    """What a candidate changes in the residual where it was fitted, and its own columns there."""
+    """Change of the residual by a candidate at its fit, and its own columns there."""
     fit = finding.trial.full
     at = whitened(fit.model.linearise(bench.train, fit.p), bench.train_whitening)
     own = {p.name for p in finding.trial.candidate.parameters}
@@ -132,14 +133,14 @@ ToFree = Callable[[Round, IsNoise], Freed]
 
 @dataclass(frozen=True)
 class Search:
-    """What the search found.
+    """Result of the search.
 
     vehicle: the model as given, or with some of its fixed values to be estimated.
-    rounds: its steps; the last is without a winner unless the noise floor was reached or effects ran out.
-    bench: data, the noise model of the best model that was found, and the model without any effect.
-    effect_set: the effects that were found, none or several, fitted together.
-    rivals: for each of the effects, what does as well in its place.
-    freed: those values, each with fixed values that would do the same in its place.
+    rounds: its steps; the last has no winner unless the noise floor was reached or no effects remained.
+    bench: data, the noise model of the best model found, and the model without any effect.
+    effect_set: the effects found, none or several, fitted together.
+    rivals: for each of the effects, those that do as well in its place.
+    freed: those values, each with alternatives that would have the same effect.
     """
 
     vehicle: Vehicle
@@ -170,8 +171,8 @@ def search(
     residual_is_noise: IsNoise = only_noise,
     settings: Settings = DEFAULT,
 ) -> Search:
-    """Look for missing effects until the noise floor or until nothing helps."""
-    report(0.0, "fitting the model as it is")
+    """Search for missing effects until the noise floor is reached or nothing improves the model."""
+    report(0.0, "fitting the model as given")
     opened = open_bench(vehicle, train, test, settings)
     vehicle = opened.base.model.functions.vehicle
     steps = _stepwise(vehicle, opened, known, report, residual_is_noise, values_to_free)
@@ -189,8 +190,8 @@ def search(
 class _Steps:
     """Rounds of candidates, the effects that were added, and the model with them.
 
-    `freed` are fixed values that do more than the next effect would: then the search ends here. `paired`: the
-    effects are two of which neither shows alone.
+    `freed` are fixed values that improve the model more than the next effect: then the search ends here.
+    `paired`: two effects of which neither is significant alone.
     """
 
     rounds: list[Round]
@@ -207,7 +208,7 @@ def _none_to_free(current: Round, residual_is_noise: IsNoise) -> Freed:
 def _do_alone(
     vehicle: Vehicle, effects: Sequence[FoundEffect], bench: Bench, residual_is_noise: IsNoise
 ) -> bool:
-    """Whether effects that were found beside other values leave only noise without these."""
+    """Whether effects that were found together with freed values leave only noise without these."""
     return bool(effects) and residual_is_noise(fitted(vehicle, effects, bench).fit, bench.test)
 
 
@@ -219,7 +220,7 @@ def _stepwise(
     residual_is_noise: IsNoise,
     to_free: ToFree,
 ) -> _Steps:
-    """Rounds of candidates, and a second look where nothing is found although more than noise is left."""
+    """Rounds of candidates, and a second look if nothing is found although more than noise remains."""
     steps = _steps(vehicle, bench, known, report, residual_is_noise, [], to_free)
     last = steps.rounds[-1].bench
     if steps.freed or steps.paired or steps.rounds[-1].winner is not None:
@@ -248,7 +249,7 @@ def _steps(
     found: Sequence[FoundEffect],
     to_free: ToFree,
 ) -> _Steps:
-    """Rounds of candidates, each on top of what was found so far."""
+    """Rounds of candidates, each in addition to those found so far."""
     rounds: list[Round] = []
     effect_set, fit = list(found), bench.base
     while len(effect_set) < bench.settings.max_effects:
@@ -286,10 +287,10 @@ def _steps(
 
 
 def _out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> bool:
-    """Whether so many more effects, none of which does more than the last one, would stay far from the noise.
+    """Whether the remaining number of effects, each no better than the last one, could not reach the noise.
 
-    Effects come in the order of what they do. Where no set of them can explain all, which of them are worth
-    adding is for simulation to say.
+    Effects come in the order of their improvement. If no set of them can explain everything, simulation
+    decides which of them to add.
     """
     ratios = [noise_ratio(fit, bench.test) for fit in (before, after)]
     limit = bench.settings.output_error_reach * np.count_nonzero(np.isfinite(ratios[1]))
@@ -298,9 +299,9 @@ def _out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> b
 
 
 def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
-    """The round led by an effect with which nothing but noise is left, where the leading one leaves more.
+    """The round led by an effect that leaves only noise, if the leading one leaves more.
 
-    Under a noise model with room for disturbances, some effects look alike that simulation tells apart.
+    Under a noise model that includes disturbances, some effects look alike that simulation tells apart.
     """
     leading = [f for f in current.findings if f.significant][: current.bench.settings.leading_effects]
     test = current.bench.test
@@ -313,7 +314,7 @@ def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
 
 
 def _on_top(bench: Bench, vehicle: Vehicle, effect_set: list[FoundEffect], fit: WeakFit) -> Bench:
-    """The bench for the next round: what was found belongs to the model."""
+    """The bench for the next round: the effect found becomes part of the model."""
     grown = with_effects(vehicle, effect_set)
     base = bench.fit(grown, free_parameters(grown), fit.values)
     return replace(bench, base=base)
@@ -327,7 +328,7 @@ def _share_of(report: Progress, begin: float, share: float) -> Progress:
 def _refitted_together(
     vehicle: Vehicle, opened: Bench, rounds: list[Round], found: list[FoundEffect]
 ) -> Search:
-    """All effects fitted together under the last noise model, without those that are not needed any more."""
+    """All effects fitted together under the last noise model, without those no longer needed."""
     if not found:
         return Search(vehicle, rounds, opened, fitted(vehicle, [], opened), [])
     bench = opened.sharpened(found[-1].trial.full) if len(rounds) > 1 else rounds[0].bench
@@ -353,10 +354,10 @@ def _refitted_together(
 def _plain_ones(
     vehicle: Vehicle, effect_set: EffectSet, rounds: list[Round], bench: Bench
 ) -> list[EffectSet]:
-    """Much plainer effects than the single one found that do as well once each is fitted under its own noise.
+    """Much simpler effects than the single one found that do as well once each is fitted under its own noise.
 
-    Under a noise model with room for a disturbance, what is steady is fitted loosely, and an effect with many
-    parameters gets ahead by that alone. Which of them it is, the simulation has to say.
+    Under a noise model that includes a disturbance, steady forces are fitted loosely, and an effect with many
+    parameters may lead for that reason alone. Simulation decides between them.
     """
     if len(effect_set.findings) != 1 or len(rounds) != 1:
         return []
@@ -380,16 +381,16 @@ def much_plainer(
 def _rivals(
     vehicle: Vehicle, effect_set: EffectSet, place: int, rounds: list[Round], bench: Bench
 ) -> list[EffectSet]:
-    """What does as well as one of the effects, the others being what they are."""
+    """Effects that do as well as one of those found, with the others unchanged."""
     return alternatives(vehicle, effect_set, place, possible_rivals(effect_set, place, rounds, bench), bench)
 
 
 def possible_rivals(
     effect_set: EffectSet, place: int, rounds: Sequence[Round], bench: Bench
 ) -> list[FoundEffect]:
-    """Significant effects of the round in which an effect was found; of a single effect those as good.
+    """Significant effects of the round in which an effect was found; for a single effect, those as good.
 
-    Beside another effect one may do well that does not alone.
+    An effect may do well together with another one though not alone.
     """
     effect = effect_set.findings[place]
     for current in rounds:
@@ -402,11 +403,11 @@ def possible_rivals(
 
 
 def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings = DEFAULT) -> WeakFit:
-    """Fit a model once more under the noise that it leaves itself, with what the search was too strict about.
+    """Fit a model once more under its own noise model, with parameters for which the search was too strict.
 
-    While effects compete, a parameter has to be far from zero to stay, for there are many that could be there
-    by chance. Of an effect that is named, a parameter stays that is more likely there than not: two standard
-    errors from zero.
+    While effects compete, a parameter has to be far from zero to be kept, since many could be nonzero by
+    chance. In a named effect, a parameter is kept if more likely present than not: two standard errors from
+    zero.
     """
     fit = with_reestimated_noise(fit)
     names = fit.model.functions.parameter_names

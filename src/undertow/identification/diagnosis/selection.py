@@ -1,8 +1,8 @@
-"""Where more than noise is left: effects are added as long as they lower the error of simulation.
+"""If the residual exceeds the noise: effects are added as long as they reduce the simulation error.
 
-No model of a real vehicle leaves only the noise of its sensors. What can still be asked of an effect is that
-it is there beyond chance, that it is the best one, that predictions of the validation data get better by as
-much as matters and nowhere worse, and that it says the same in every run and every regime.
+No model of a real vehicle reduces the residual to sensor noise. An effect can still be required to be
+significant, to be the best one, to improve predictions of the validation data by enough to matter and worsen
+none, and to be consistent over all runs and regimes.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ _log = logging.getLogger("undertow.diagnosis")
 # --- the selection --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Graded:
-    """An effect that predictions of the validation data are better with.
+    """An effect that improves predictions of the validation data.
 
-    chosen: the effect; rivals: what does as well in its place.
-    worth: what it does to the predictions on top of those before it.
-    doubt: why it is not established as the cause; empty where it is.
+    chosen: the effect; rivals: those that do as well in its place.
+    worth: its improvement of predictions in addition to those before it.
+    doubt: why it is not established as the cause; empty if it is.
     """
 
     chosen: FoundEffect
@@ -62,11 +62,11 @@ class Graded:
 
 @dataclass(frozen=True)
 class Selection:
-    """Effects that were added one after the other, each because predictions get better with it.
+    """Effects that were added one by one, each because it improves predictions.
 
     rounds: the rounds.
-    reasons: why candidates of the first round that are beyond chance were not chosen in it.
-    worth: what those of its candidates that were simulated do to the predictions.
+    reasons: why significant candidates of the first round were not chosen in it.
+    worth: improvement of predictions by those of its candidates that were simulated.
     """
 
     graded: list[Graded]
@@ -80,13 +80,13 @@ class Selection:
 
     @property
     def established(self) -> list[Graded]:
-        """The effects up to the first one that is in doubt: later ones may only make up for that."""
+        """The effects up to the first one in doubt: later ones may only compensate for that."""
         doubted = next((i for i, g in enumerate(self.graded) if g.doubt), len(self.graded))
         return self.graded[:doubted]
 
     @property
     def all_but_one_established(self) -> bool:
-        """Whether no effect was added beside one in doubt."""
+        """Whether no effect was added after one in doubt."""
         return len(self.graded) - len(self.established) <= 1
 
 
@@ -96,28 +96,28 @@ def select(
     known: Catalogue,
     report: Progress = lambda done, words: None,
 ) -> Selection:
-    """Add effects as long as predictions of the validation data get better by as much as matters."""
+    """Add effects as long as predictions of the validation data improve by enough to matter."""
     return _Selector(found, validator, known, report).run()
 
 
 def _stands(finding: FoundEffect, doubt: str, bench: Bench) -> bool:
-    """Whether nothing speaks against an effect beside one that predicts as well.
+    """Whether there is no doubt about an effect other than one that predicts as well.
 
-    A current on one heading is not refuted: these logs do not show what would be special about it.
+    A current on a constant heading is not refuted: these logs do not contain what distinguishes it.
     """
     return not doubt or doubt in (never_turned(finding, bench), by_slow_disturbance(finding, bench.settings))
 
 
 def by_slow_disturbance(finding: FoundEffect, settings: Settings = DEFAULT) -> str:
-    """That an effect may be a slow disturbance, in words; empty where it is none."""
+    """That an effect may be a slow disturbance, in words; empty if not."""
     if not finding.by_slow_disturbance(settings):
         return ""
-    return f"a slow disturbance would look like it by chance in {finding.slow_p_value:.1%} of such logs"
+    return f"a slow disturbance would score as well by chance in {finding.slow_p_value:.1%} of such logs"
 
 
 def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
-    """Whether an effect is a polynomial for the physics of another: that the series fits better, as with more
-    coefficients it will, does not speak against the physics.
+    """Whether an effect is a polynomial approximation of another: that the series fits better, as it will
+    with more coefficients, is no evidence against the physics.
     """
     return other.id in finding.trial.candidate.effect.series_of
 
@@ -127,10 +127,10 @@ Beside = Callable[[FoundEffect, FoundEffect], Worth]
 
 
 class Kept(NamedTuple):
-    """What effects keep beside another one, as shares of what they have without it.
+    """Size and improvement of effects with another one in the model, relative to those without it.
 
     size: of their parameters.
-    gain: of what predictions gain by them.
+    gain: of their improvement of predictions.
     """
 
     size: float
@@ -144,12 +144,12 @@ def kept_beside(
     bench: Bench,
     validator: SimulationValidator,
 ) -> Kept:
-    """What an effect keeps of its size and of its gain beside another one.
+    """Size and gain that an effect keeps with another one in the model.
 
-    All of it where predictions do not get better with the other one beside it, or are clearly worse with
-    that one alone: what stands in for something predicts no better than it.
+    All of it if the other one does not improve predictions further, or if predictions are clearly worse with
+    that one alone: a proxy predicts no better than the effect it stands for.
 
-    before: the model without either, fitted as the result will be.
+    before: the model without either, fitted like the final result.
     """
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
 
@@ -176,7 +176,7 @@ def kept_beside(
 
 
 def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
-    """Parameters in a second fit as a share of those in the first, each as far as the first knows it."""
+    """Parameters in a second fit relative to those in the first, weighted by the precision of the first."""
     errors = given.standard_errors
     own = [n for n in names if errors[n] > 0.0 and np.isfinite(errors[n])]
     weight = np.array([given.values[n] / errors[n] ** 2 for n in own])
@@ -191,9 +191,9 @@ def alternatives(
     beside: Beside,
     settings: Settings = DEFAULT,
 ) -> list[FoundEffect]:
-    """The rivals that take over what the chosen effect explains: beside them little of its gain is left.
+    """The rivals that take over what the chosen effect explains: with them in the model, its gain is small.
 
-    Beside others it gains as much as `alone`: they explain something else.
+    With others in the model it gains as much as `alone`: they explain something else.
     """
     return [r for r in rivals if beside(r, chosen).gain < settings.kept_gain * alone.gain]
 
@@ -205,17 +205,17 @@ def dominated(
     beside: Beside,
     settings: Settings = DEFAULT,
 ) -> dict[str, str]:
-    """Why others are not established beside a better effect that is in doubt, by their ids.
+    """Why other effects are not established if a better one is in doubt, by their ids.
 
-    Whatever is behind the better one, what is worth nothing beside it only makes up for that in part.
+    Whatever causes the better one, an effect that adds nothing to it only compensates for that in part.
 
-    better: share of the resamples in which the first of two is better.
+    better: fraction of the resamples in which the first of two is better.
     """
     found = {}
     for f in others:
         clearly = better(best, f) >= settings.best_share
         if clearly and not beside(best, f).enough(settings.worth):
-            found[f.id] = f"{best.id}, itself not established, predicts better, and this adds nothing to it"
+            found[f.id] = f"{best.id}, also not established, predicts better, and this adds nothing to it"
     return found
 
 
@@ -227,7 +227,7 @@ _TRYING = 0.3
 
 
 def rivals_beside_later(graded: Sequence[Graded]) -> list[Graded]:
-    """The effects, each without rivals that stand for one that was found after it and is needed beside it."""
+    """The effects, each without rivals that stand for one found after it and needed in addition to it."""
     later: set[str] = set()
     found = []
     for g in reversed(graded):
@@ -249,7 +249,7 @@ class _Selector:
         self._later: list[FoundEffect] = []
 
     def run(self) -> Selection:
-        """The effects; where the first is in doubt, once more with those that were found after it in view."""
+        """The effects; if the first is in doubt, it is reassessed with those found after it."""
         found = self._forward()
         self._later = [g.chosen for g in found.graded[1:]]
         if not self._later or found.established:
@@ -275,10 +275,10 @@ class _Selector:
     def _without_superfluous(
         self, graded: list[Graded], bench: Bench, whole: dict[float, Array] | None = None
     ) -> list[Graded]:
-        """The backward look: effects without those that nothing is gained by beside what was found later.
+        """Backward elimination: effects without those that bring nothing once later ones are in the model.
 
-        One that stood in for what was not found yet is worth nothing beside it. Those in doubt stay: what
-        comes after them is judged beside them. `whole`: squares of predictions with all of them, where known.
+        A proxy for an effect found later brings nothing once that is in the model. Effects in doubt stay:
+        later ones are evaluated in addition to them. `whole`: squares of predictions with all, if known.
         """
         findings = [g.chosen for g in graded]
         open_ = [i for i, g in enumerate(graded[:-1]) if not g.doubt]
@@ -294,7 +294,7 @@ class _Selector:
             return graded
         _, least = min(spare)
         superfluous = graded[open_[least]]
-        _log.info("superfluous beside the others: %s", superfluous.chosen.id)
+        _log.info("redundant given the others: %s", superfluous.chosen.id)
         return self._without_superfluous([g for g in graded if g is not superfluous], bench, ahead[least])
 
     def _report(self, done: float, words: str) -> None:
@@ -307,9 +307,9 @@ class _Selector:
     def _step(self, graded: Sequence[Graded], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
 
-        Under a noise model with room for a disturbance a slow force is a part of that. Where nothing at all
-        is found, candidates are tried under the noise of the sensors alone: by chance an effect looks as good
-        in whole blocks of the logs as rarely as before.
+        A noise model that includes a disturbance absorbs slow forces. If nothing at all is found, candidates
+        are tried under sensor noise alone: since whole blocks of the logs are resampled, chance findings
+        remain as rare as before.
         """
         current = self._round([g.chosen for g in graded], rounds)
         best = self._best(current, graded)
@@ -326,7 +326,7 @@ class _Selector:
         return replace(current, findings=[*others[: len(seen)], *more, *others[len(seen) :]]), None
 
     def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
-        """Candidates on top of what was chosen; a round from before serves where it is the same."""
+        """Candidates in addition to the chosen effects; an identical earlier round is reused."""
         grown = with_effects(self._found.vehicle, chosen)
         for done in self._rounds:
             if done.bench.base.vehicle.parameter_names == grown.parameter_names:
@@ -337,9 +337,9 @@ class _Selector:
         return self._rounds[-1]
 
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
-        """The best candidate that is worth adding, with what does as well; an established one leads.
+        """The best candidate that improves predictions enough, with its rivals; an established one leads.
 
-        Beside an effect that is in doubt, or one of too many, none is established: it may only make up for
+        After an effect in doubt, or one of too many equivalents, none is established: it may compensate for
         that.
         """
         bench, least = current.bench, self._settings.worth
@@ -356,7 +356,8 @@ class _Selector:
         many = self._settings.most_equivalent
         doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
-            best, doubt = worthy[0], f"it was found beside {doubtful}, which is not established either"
+            best = worthy[0]
+            doubt = f"it was identified together with {doubtful}, which is not established either"
             return Graded(best, [], worth[best.id], doubt)
         doubts = {}
         for f in (*leading, *near) if worthy else ():
@@ -397,9 +398,9 @@ class _Selector:
         before: Mapping[float, Array],
         ahead: dict[str, dict[float, Array]],
     ) -> list[FoundEffect]:
-        """Effects that some of their terms alone make worth adding, where these give the chosen one's force.
+        """Effects that improve predictions with only those terms that reproduce the chosen one's force.
 
-        Their predictions take the place of those with all terms in `ahead`.
+        Their predictions replace those with all terms in `ahead`.
 
         plain: ids of effects that need no such trial.
         """
@@ -419,10 +420,10 @@ class _Selector:
         before: Mapping[float, Array],
         ahead: Mapping[str, dict[float, Array]],
     ) -> bool:
-        """Whether an effect predicts the motions that it explains no worse than the chosen one does.
+        """Whether an effect predicts the motions that it explains no worse than the chosen one.
 
-        One with a term in every motion wins over one with a term in surge by what it does in the others, and
-        that is no evidence about surge.
+        An effect with terms in all motions beats one with a term in surge by its improvement in the others,
+        which is no evidence about surge.
         """
         settings = self._settings
         old, new, best = (
@@ -441,7 +442,7 @@ class _Selector:
         ahead: Mapping[str, dict[float, Array]],
         bench: Bench,
     ) -> dict[str, str]:
-        """Doubts of effects that are worth nothing beside the best one, which is in doubt itself."""
+        """Doubts about effects that add nothing to the best one, which is in doubt itself."""
 
         def better(best: FoundEffect, other: FoundEffect) -> float:
             return float(self._often([best, other], ahead, bench)[0])
@@ -452,7 +453,7 @@ class _Selector:
         return dominated(worthy[0], sure, better, self._beside(ahead, bench), self._settings)
 
     def _beside(self, ahead: Mapping[str, dict[float, Array]], bench: Bench) -> Beside:
-        """What a candidate is worth on top of another."""
+        """Improvement by a candidate in addition to another."""
         vehicle = bench.base.model.functions.vehicle
 
         def worth(first: FoundEffect, then: FoundEffect) -> Worth:
@@ -462,7 +463,7 @@ class _Selector:
         return worth
 
     def _springs(self, findings: list[FoundEffect], worth: Mapping[str, Worth]) -> set[str]:
-        """Ids of memories that are springs, where another candidate does at least half as much."""
+        """Ids of memory effects that are springs, if another candidate does at least half as much."""
         gained = {f.id: float(np.mean([*worth[f.id].falls.values()])) for f in findings}
         springs = {f.id for f in findings if is_spring(f)}
         most = max((gained[i] for i in springs), default=0.0)
@@ -470,10 +471,10 @@ class _Selector:
         return springs if enough else set()
 
     def _screened(self, current: Round) -> list[FoundEffect]:
-        """The candidates beyond chance that lead as the weak form fits them, by simulation and by residual.
+        """The significant candidates that lead as fitted by the weak form, by simulation and by residual.
 
-        Where a record was filtered, what leads by the residual may do nothing for predictions; where the weak
-        form fits poorly, the other way round: of both orders the first are taken in turns.
+        If a record was filtered, the leader by residual may not improve predictions; if the weak form fits
+        poorly, the reverse holds: the first of both orders are taken alternately.
         """
         found = _beyond_chance(current)
         most = self._settings.simulated_candidates
@@ -486,7 +487,7 @@ class _Selector:
         return [found[k] for k in np.argsort(turn, kind="stable")[:most]]
 
     def _ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
-        """How models predict velocities and pose once each is fitted as the result will be, on all cores."""
+        """How models predict velocities and pose once each is fitted like the final result, on all cores."""
 
         def done(count: int, of: int) -> None:
             if len(fits) > 1:  # else one of many pairs
@@ -500,7 +501,7 @@ class _Selector:
         self, findings: list[FoundEffect], ahead: Mapping[str, dict[float, Array]], bench: Bench
     ) -> tuple[list[FoundEffect], list[FoundEffect]]:
         """The candidates of which one is the best in nearly all resamples, the best first; and others that
-        the data do not tell from that.
+        the data cannot tell from it.
         """
         if not findings:
             return [], []
@@ -518,7 +519,7 @@ class _Selector:
     ) -> Array:
         """How often each candidate is the best in resamples, shape (len(findings),).
 
-        Resamples of the weak residual see quick forces, those of the simulation slow ones: each has half.
+        Resamples of the weak-form residual respond to quick forces, those of the simulation to slow ones.
         """
         by_residual = inclusion([linear(f.trial.fit, bench) for f in findings], self._settings)
         squares = [compared(ahead[f.id], findings, self._validator) for f in findings]
@@ -527,16 +528,16 @@ class _Selector:
     def _shows_in_forces(
         self, finding: FoundEffect, before: Mapping[float, Array], after: Mapping[float, Array]
     ) -> bool:
-        """Whether an effect changes predicted velocities, and not only the pose that belongs to them."""
+        """Whether an effect changes predicted velocities, and not only the pose."""
         if not finding.of_sensors:
             return True
         without, with_it = (self._validator.velocities(s) for s in (before, after))
         return Worth.of(without, with_it, self._settings).something(self._settings.worth)
 
     def _doubt(self, finding: FoundEffect, bench: Bench, *, forces: bool) -> str:
-        """Why an effect is not established as the cause of what it explains; empty where it is.
+        """Why an effect is not established as the cause of what it explains; empty if it is.
 
-        forces: whether it explains any of the forces: else these say nothing about it.
+        forces: whether it explains any of the forces; otherwise they carry no information about it.
         """
         if words := (
             left_open(finding, self._settings) or never_turned(finding, bench) or no_step(finding, bench)
@@ -553,12 +554,12 @@ class _Selector:
             share = captured(bench.base, fit, bench.train, bench.test, variables)
             if share < self._settings.own_share:
                 on = ", ".join(variables)
-                return f"it explains only {share:.0%} of what depends on its own variables ({on})"
+                return f"it explains only {share:.0%} of the residual that depends on its variables ({on})"
         # Last, for unlike the others it does not refute a rival of another effect.
         return by_slow_disturbance(finding, self._settings)
 
     def _in_place_of_inertia(self, finding: FoundEffect, bench: Bench) -> str:
-        """What of the water's inertia an effect takes the place of, in words; empty for none."""
+        """Which added mass an effect replaces, in words; empty if none."""
         before, after = (self._validator.final(f)[0] for f in (bench.base, finding.trial.fit))
         names = vanished_inertia(before, after)
         if not names:
@@ -571,31 +572,31 @@ class _Selector:
 
 
 def without_inertia(names: Sequence[str], held: Worth, settings: Settings = DEFAULT) -> str:
-    """Doubt of an effect beside which added mass falls to zero, in words; empty where there is none.
+    """Doubt about an effect with which added mass falls to zero, in words; empty if there is none.
 
-    No body moves in water without added mass: such an effect may only scale forces against the inertia. Then
-    it is worth nothing with the added mass held where it was without it.
+    No body moves in water without added mass: such an effect may only scale forces relative to the inertia.
+    Then it brings nothing with the added mass held at its value without it.
 
-    names: what falls to zero.
-    held: what the effect is worth with that held.
+    names: parameters that fall to zero.
+    held: improvement by the effect with these held.
     """
     if held.enough(settings.worth):
         return ""
-    return f"with it, {', '.join(names)} would be zero, although water has inertia"
+    return f"with it, {', '.join(names)} would be zero, which is unphysical for added mass"
 
 
 def _beyond_chance(current: Round) -> list[FoundEffect]:
-    """Candidates whose evidence chance does not give, however little of the residual they explain.
+    """Significant candidates, however little of the residual they explain.
 
-    A small steady force in one equation hardly shows sample by sample, and adds up over a long simulation:
-    how much an effect matters is for that to say.
+    A small steady force in one equation hardly shows sample by sample, but adds up over a long simulation,
+    which therefore decides how much an effect matters.
     """
     error, limit = current.bench.base_score.error, current.bench.settings.false_alarm_rate
     return [f for f in current.findings if f.p_value < limit and f.trial.score.error < error]
 
 
 def selected(found: Search, selection: Selection) -> Search:
-    """The search with the effects that were selected in place of those that it found."""
+    """The search with the selected effects instead of those that it found."""
     findings = [g.chosen for g in selection.graded]
     vehicle, bench = found.vehicle, selection.rounds[0].bench
     rivals = [

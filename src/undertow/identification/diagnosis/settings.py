@@ -1,6 +1,6 @@
-"""Every number that decides a verdict, with its meaning, its unit and what chose it.
+"""Every threshold that decides a verdict, with its meaning, its unit and the reason for its value.
 
-`python -m benchmarks.trust ablate` answers a fixed sample of cases with each of them switched off in turn.
+`python -m benchmarks.trust ablate` runs a fixed sample of cases with each of them switched off in turn.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ _LEAST_RATE, _MOST_RATE = 0.005, 0.2
 
 
 class About(NamedTuple):
-    """What is known of one number.
+    """Description of one threshold.
 
     Attributes
     ----------
     meaning, unit, source : str
-        What it is, its unit ("1" for shares, ratios and counts), and what chose it.
+        What it is, its unit ("1" for fractions, ratios and counts), and the reason for its value.
     off : float or None
-        Value with which the rule has no effect; None where there is none without it.
+        Value with which the rule has no effect; None if there is none.
     one_case : str
-        The case of a benchmark that the rule was added for, where it was a single one.
+        The benchmark case for which the rule was added, if it was a single one.
     """
 
     meaning: str
@@ -51,7 +51,7 @@ def _number(
 
 @dataclass(frozen=True)
 class Settings:
-    """The numbers of a diagnosis; errors are in units of the noise of the sensors throughout."""
+    """Settings of a diagnosis; errors are in units of sensor noise throughout."""
 
     # --- what is noise ------------------------------------------------------------------------
     noise_uncertainty: float = _number(
@@ -79,7 +79,7 @@ class Settings:
     transfer_chance: float = _number(
         1e-3,
         "p-value below which parameters adjusted to the validation data are rejected",
-        "a sea bed that the validation run comes nearer to",
+        "a sea bed that the validation run approaches more closely",
         off=1.0,
         one_case="boundary_proximity whose validation run comes nearer",
     )
@@ -97,7 +97,7 @@ class Settings:
     )
     slow_blocks: float = _number(
         12, "least number of blocks of the training data on which a slow disturbance is tried",
-        "their signs show 1 in 2 000", off=_NEVER,
+        "their signs resolve 1 in 2 000", off=_NEVER,
     )  # fmt: skip
     null_draws: int = _number(1000, "draws of the null distribution of the best candidate", "shows 0.1 %")
     resamples: int = _number(200, "resamples that show how often a candidate is the best", "shows 0.5 %")
@@ -193,7 +193,7 @@ class Settings:
     more_parameters: int = _number(
         3,
         "excess of parameters over the simplest equivalent for which an effect is dropped",
-        "an effect with enough parameters can be bent into another",
+        "an effect with enough parameters can imitate another",
         off=_NO_LIMIT,
         one_case="ship:trim_offset:r1.27:n3:open:plain:30413423",
     )
@@ -249,7 +249,7 @@ class Settings:
     )
     notably_worse: float = _number(
         1.025,
-        "error, relative to the best, above which a model is worse where more than noise is left",
+        "error, relative to the best, above which a model is worse if the residual exceeds the noise",
         "a trim error and a compass offset in a roll decay",
         off=1.0,
         one_case="roll decay of examples/kvlcc2.md",
@@ -258,12 +258,12 @@ class Settings:
         0.5,
         "standard deviation of the size of an effect between parts of the logs, relative to the size, above "
         "which it is not constant (a part in which zero is possible and 1 minus this is not has none of it); "
-        "also the largest fall of its size beside a force made of the residual",
+        "also the largest reduction of its size by a force built from the residual",
         "below it 97.5 % of the parts have the same sign",
         off=_NEVER,
     )
 
-    # --- where more than noise is left --------------------------------------------------------
+    # --- if the residual exceeds the noise --------------------------------------------------------
     worth: float = _number(
         0.1, "relative fall of the error of long predictions for which an effect is worth adding",
         "option --worth", off=0.0,
@@ -272,7 +272,7 @@ class Settings:
         6, "candidates of a round that are fitted by output error", _TIME, off=_NO_LIMIT
     )
     most_effects: int = _number(
-        6, "largest number of effects added where more than noise is left", _TIME, off=1
+        6, "largest number of effects added if the residual exceeds the noise", _TIME, off=1
     )
     best_share: float = _number(
         0.9,
@@ -283,7 +283,7 @@ class Settings:
     )
     kept_gain: float = _number(
         0.5,
-        "share of its gain that an effect may keep beside another one that is its alternative",
+        "share of its gain that an effect may keep with its alternative in the model",
         "half: nearer to its whole gain, or to nothing",
         off=_NEVER,
     )
@@ -417,7 +417,7 @@ class Settings:
 
     @classmethod
     def about(cls) -> dict[str, About]:
-        """What is known of every number, by its name."""
+        """Description of every threshold, by its name."""
         return {f.name: f.metadata["about"] for f in fields(cls)}
 
 

@@ -1,4 +1,4 @@
-"""Logs as a diagnosis takes them: what is fitted to and what is judged by, kept apart."""
+"""Logs for a diagnosis: training and validation data, kept apart."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Runs = Run | Sequence[Run]
 def repeats(
     vehicle: Vehicle, train: Sequence[Run], test: Sequence[Run], settings: Settings = DEFAULT
 ) -> list[tuple[str, str]]:
-    """Validation runs that repeat the commands of a run that was fitted, with that run.
+    """Validation runs that repeat the commands of a training run, with that run.
 
-    A model that has learned the manoeuvre by heart does as well on them as the right one.
+    An overfitted model does as well on them as the right one.
     """
     names = tuple(n for n in vehicle.command_names if n not in vehicle.inputs)
     pairs = ((kept, fitted) for kept in test for fitted in train)
@@ -55,12 +55,12 @@ def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> boo
 
 
 def normalised(vehicle: Vehicle, runs: Runs, validation: Runs) -> tuple[Vehicle, list[Run], list[Run]]:
-    """A vehicle without priors from these logs, and runs as lists, whatever the user calls with.
+    """A vehicle without priors from these logs, and runs as lists, from any accepted argument.
 
     Raises
     ------
     UndertowError
-        If the vehicle is none, or there is no run or what is none among them.
+        If the vehicle is not a Vehicle, there is no run, or something else is among them.
     """
     if not isinstance(vehicle, Vehicle):
         raise UndertowError(
@@ -68,7 +68,7 @@ def normalised(vehicle: Vehicle, runs: Runs, validation: Runs) -> tuple[Vehicle,
         )
     train, judges = ([given] if isinstance(given, Run) else list(given) for given in (runs, validation))
     if not train:
-        raise UndertowError("there is no log to fit to: give at least one run (undertow.read_log)")
+        raise UndertowError("there is no training log: give at least one run (undertow.read_log)")
     if odd := next((run for run in [*train, *judges] if not isinstance(run, Run)), None):
         raise UndertowError(
             f"a log is given as {type(odd).__name__} ({odd!r:.60}): read it with undertow.read_log first"
@@ -77,7 +77,7 @@ def normalised(vehicle: Vehicle, runs: Runs, validation: Runs) -> tuple[Vehicle,
 
 
 def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
-    """Runs with the velocities that they have a pose for only."""
+    """Runs with the velocities for which they have only a pose."""
     for run in runs:
         if held := [d for d in vehicle.degrees_of_freedom if d in run.held]:
             raise UndertowError(
@@ -95,7 +95,7 @@ def training_and_validation(
     *,
     trust_log: bool = False,
 ) -> tuple[list[Run], list[Run]]:
-    """Runs to fit to and to judge by: as given, or pieces of `runs` where there are none for validation.
+    """Training and validation runs: as given, or pieces of `runs` if there are none for validation.
 
     Velocities that a run lacks are taken from its pose.
     """
@@ -108,9 +108,9 @@ def training_and_validation(
 
 
 def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tuple[list[Run], list[Run]]:
-    """Cut every run into six pieces and keep the second and the fifth aside.
+    """Cut every run into six pieces and set the second and the fifth aside.
 
-    A run that is short beside the longest is fitted whole: predictions over its pieces would say nothing.
+    A run that is short compared with the longest is fitted whole: predictions over pieces mean nothing.
     """
     enough = settings.whole_below * max(float(run.t[-1] - run.t[0]) for run in runs)
     short = [run for run in runs if float(run.t[-1] - run.t[0]) < enough]
@@ -118,7 +118,7 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
     for run in runs:
         if len(run.t) < settings.fewest_samples:
             raise UndertowError(
-                f"run {run.name!r} has {len(run.t)} samples, too few to set stretches of it aside for "
+                f"run {run.name!r} has {len(run.t)} samples, too few to set segments of it aside for "
                 f"validation (at least {settings.fewest_samples}): give longer logs, or a validation run "
                 "with --holdout"
             )
@@ -145,7 +145,7 @@ def _pieces(run: Run, settings: Settings) -> list[Run]:
 
 
 def check_excitation(vehicle: Vehicle, runs: Sequence[Run], settings: Settings = DEFAULT) -> None:
-    """Refuse logs in which no velocity of the vehicle stands out of its noise."""
+    """Refuse logs in which no velocity of the vehicle exceeds its noise."""
     names = [n for n in vehicle.velocity_names if all(r.has(n) for r in runs)]
     noise = dict(zip(names, channel_noise(runs, names), strict=True))
     largest = {n: max(float(np.nanstd(r.channels[n])) for r in runs) for n in names}

@@ -72,7 +72,7 @@ class Trial:
 def try_candidate(
     candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float | None = None
 ) -> Trial:
-    """Fit a candidate, drop the parameters that do not matter, and judge it."""
+    """Fit a candidate, drop the parameters that do not matter, and score it."""
     settings = bench.settings
     enough = settings.rough_step if enough is None else enough
     fit = bench.fit(candidate.model_from(start), start=start, enough=enough)
@@ -93,7 +93,7 @@ def try_candidate(
 
 
 def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough: float) -> WeakFit:
-    """The fit with values by run of what differs between the runs beyond chance, and of nothing else."""
+    """The fit with values by run for the parameters that differ significantly between runs, and no others."""
     own = [p.name for p in candidate.parameters]
     split = [n for n in own if n in fit.model.values.by_run]
     if split:
@@ -105,8 +105,8 @@ def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough:
 
 
 def without_redundant(candidate: Candidate, bench: Bench) -> Candidate:
-    """The candidate without parts that are no evidence of it and for which the model's own parameters stand
-    in exactly: one proportional to the command is thrust per command, where that is estimated.
+    """The candidate without terms that the model's own parameters reproduce exactly and that are no evidence
+    of it: a term proportional to the command is thrust per command, if that is estimated.
     """
     parts = [i for i, p in enumerate(candidate.parameters) if not p.alone]
     if not parts:
@@ -120,7 +120,7 @@ def without_redundant(candidate: Candidate, bench: Bench) -> Candidate:
 
 
 def rejected(candidate: Candidate, bench: Bench) -> Trial:
-    """A candidate none of whose parameters matters: the model stays as it was."""
+    """A candidate none of whose parameters matters: the model remains unchanged."""
     return Trial(candidate, bench.base, bench.base, (), bench.base_score)
 
 
@@ -141,9 +141,9 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
 
 
 def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[str]:
-    """Shape parameters that do nothing without what is dropped: how wide a friction is that is not there.
+    """Shape parameters without influence once others are dropped: the width of a friction that is absent.
 
-    A vehicle file need not state them then, unless the equations ask for a value: no time constant is zero.
+    A vehicle file need not state them then, unless the equations need a value: no time constant is zero.
     """
     searched = [p for p in candidate.parameters if p.starts]
     shapes = {p.name for p in searched if p.bounds[0] <= p.effective_default <= p.bounds[1]}
@@ -159,9 +159,9 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
 def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: float) -> tuple[str, ...]:
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
-    Others may make up for what is dropped as far as their bounds allow: where only the ratio of stiffness and
-    inertia shows, no inertia below zero stands in for a stiffness. This thins an effect out; whether it is
-    needed at all is for the validation data to say, so one stays.
+    Others may compensate for a dropped one within their bounds: if only the ratio of stiffness and inertia is
+    identifiable, no negative inertia replaces a stiffness. This simplifies an effect; the validation data
+    decide whether it is needed at all, so one parameter stays.
     """
     names, bounds = list(fit.model.free), np.array(bounds_of(fit.model))
     information = fit.information
@@ -181,14 +181,14 @@ def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: floa
 
 
 class _Without(NamedTuple):
-    """The bottom of a quadratic cost where one parameter is zero, and how much higher it lies."""
+    """The minimum of a quadratic cost with one parameter zero, and how much higher it is."""
 
     values: Array
     rise: float
 
 
 def _without(i: int, estimate: Array, information: Array, bounds: Array) -> _Without:
-    """Parameters once the i-th is zero and the others stay within bounds (rows: lower, upper)."""
+    """Parameters with the i-th zero and the others within bounds (rows: lower, upper)."""
     others = np.arange(len(estimate)) != i
     covariance = inverse_of(information)
     values = estimate - covariance[:, i] * estimate[i] / covariance[i, i]
@@ -209,12 +209,12 @@ _REDUNDANT = 1e-6
 
 
 class Screened:
-    """A candidate at one start, and what one Gauss-Newton step from there promises.
+    """A candidate at one start, and the improvement predicted by one Gauss-Newton step.
 
     start: the model at the start, not fitted.
     cost: sum of squares after the step.
-    values: free parameters where a fit is to begin: after the step from a start as given, without it where
-        steps were taken beforehand, since what one promises may not come true.
+    values: free parameters at the start of a fit: after the step from a given start, without it if steps were
+    taken before, since a predicted improvement may not materialise.
     """
 
     def __init__(
@@ -236,21 +236,21 @@ class Screened:
         self.values = self.start.values if steps else after
 
     def closer(self) -> Screened:
-        """The same from where the step leads, after some more."""
+        """The same after some further steps."""
         return Screened(self._candidate, self._bench, self.values, self._bench.settings.steps_per_start)
 
 
 def _better_by_run(
     model: WeakModel, at: Linearised, cost: float, candidate: Candidate, data: WeakData
 ) -> list[str]:
-    """Parameters of a candidate that promise more than chance with a value in every run; or none."""
+    """Parameters of a candidate whose values by run promise a significant improvement; or none."""
     own = [p.name for p in candidate.parameters]
     names = [n for group in may_differ(model, data.runs, own) for n in group]
     return names if names and _cost_by_run(model, at, names, data) < cost else []
 
 
 def _cost_by_run(model: WeakModel, at: Linearised, names: Sequence[str], data: WeakData) -> float:
-    """Sum of squares predicted if some parameters have a value in every run, and what chance gives them."""
+    """Predicted sum of squares if some parameters have a value in every run, and its fall by chance."""
     runs = origins(data.runs)
     place = np.array([runs.index(r.origin) for r in data.runs])[data.run_of]
     chosen = [k for k, n in enumerate(model.free) if n in names]
@@ -261,18 +261,18 @@ def _cost_by_run(model: WeakModel, at: Linearised, names: Sequence[str], data: W
 
 
 def _by_chance(names: Sequence[str], runs: Sequence[str]) -> float:
-    """Fall of the sum of squares that chance gives values by run for which runs agree, at the most."""
+    """Largest fall of the sum of squares by chance for values by run if the runs agree."""
     return float(chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))) if names else 0.0
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
-    """What a candidate promises from its best start, and from the next best ones where there are several.
+    """Predicted improvement by a candidate from its best start, and from the next best ones if there are
+    several.
 
-    A start away from where the effect vanishes is worse than the model as it is until a few steps are taken.
-    Where the refit of the model as it is ran far away from the stated values, these are a start as well.
-    No start is one from which the states of a candidate grow without bound, as those of a lag do that is much
-    shorter than the time between samples.
+    A start with a non-vanishing effect is worse than the model as given until a few steps are taken. If the
+    refit of the model as given moved far from the stated values, these are a start as well. Starts from which
+    states grow without bound are excluded, such as a lag far shorter than the sampling interval.
     """
     starts = candidate.starts(bench.command_scale, bench.seen)
     if len(starts) > bench.settings.fitted_starts:
@@ -292,7 +292,7 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
 def best_start(
     candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]], enough: float = 0.0
 ) -> dict[str, float]:
-    """Where the better one of several fits ends: which start leads there, a few steps cannot show."""
+    """The best of several fits: a few steps cannot show which start leads there."""
     if len(starts) == 1:
         return starts[0]
     fits = [bench.fit(candidate.model_from(start), start=start, enough=enough) for start in starts]
@@ -302,7 +302,7 @@ def best_start(
 def _own_columns(
     candidate: Candidate, bench: Bench, start: Mapping[str, float], data: WeakData
 ) -> list[Linearised]:
-    """The model with a candidate at a start, differentiated in the candidate's own parameters only."""
+    """The model with a candidate at a start, linearised in the candidate's own parameters only."""
     base = bench.base.model.values
     by_run = {n: bench.base.values[n] for n in base.split} | base.known
     model = candidate.model(tuple(p.name for p in candidate.parameters)).knowing(by_run)
@@ -315,9 +315,9 @@ def _own_columns(
 def _promising(
     candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]]
 ) -> list[dict[str, float]]:
-    """The best of many starts, by the candidate's own columns beside those of the model as it is.
+    """The best of many starts, by the candidate's columns together with those of the model as given.
 
-    Parameters keep within their bounds: a negative mass may promise what no mass can do.
+    Parameters stay within their bounds: a negative mass may promise an impossible improvement.
     """
     model = candidate.model()
     bounds, prior, reach = bounds_of(model), search_prior(model), step_limits(model)
@@ -337,7 +337,7 @@ def _promising(
 
 @dataclass(frozen=True)
 class _PackedFit:
-    """A fit without its model; no whitening where it is the bench's."""
+    """A fit without its model; no whitening if it is that of the bench."""
 
     free: tuple[str, ...]
     known: dict[str, float]
@@ -350,7 +350,7 @@ class _PackedFit:
 
 @dataclass(frozen=True)
 class PackedTrial:
-    """A trial without its models; no fits where it was rejected, one where nothing was thinned out."""
+    """A trial without its models; no fits if it was rejected, one if no parameter was dropped."""
 
     full: _PackedFit | None
     fit: _PackedFit | None

@@ -52,7 +52,7 @@ from .settings import DEFAULT, Settings
 
 
 def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Settings = DEFAULT) -> bool:
-    """Whether the error of a simulation is noise, quick or slow.
+    """Whether the error of a simulation is noise, on short and long time scales.
 
     p: (n_parameters,), parameters.
     starts: (b, 2n), the best start of every window.
@@ -67,11 +67,11 @@ def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Se
 
 
 def means_over(errors: Array, part: NDArray[np.intp]) -> Array:
-    """Means over parts of windows, times the square root of the number of samples that are there.
+    """Means over parts of windows, times the square root of the number of samples present.
 
     errors: (b, k, c), errors by window, sample and channel, in units of the noise; NaN where there is none.
     part: (b, k), part of its window that a sample belongs to.
-    Returns (b, parts, c): of unit variance where the errors are white noise; NaN where no sample is there.
+    Returns (b, parts, c): of unit variance if the errors are white noise; NaN if there is no sample.
     """
     windows, _, channels = errors.shape
     shape = windows, int(part.max(initial=0)) + 1, channels
@@ -83,13 +83,13 @@ def means_over(errors: Array, part: NDArray[np.intp]) -> Array:
 
 
 def _seconds(t: Array, length: float) -> NDArray[np.intp]:
-    """Part of its window that a sample falls in, each so many seconds long or half of a short window."""
+    """Part of its window in which a sample falls, each this many seconds long or half of a short window."""
     since = t - t[:, :1]
     return np.asarray(since // min(length, max(float(since.max()) / 2.0, 1e-9)), dtype=np.intp)
 
 
 def _is_noise(errors: Array, starts: int, settings: Settings) -> bool:
-    """Whether the mean squares by channel and of all are those of noise; estimated starts take some up."""
+    """Whether mean squares by channel and overall are those of noise; estimated starts absorb a part."""
     count = np.maximum(np.count_nonzero(np.isfinite(errors), axis=(0, 1)), 1)
     left = 1.0 - starts / float(count.sum())
     level = np.nansum(errors**2, axis=(0, 1)) / count / max(left, 0.1)
@@ -101,13 +101,13 @@ def _is_noise(errors: Array, starts: int, settings: Settings) -> bool:
 def within_errors(
     fit: OutputErrorFit, shooting: Shooting, starts: Array, settings: Settings = DEFAULT
 ) -> tuple[Array, Array] | None:
-    """The parameters that simulate other windows best, held by how well the fit knows them.
+    """The parameters that simulate other windows best, with the fit as prior.
 
-    The sum of squares over these windows and the squared distance from the fit, in units of its errors, are
-    least together, as if both data had been fitted at once.
+    They minimise the sum of squares over these windows plus the squared distance from the fit, in units of
+    its errors, as if both data had been fitted at once.
 
     starts: (b, 2n), start of every window to begin with.
-    All parameters and the starts; None if the fit rules such parameters out, or a simulation diverges.
+    Returns all parameters and the starts; None if the fit excludes such parameters, or a simulation diverges.
     """
     places, fitted = list(fit.model.places), np.asarray(fit.p)
     information = fit.noise_gram + np.diag(prior_of(fit.model)[1] ** 2)
@@ -135,7 +135,7 @@ _BEYOND = 1e12
 
 @dataclass(frozen=True)
 class Contender:
-    """A model of the short list.
+    """A model on the short list.
 
     effect_set: its effects.
     fit: its fit by output error, or by the weak form where a simulation diverged.
@@ -148,15 +148,15 @@ class Contender:
 
     @property
     def error(self) -> float:
-        """Root mean square over all windows; 1 is the noise of the sensors."""
+        """Root mean square over all windows; 1 is sensor noise."""
         return float(np.sqrt(np.mean(self.squares)))
 
 
 def relative_squares(prediction: Prediction) -> Array:
-    """Mean square of the error of every channel in every window over that of its motion in all, (b, n + m).
+    """Mean squared error of every channel by window, relative to that of its motion in all, (b, n + m).
 
     The n velocities come first, then the m measured channels of the pose, whose motion is that since the
-    window began. A window in which a slow sensor has no report counts as the others on average.
+    start of the window. A window in which a slow sensor has no report counts as the average of the others.
     """
     half = len(prediction.names) // 2
     windows = prediction.windows
@@ -173,7 +173,7 @@ def relative_squares(prediction: Prediction) -> Array:
 
 
 def _as_the_rest(fit: Fitted, squares: Array, windows: Windows) -> Array:
-    """Squares by window, (b,) or (b, n), where those that a fit has learned values from count no less."""
+    """Squares by window, (b,) or (b, n), raised to the average in those a fit has learned values from."""
     first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
     return squares * factor_of_the_rest(squares, first, windows.run)
 
@@ -195,7 +195,7 @@ class _Ahead(NamedTuple):
 
 
 class SimulationValidator:
-    """Judges models by simulating the validation runs in windows whose starts are estimated.
+    """Scores models by simulating the validation runs in windows with estimated initial states.
 
     sigma: (2n,), noise of the channels.
     """
@@ -214,7 +214,7 @@ class SimulationValidator:
 
     @cached_property
     def shortest(self) -> float:
-        """A little less than the shortest validation run, s; no window is longer than every stretch."""
+        """A little less than the shortest validation run, s; no window is longer than every segment."""
         whole = 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
         return min(whole, max(longest_stretch(self._vehicle, run) for run in self.test))
 
@@ -240,7 +240,7 @@ class SimulationValidator:
         return min(self.settings.unknown_past, self.settings.unknown_share * self.shortest)
 
     def _once(self, what: str, fit: F, work: Callable[[F], T]) -> T:
-        """What is worked out of a fit, once; the fit is kept, for its identity is the key."""
+        """Cached results for a fit; the fit is kept, since its identity is the key."""
         key = what, id(fit)
         if key not in self._known:
             self._known[key] = fit, work(fit)
@@ -256,7 +256,7 @@ class SimulationValidator:
         return _as_the_rest(fit, shooting.mean_squares(np.asarray(fit.p), starts), shooting.windows)
 
     def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
-        """A model in the windows of a length, and the best start of each."""
+        """A model in the windows of one length, and the best start of each."""
         return self._once(f"shot over {horizon:g} s", fit, lambda fit: self._at_best_starts(fit, horizon))
 
     def _at_best_starts(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
@@ -288,13 +288,13 @@ class SimulationValidator:
         return {n: found[h].shares for h, n in names.items()}, {n: found[h].metres for h, n in names.items()}
 
     def prediction(self, model: Fitted | Vehicle) -> tuple[float, dict[str, float | None]]:
-        """The same over the short windows that decide, and that of each velocity, None where it diverges."""
+        """The same over the short windows that decide, and that of each velocity; None if it diverges."""
         (short,) = self._predicted(model, [self.windows])
         parts = {n: float(e) if np.isfinite(e) else None for n, e in short.relative.items()}
         return float(prediction_error(short)), parts
 
     def _predicted(self, model: Fitted | Vehicle, windows: Sequence[Windows]) -> Iterator[Prediction]:
-        """Predictions by the model as it is in each validation run."""
+        """Predictions by the model as given in each validation run."""
         if isinstance(model, Vehicle):
             vehicles = [adapted(model, run)[0] for run in self.test]
         else:
@@ -325,18 +325,18 @@ class SimulationValidator:
         return {horizon: each[:, :count] for horizon, each in squares.items()}
 
     def contender(self, effect_set: EffectSet) -> Contender:
-        """A set of effects fitted by output error from where the weak form left it, and judged."""
+        """A set of effects fitted by output error, started from the weak form, and scored."""
         return Contender(effect_set, *self.refined(effect_set.fit))
 
     def final(self, weak: WeakFit) -> tuple[Fitted, Array]:
-        """A model as `fit` ends with it, and how it simulates."""
+        """A model after the final step of `fit`, and how it simulates."""
         fit = self._once("final", weak, lambda fit: final_fit(fit, self.train, self.test))
         return fit, self.squares(fit)
 
     def finish(self, models: Sequence[WeakFit], done: Callable[[int, int], None]) -> None:
-        """Work out `final` of models, and how each predicts, on all cores; `done` hears how many of how many.
+        """Compute `final` of models, and their predictions, on all cores; `done` is told the progress.
 
-        A fit comes back without its model, which cannot be sent: that is the one it began with.
+        A fit is returned without its model, which cannot be sent between processes; it is that of the start.
         """
         new = [weak for weak in models if ("final", id(weak)) not in self._known]
 
@@ -353,10 +353,10 @@ class SimulationValidator:
             done(i + 1, len(new))
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
-        """A model fitted by output error, and how it simulates; by the weak form where that does better.
+        """A model fitted by output error, and how it simulates; by the weak form if that does better.
 
-        The weak form is biased where noise is as large as what it multiplies; the simulation is not. What
-        the simulation of a poor model comes to is left alone: it is expensive, and no fit mends it.
+        The weak form is biased if noise is as large as the signal that it multiplies; the simulation is not.
+        A poor model is not refined: that is expensive, and no fit corrects it.
         """
         before = self.squares(weak)
         if not np.mean(before) < self.settings.output_error_limit:
@@ -366,7 +366,7 @@ class SimulationValidator:
         return (weak, before) if self.worse_by_rank_test(after, before) else (fit, after)
 
     def residual_is_noise(self, weak: WeakFit, test: WeakData) -> bool:
-        """Whether a model leaves only noise, by its weak residual or by simulation."""
+        """Whether a model leaves only noise, by its weak-form residual or by simulation."""
         if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test, self.settings)):
             return True
         return self.leaves_only_noise(weak)
@@ -374,16 +374,15 @@ class SimulationValidator:
     def leaves_only_noise(self, weak: WeakFit) -> bool:
         """Whether a model, fitted by output error, simulates the validation runs to within the noise.
 
-        This is free of what the weak form adds of its own: the error of its quadrature where the noise is
-        next to nothing, and the bias of |v|v of a noisy v where the noise is large. Windows are long, in
-        which even a small force shows; and so does a parameter that the fit leaves a little open, which is
-        let move within its errors.
+        This is free of errors of the weak form itself: its quadrature error if there is almost no noise, and
+        the bias of |v|v of a noisy v if the noise is large. In long windows even a small force shows, and so
+        does a small error of a parameter, which may therefore move within its errors.
         """
         return self._once("noise", weak, self._leaves_only_noise)
 
     def _within_reach(self, weak: WeakFit) -> bool:
-        """Whether a fit by output error may bring a model down to the noise: it is expensive, and no help
-        to one that is far off in short windows, or in long ones, whose starts take less of it up.
+        """Whether a fit by output error may bring a model down to the noise: it is expensive, and useless for
+        one that is far off in short windows, or in long ones, whose starts absorb less.
         """
         limit = self.settings.output_error_reach
         if not np.mean(self.squares(weak)) < limit:
@@ -404,13 +403,12 @@ class SimulationValidator:
         return moved is not None and simulates_to_noise(shooting, *moved, settings)
 
     def significantly_worse(self, weak: WeakFit, by: WeakFit) -> bool:
-        """Whether a model simulates worse than another by more than chance, in short windows or long ones.
+        """Whether a model simulates significantly worse than another, in short windows or long ones.
 
-        For models that leave little but noise: there the sum of squares is a likelihood. Long windows show
-        what is slow, which the estimated starts of short ones take up. The worst window has no say: where a
-        vehicle is about to turn, a small error of a parameter grows to many times the noise. Where more than
-        noise is left, all of it passes for noise. Where short and long windows contradict each other, neither
-        model outdoes the other.
+        For models that leave little but noise, for which the sum of squares is a likelihood. Long windows
+        show slow errors, which the estimated starts of short ones absorb. The worst window is ignored: where
+        a vehicle is about to turn, a small parameter error grows to many times the noise. A residual above
+        the noise counts as noise. If short and long windows contradict each other, neither model is better.
         """
         costs = self._costs(weak), self._costs(by), self._levels(by)
         return significantly_worse_in_windows(*costs, self.settings)
@@ -430,7 +428,7 @@ class SimulationValidator:
         ]
 
     def _levels(self, weak: WeakFit) -> list[float]:
-        """Mean square in units of the noise, short windows and long: what is left beyond it is no noise."""
+        """Mean square in units of the noise, for short and long windows."""
         return self._once("levels", weak, self._worked_out_levels)
 
     def _worked_out_levels(self, weak: WeakFit) -> list[float]:
@@ -445,12 +443,11 @@ class SimulationValidator:
         return shooting.squares(np.asarray(fit.p), starts)
 
     def surviving(self, contenders: Sequence[Contender]) -> list[EffectSet]:
-        """The short list without what the simulation shows to be worse than the best of it.
+        """The short list without models that simulate worse than the best.
 
         Where they leave little but noise,
-        windows short and long together separate them. Of those that do equally well the one leads whose
-        declaration is the plainest: what has more freedom would fit more that did not happen, and that it
-        fits says less.
+        windows short and long together separate them. Of those that do equally well, the one with the fewest
+        declared parameters leads: a good fit by a more flexible effect is weaker evidence.
         """
         ordered = sorted(contenders, key=lambda c: c.error)
         near = ordered[0].error ** 2 < self.settings.near_noise
@@ -469,7 +466,7 @@ class SimulationValidator:
         return sorted(equals, key=_freedom)
 
     def worse_by_rank_test(self, squares: Array, than: Array) -> bool:
-        """Whether one model simulates the windows worse than another by more than chance."""
+        """Whether one model simulates the windows significantly worse than another."""
         return worse_by_rank_test(squares, than, self.settings)
 
     def _refined(self, weak: WeakFit, horizon: float | None = None) -> Fitted:
@@ -494,7 +491,7 @@ class SimulationValidator:
 
 
 def _freedom(effect_set: EffectSet) -> int:
-    """Number of parameters that its effects declare for this vehicle, whether they were needed or not."""
+    """Number of parameters that its effects declare for this vehicle, needed or not."""
     return sum(len(f.trial.candidate.parameters) for f in effect_set.findings)
 
 
@@ -503,7 +500,7 @@ def significantly_worse_in_windows(
 ) -> bool:
     """Whether sums of squares by window, short ones and long, are larger than those of another model.
 
-    `levels` are mean squares of the other model: what is left beyond the noise passes for noise.
+    `levels` are mean squares of the other model: its residual counts as noise.
     """
     with np.errstate(invalid="ignore"):
         gaps = [
@@ -519,7 +516,7 @@ def _without_largest(gaps: Array) -> float:
 
 
 def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT) -> bool:
-    """Whether one model simulates the windows worse than another by more than chance."""
+    """Whether one model simulates the windows significantly worse than another."""
     gap = squares - than
     if not np.all(np.isfinite(squares)):
         return bool(np.all(np.isfinite(than)))

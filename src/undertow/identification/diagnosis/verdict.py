@@ -1,4 +1,4 @@
-"""From the search to a verdict, in words that claim no more than was shown."""
+"""From the search to a verdict, worded to claim no more than was shown."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ class Judgement:
 
 @dataclass(frozen=True)
 class Remainder:
-    """What the final model leaves, and what speaks against it.
+    """The residual of the final model, and the evidence against it.
 
-    residual_is_noise: whether the noise explains what is left.
+    residual_is_noise: whether noise explains the residual.
     confirmed: whether the model does not simulate the validation runs worse than the incomplete one.
-    nearly: whether less than twice the noise is left in every equation.
+    nearly: whether less than twice the noise remains in every equation.
     """
 
     residual_is_noise: bool
@@ -73,18 +73,18 @@ class Remainder:
 
 #: Doubt of forces that leave the residual force no smaller: a force that is missing is missing at every
 #: instant, and what predictions alone get better with makes up for the way in which something else adds up.
-ONLY_SIMULATIONS = "it improves only the simulations: sample by sample, the residual force is no smaller"
+ONLY_SIMULATIONS = "it improves only the simulations; the residual force itself is no smaller"
 
 
 def share_explained(scores: tuple[Score, Score], noise: Array, bench: Bench) -> float:
-    """Share of the excess over noise that effects take away, from the scores without and with them."""
+    """Share of the excess over noise that effects remove, from the scores without and with them."""
     return explained(*comparable_mean_squares(*scores, bench.test), noise, bench.settings)
 
 
 def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remainder) -> Judgement:
     """Decide.
 
-    noise: (2n,), mean square that the noise of the sensors has under that noise model.
+    noise: (2n,), mean square that sensor noise has under that noise model.
     """
     winners, settings = found.winners, found.bench.settings
     share = share_explained(scores, noise, found.bench)
@@ -102,7 +102,7 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remain
 def judge_selection(
     found: Search, scores: tuple[Score, Score], noise: Array, selection: Selection
 ) -> Judgement:
-    """Decide where more than noise is left: each effect by what it is worth and by what speaks against it."""
+    """Decide if the residual exceeds the noise: each effect by its benefit and by the doubts about it."""
     settings = found.bench.settings
     share = share_explained(scores, noise, found.bench)
     count = len(selection.established)
@@ -136,7 +136,7 @@ def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
 
 
 def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
-    """That nothing is missing which the logs could show, although more than noise is left."""
+    """That nothing is missing that the logs could show, although the residual exceeds the noise."""
     rest = [f"{p.disturbance_rms:.2g} {p.unit} in {p.degree_of_freedom}" for p in left if p.disturbance_rms]
     text = (
         "The residual of the refitted model correlates with none of the logged signals. "
@@ -148,11 +148,11 @@ def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
 def error_of_sensors(
     findings: Iterable[FoundEffect], compared: bool, settings: Settings = DEFAULT
 ) -> Judgement | None:
-    """That the sensors contradict each other, where an effect of theirs is there beyond chance.
+    """That the sensors contradict each other, if a measurement effect is significant.
 
-    Pose and velocities follow from each other without a force: what lies between them is no disturbance, also
-    where it changes no predicted velocity. Where only one of them was measured they are not `compared`, and
-    what a sensor would explain may as well be a force. An error of unknown size is evidence of nothing.
+    Pose and velocities are related without a force: a discrepancy is no disturbance, even if it changes no
+    predicted velocity. If only one of them was measured they are not `compared`, and a sensor error cannot be
+    told from a force. An error of unknown size is no evidence.
     """
     there = (f for f in findings if f.significant and f.of_sensors and _is_known(f))
     own = (f for f in there if not f.by_slow_disturbance(settings))
@@ -161,8 +161,8 @@ def error_of_sensors(
         return None
     takes = f"{most.id} removes {most.explained:.0%} of the excess over noise"
     text = (
-        f"Unexplained: the sensors contradict each other. {takes}, where no disturbance acts, but is not "
-        "established as the cause: see what undertow doctor says about the logs."
+        f"Unexplained: the sensors contradict each other. {takes} in the relation of pose to velocity, which "
+        "no disturbance affects, but is not established as the cause: check the logs with undertow doctor."
         if compared
         else f"Unexplained: {takes}, but is not established as the cause. Pose and velocity were not both "
         "measured: an error of the sensor and a missing force look alike."
@@ -178,17 +178,17 @@ def _is_known(finding: FoundEffect) -> bool:
 
 
 def _doubt(share: float, left: Remainder, settings: Settings) -> str:
-    """Why nothing can be named, or nothing where it can.
+    """Why nothing can be named; empty if something can.
 
-    The weak form leaves a little even of the truth where a force changes quickly between two samples. Where
-    notably more than noise is left, it has no say: simulation decides (see `selection`).
+    The weak form leaves a small residual even for the true model if a force changes quickly between samples.
+    If the residual clearly exceeds the noise, it has no say: simulation decides (see `selection`).
     """
     if not left.confirmed:
         return "makes the simulation of the validation runs worse, so it is not the missing effect"
     if left.residual_is_noise:
         return ""
     if not left.nearly:
-        return "leaves more than noise"
+        return "leaves a residual above the noise"
     if share < settings.named_share:
         much = f"only {share:.0%}" if share > 0.0 else "none"
         return f"explains {much} of the excess over noise, too little to be named as the missing effect"
@@ -197,7 +197,7 @@ def _doubt(share: float, left: Remainder, settings: Settings) -> str:
 
 def _unexplained(winners: list[FoundEffect], share: float, reason: str) -> Judgement:
     names = " and ".join(unique_ids(winners))
-    text = f"Unexplained: adding {names} fits the validation data better than chance explains, but {reason}."
+    text = f"Unexplained: adding {names} fits the validation data significantly better, but {reason}."
     return Judgement("unexplained", text, [], [], share)
 
 
@@ -210,13 +210,13 @@ def _named(
     if not sets:
         return f"Missing: {names}; {rest}."
     choice = "; ".join(" or ".join(s.effects) for s in sets)
-    certain = f"Missing: {names}. Besides, these data cannot tell" if names else "These data cannot tell"
-    alike = "Each lowers the error equally" if residual_is_noise else "Each gives at least half of that"
+    certain = f"Missing: {names}. In addition, these data cannot tell" if names else "These data cannot tell"
+    alike = "Each reduces the error equally" if residual_is_noise else "Each achieves at least half of that"
     return f"{certain} which is missing: {choice}. {alike}; {rest}."
 
 
 def _explaining(count: int, share: float) -> str:
-    """What effects do to the force by itself, which fits to long simulations need not make smaller."""
+    """Change of the force residual by effects, which fits to long simulations need not reduce."""
     if share <= 0.0:
         return ONLY_SIMULATIONS
     how = "it explains" if count == 1 else "together they explain"
@@ -224,7 +224,7 @@ def _explaining(count: int, share: float) -> str:
 
 
 def unique_ids(findings: list[FoundEffect]) -> list[str]:
-    """Ids in order; an effect may come twice, when a second parameter of it shows only once others are in."""
+    """Ids in order; an effect may occur twice, if a second parameter is found only with others added."""
     return list(dict.fromkeys(f.id for f in findings))
 
 
@@ -266,7 +266,7 @@ def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
 
 
 def values_by_run(fit: Fitted, stated: Vehicle) -> list[ValuesByRun]:
-    """What has a value in every run, in the signs of the vehicle as the user gave it."""
+    """Parameters with a value in every run, in the signs of the vehicle as the user gave it."""
     return [
         _by_run(t, fit.model.functions.vehicle.declaration(t.parameter), stated) for t in fit.between_runs
     ]
@@ -294,12 +294,12 @@ def _unit(parameter: Parameter) -> str:
 
 
 def _known(standard_error: float) -> float | None:
-    """A standard error, unless the data say nothing at all of the parameter."""
+    """A standard error, unless the data carry no information on the parameter."""
     return standard_error if standard_error < NOTHING_SAID else None
 
 
 def changed_values(stated: Vehicle, fit: Fitted, freed: Mapping[str, Sequence[str]]) -> str:
-    """The values as fitted beside those of the file, in its signs; empty where there are none."""
+    """The fitted values compared with those of the file, in its signs; empty if there are none."""
     return ", ".join(_value(stated, fit, name, alike) for name, alike in freed.items())
 
 
@@ -313,22 +313,22 @@ def _value(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str
 
 
 def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> str:
-    """The headline of a verdict with what is to be said of the values."""
+    """The headline of a verdict with the changed values."""
     said = judgement.headline
     if not values:
         return said
     if judgement.verdict == "adequate" and residual_is_noise:
         return (
-            "No effect is missing, but fixed values in the vehicle file do not fit. With these values only "
-            f"sensor noise is left: {values}."
+            "No effect is missing, but fixed values in the vehicle file do not fit the logs. With these "
+            f"values, only sensor noise remains: {values}."
         )
     if residual_is_noise and judgement.effects:
-        return f"{said} Besides, fixed values in the vehicle file do not fit: {values}."
-    return f"{said} Fixed values in the vehicle file were fitted along with the rest: {values}."
+        return f"{said} In addition, fixed values in the vehicle file do not fit the logs: {values}."
+    return f"{said} Fixed values in the vehicle file were fitted as well: {values}."
 
 
 def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) -> list[Equivalent]:
-    """What could stand behind parameters that the refit of the model moved far from their stated values."""
+    """Effects that could explain parameters that the refit moved far from their stated values."""
     moved = moved_parameters(stated, bench.base, bench.settings)
     if not moved:
         return []
@@ -342,7 +342,7 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
 def instead_of_effects(
     effect_set: EffectSet, vehicle: Vehicle, bench: Bench, residual_is_noise: IsNoise
 ) -> list[Equivalent]:
-    """Other values of what the vehicle file holds fixed that leave as little as one of the effects named."""
+    """Other values of fixed parameters that leave as small a residual as one of the named effects."""
     found = []
     for finding in effect_set.findings:
         others = [f for f in effect_set.findings if f is not finding]
@@ -376,10 +376,10 @@ def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT
 
 
 def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) -> bool:
-    """Whether the data are as well explained by the effect, with all that moved near its stated value.
+    """Whether the effect explains the data as well, with the moved parameters near their stated values.
 
-    Values are only stated to within their standard deviations, and the effect need not act like exactly what
-    the parameters moved by: stated values have full weight here, and the sum of squares may not rise.
+    Values are stated only to within their standard deviations, and the effect need not be exactly equivalent
+    to the change of the parameters: stated values have full weight here, and the sum of squares may not rise.
     """
     start = screen(candidate, bench)[0].start
     model, now = start.model, start.p[list(start.model.places)]
@@ -416,7 +416,7 @@ _ON_BOUND = 1e-6
 
 @dataclass(frozen=True)
 class Relief:
-    """The model with effects added that lower the validation error by more than chance.
+    """The model with added effects that significantly reduce the validation error.
 
     effects: ids of the effects.
     values: fitted values of the parameters, SNAME signs.
@@ -435,7 +435,7 @@ class Relief:
 
 @dataclass(frozen=True)
 class _Pushed:
-    """A parameter far from what was stated, in standard deviations of prior and fit together."""
+    """A parameter far from its stated value, in combined standard deviations of prior and fit."""
 
     name: str
     value: float
@@ -449,7 +449,7 @@ class _Pushed:
 
 
 def reliefs(findings: Iterable[FoundEffect]) -> list[Relief]:
-    """What candidates of a ranking would do to the parameters; only those that are held to be there count."""
+    """Changes of the parameters by candidates of a ranking; only significant ones count."""
     found = (f for f in findings if f.significant)
     return [Relief((f.id,), f.trial.fit.values, f.trial.score.error) for f in found]
 
@@ -461,7 +461,7 @@ def absorbing(
     alike: Mapping[str, Sequence[str]] | None = None,
     settings: Settings = DEFAULT,
 ) -> list[str]:
-    """Warnings for parameters that a fit pushed far from what was stated, or to where they cannot be."""
+    """Warnings for parameters that a fit moved far from their stated values, or to impossible ones."""
     least = min((h.error for h in helpers), default=0.0)
     leading = [h for h in helpers if h.error <= settings.warning_error_ratio * least]
     lines = [
@@ -552,13 +552,13 @@ def _comes_back(pushed: _Pushed, helper: Relief, settings: Settings) -> bool:
 
 
 def _times_off(value: float, prior: float) -> float:
-    """How many times a value is larger or smaller than its prior; infinite where its sign is another."""
+    """Factor by which a value is larger or smaller than its prior; infinite if its sign differs."""
     ratio = value / prior
     return max(ratio, 1.0 / ratio) if ratio > 0.0 else inf
 
 
 def _impossible(stated: Vehicle, fitted: Vehicle) -> list[str]:
-    """What the fit did that no vehicle can be, such as a mass matrix that is not positive definite."""
+    """Impossible properties of the fitted vehicle, such as a mass matrix that is not positive definite."""
     complaint = _complaint(fitted)
     return (
         [f"the refitted vehicle is impossible: {complaint}"] if complaint and not _complaint(stated) else []

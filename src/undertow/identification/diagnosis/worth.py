@@ -1,4 +1,4 @@
-"""What an effect is worth: how much better predictions of the validation data get with it."""
+"""The benefit of an effect: how much it improves predictions of the validation data."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .validation import SimulationValidator, worse_by_rank_test
 
 @dataclass(frozen=True)
 class Worth:
-    """What adding an effect does to predictions of the validation data.
+    """Change of predictions of the validation data by adding an effect.
 
     falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
     largest: the same of the velocity that gains most.
-    worse: horizons over which the predictions get worse by more than chance.
-    better: how often predictions over the horizon that shows it best get better when the windows are drawn
-        anew, and how often they have to. Windows of several horizons are the same stretches of the logs.
+    worse: horizons over which the predictions become significantly worse.
+    better: how often predictions over the most sensitive horizon improve when the windows are resampled, and
+    how often they have to. Windows of several horizons are the same segments of the logs.
     """
 
     falls: dict[float, float]
@@ -32,7 +32,7 @@ class Worth:
 
     @property
     def gain(self) -> float:
-        """Mean fall of the logarithm of the error over all horizons: gains one after the other add up."""
+        """Mean fall of the logarithm of the error over all horizons: successive gains add up."""
         left = np.maximum(1.0 - np.array([*self.falls.values()]), 1e-12)
         return -float(np.mean(np.log(left)))
 
@@ -60,17 +60,17 @@ class Worth:
         return cls(falls, largest, tuple(worse), (better, settings.best_share))
 
     def enough(self, least: float) -> bool:
-        """Whether long predictions get better by as much as matters, and those over no horizon worse."""
+        """Whether long predictions improve by enough to matter, and none become worse."""
         lower = all(self.falls[h] >= 0.0 for h in longer(self.falls)) and not self.worse
         return lower and max(self.largest[h] for h in longer(self.falls)) >= least and not self._by_chance
 
     @property
     def _by_chance(self) -> bool:
-        """Whether chance may make predictions better by as much."""
+        """Whether predictions may have improved by chance."""
         return self.better[0] < self.better[1]
 
     def lacking(self, least: float) -> str:
-        """Why it is not worth adding, in words; empty where it is."""
+        """Why it does not improve predictions enough, in words; empty if it does."""
         if self.enough(least):
             return ""
         if self.worse:
@@ -81,19 +81,19 @@ class Worth:
         if raised is not None:
             much = -self.falls[raised]
             words = f"{much:.0%}" if much > 0.005 else "a little"
-            return f"raises the error of predictions over {raised:g} s by {words}"
+            return f"increases the prediction error over {raised:g} s by {words}"
         if max(self.largest[h] for h in longer(self.falls)) >= least:
-            return f"lowers the error of predictions in only {self.better[0]:.0%} of the resamples"
+            return f"reduces the prediction error in only {self.better[0]:.0%} of the resamples"
         gained = max(self.largest[longest], 0.0)
-        return f"lowers the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
+        return f"reduces the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 
     def something(self, least: float) -> bool:
-        """Whether predictions over any horizon get better by as much as matters."""
+        """Whether predictions over any horizon improve by enough to matter."""
         return max(self.largest.values()) >= least
 
 
 def explained_motions(before: Mapping[float, Array], after: Mapping[float, Array], least: float) -> list[int]:
-    """Places of the velocities whose long predictions get better by as much as matters.
+    """Indices of the velocities whose long predictions improve by enough to matter.
 
     before, after: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
     """
@@ -105,13 +105,13 @@ def explained_motions(before: Mapping[float, Array], after: Mapping[float, Array
 
 
 def longer(horizons: Iterable[float]) -> list[float]:
-    """Horizons but for the shortest; of runs as short as that, the only one."""
+    """Horizons except the shortest; for runs as short as that, the only one."""
     found = sorted(horizons)
     return found[1:] or found
 
 
 def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
-    """How often each model predicts best when the windows are drawn anew, shape (len(candidates),).
+    """How often each model predicts best when the windows are resampled, shape (len(candidates),).
 
     candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
     """
@@ -136,8 +136,8 @@ def compared(
 ) -> Mapping[float, Array]:
     """Squares of the channels by which effects are compared: those of the velocities.
 
-    What is wrong about a sensor may show in nothing but the contradiction between pose and velocity: with an
-    effect of the sensors among them, those of the pose, too.
+    A sensor error may show only as a contradiction between pose and velocity: if a measurement effect is
+    among them, those of the pose, too.
 
     squares: as of `SimulationValidator.squares_ahead`.
     """
@@ -150,6 +150,6 @@ def gained(
     findings: Sequence[FoundEffect],
     validator: SimulationValidator,
 ) -> Worth:
-    """What effects are worth, from the squares without and with them."""
+    """Improvement by effects, from the squares without and with them."""
     without, with_them = (compared(s, findings, validator) for s in (before, after))
     return Worth.of(without, with_them, validator.settings)

@@ -217,8 +217,8 @@ def _two_clocks(who: str, how: str, delay: float, drift: float, error: float) ->
     return Finding(
         id="two_clocks",
         severity="warning",
-        text=f"{who} are on two clocks: {delays} (drift {drift:+.2f} ± {error:.1g} s); log both with time "
-        "stamps of one clock",
+        text=f"{who} are on two clocks: {delays} (drift {drift:+.2f} ± {error:.1g} s); time-stamp "
+        "both with the same clock",
         evidence={"delay": delay, "drift": drift},
     )
 

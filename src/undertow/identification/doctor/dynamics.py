@@ -154,7 +154,7 @@ class Dynamics:
         return replace(s, measured=measured[s.samples], u=commands[s.samples])
 
     def explained_by(self, mistake: Mistake) -> bool:
-        """Whether little more than noise is left of any equation of motion once a mistake is undone."""
+        """Whether the residual of some equation of motion is close to noise once a mistake is corrected."""
         fit = self.without(mistake)
         return fit is not None and self.gain(with_reestimated_noise(fit)).explained
 
@@ -219,7 +219,7 @@ class Gain:
 
     @property
     def explained(self) -> bool:
-        """Whether little more than noise is left after the change."""
+        """Whether the residual is close to noise after the change."""
         return bool(np.all(self.after < SETTINGS.unexplained))
 
     @property
@@ -406,7 +406,7 @@ def _chosen(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanat
         (pair for pair in found if pair[1].overall > most / SETTINGS.as_good), key=lambda p: p[0].count
     )
     mistake, gain = equals[0]
-    text = f"{mistake.clause}: undone, {gain.text}"
+    text = f"{mistake.clause}: when corrected, {gain.text}"
     return Explanation(mistake, text, gain.evidence, [m for m, _ in equals[1:]])
 
 

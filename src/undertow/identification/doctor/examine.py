@@ -54,10 +54,10 @@ def _explanation(
     names = [", ".join(kinematics.rows[i] for i in block) for block in kinematics.blocks]
     before, after = found.before, found.after
     rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
-    parts = [f"of {names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
+    parts = [f"{names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
     sizes = _sizes(kinematics, found, runs) if chosen.id in UNITS_OF_MOTION else ""
-    mismatch = f"the mismatch of pose rate and velocity {', '.join(parts)} of the motion"
-    text = f"{chosen.clause}: {sizes}undone, {mismatch}"
+    mismatch = f"the mismatch between pose rate and velocity changes: {', '.join(parts)} of the motion"
+    text = f"{chosen.clause}: {sizes}when corrected, {mismatch}"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
     evidence |= {f"{k}_undone": float(after.share[i]) for k, i in zip(list(evidence), rows, strict=True)}
     text += f" (mean square; noise {percent(float(np.max(before.floor[rows])))})"
@@ -219,7 +219,7 @@ class _Examiner:
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
-            text = f"{unit.clause}: only then do pose rates and velocities have the same size"
+            text = f"{unit.clause}: only then are pose rates and velocities of the same size"
             self._undo(Explanation(unit, text, {}), impossible=True)
         self._mend_angles([n for n in self.vehicle.pose_names if n not in self.kinematics.rows])
 

@@ -380,8 +380,8 @@ _FRAMES = {
     "FLU": "body axes are forward, left, up (FLU), read as forward, starboard, down",
 }
 _HEADINGS = {
-    "NED": "the heading counts from north clockwise (NED), read as from east anticlockwise",
-    "ENU": "the heading counts from east anticlockwise (ENU), read as from north clockwise",
+    "NED": "the heading is measured clockwise from north (NED), read as anticlockwise from east",
+    "ENU": "the heading is measured anticlockwise from east (ENU), read as clockwise from north",
 }
 
 

@@ -97,7 +97,7 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
             id="jitter",
             severity="note",
             text=f"sampling is irregular: steps of {usual:.4g} s vary by {jitter:.0%} "
-            "(times are taken as they are)",
+            "(times are used as they are)",
             evidence={"jitter": jitter, "step": usual},
         )
     yield from _dense(usual, mapping)
@@ -128,9 +128,9 @@ def _bursts(step: Array, usual: float) -> list[Finding]:
             id="bursts",
             severity="mistake",
             text=f"rows come in bursts, {usual:.3g} s apart, and {share:.0%} of the time is in {len(gaps)} "
-            f"steps of more than {SETTINGS.gap:g} times that: the times are those of arrival or "
-            "of writing, not of measurement, and no rate of change can be had with them: use the time that "
-            "the vehicle stamped as the column of [time]",
+            f"steps of more than {SETTINGS.gap:g} times that: these are times of arrival or of writing, not "
+            "of measurement, and no rate of change can be computed from them: use the time stamped by the "
+            "vehicle as the column of [time]",
             evidence={"share": share, "gaps": float(len(gaps))},
         )
     ]
@@ -188,7 +188,7 @@ def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
         id="missing_samples",
         severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
         text=f"{worst} has no value in {shares[worst]:.1%} of the rows"
-        + (f", with {out} outliers that were taken out" if (out := run.outliers.get(worst)) else "")
+        + (f", with {out} outliers that were removed" if (out := run.outliers.get(worst)) else "")
         + (
             f" (missing samples also in {', '.join(n for n in several if n != worst)})"
             if len(several) > 1
@@ -304,9 +304,9 @@ def _filtered(runs: Sequence[Run], channels: Sequence[str]) -> Iterator[Finding]
         yield Finding(
             id="filtered_record",
             severity="warning",
-            text=f"no sensor's noise is in {shown}: filtered before it was logged, or computed; an error in "
-            "units of the noise says nothing there: judge by the error of simulation, or state the noise of "
-            'the sensor in the mapping file (noise = "...")',
+            text=f"no sensor noise is left in {shown}: filtered before it was logged, or computed; errors in "
+            "units of the noise are meaningless there: use the simulation error, or state the noise of the "
+            'sensor in the mapping file (noise = "...")',
             evidence=cut_offs,
         )
 

@@ -263,8 +263,7 @@ def by_signs(
     """What the signs of all commands in all runs say of the wiring that a fit found wrong, if any.
 
     `known` gives the mistakes that may be named. Those that do as well as the one found are named with it;
-    what does worse gives way to them. None where the signs as they are do as well: then they are not what is
-    wrong.
+    what does worse gives way to them. None where the signs as they are do as well: then they are not wrong.
     """
     if found is None:
         possible = signs.possible(known()) if signs.given.total > SETTINGS.sure**2 else []

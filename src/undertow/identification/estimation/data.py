@@ -573,7 +573,7 @@ def _too_short(runs: Sequence[Run], family: Family) -> str:
         "measured velocities"
     )
     return (
-        f"no gap-free stretch is long enough for the {form} (of {lengths}): {needed} samples without a gap "
+        f"no gap-free segment is long enough for the {form} (of {lengths}): {needed} samples without a gap "
         f"are needed{why if blurred else ''}"
     )
 

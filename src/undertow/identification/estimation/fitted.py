@@ -293,7 +293,7 @@ class Fitted(ABC):
     @property
     @abstractmethod
     def noise_gram(self) -> Array:
-        """The same if nothing but the noise of the sensors were in the data."""
+        """The same if nothing but sensor noise were in the data."""
 
     @property
     @abstractmethod
@@ -404,7 +404,7 @@ def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
 
 
 def cramer_rao(fit: Fitted) -> dict[str, float]:
-    """Least standard error that an unbiased estimator can have by the noise of the sensors, by parameter.
+    """Least standard error that an unbiased estimator can have by sensor noise, by parameter.
 
     What comes on top of it in the standard errors is what the model leaves beyond the noise. Stated priors
     are not data, and do not count. For the weak form the data are the products with its test functions.

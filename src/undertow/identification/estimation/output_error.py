@@ -87,7 +87,7 @@ class OutputErrorFit(Fitted):
 
     @cached_property
     def noise_gram(self) -> Array:
-        """J' J in units of the noise of the sensors alone, the starts eliminated."""
+        """J' J in units of sensor noise alone, the starts eliminated."""
         weight = channel_weights(self.windows)
         shooting = Shooting(
             self.model.functions,
@@ -157,7 +157,7 @@ class Descent:
     def fit(self, p: Array) -> OutputErrorFit:
         """Minimise, weight every channel by what the model leaves in it, until the weights converge.
 
-        The first weights are those of the start. By the noise of the sensors alone, a channel that the start
+        The first weights are those of the start. By sensor noise alone, a channel that the start
         fits well would give way to one that no parameters fit, and weigh little ever after.
         """
         dispersion = np.ones(len(self.windows.names))
@@ -192,7 +192,7 @@ class Descent:
         self._shooting.trust = trust
 
     def _weigh_priors(self, state: State, dispersion: Array) -> None:
-        """Count once what a slow residual repeats, where more than noise is left: that is independent."""
+        """Count once what a slow residual repeats, if the residual exceeds the noise: that is independent."""
         left = float(np.max(dispersion)) >= SETTINGS.little_left
         self._space.weigh_priors(state.at.inflation if left else 1.0)
 
@@ -437,14 +437,14 @@ def final_fit(
     """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
 
     Windows are a quarter of the slowest time constant at first (see `horizons`): a fit over long windows
-    alone, begun far away, ends in a local minimum. Where little more than noise is left one time constant
+    alone, begun far away, ends in a local minimum. Where the residual is close to noise, one time constant
     follows, then the longest ones, and whole stretches without gaps if they, too, leave little: each start
     that is estimated takes information from the parameters (standard errors over windows of a time constant
     are ten times those over a run of a minute). Where more is left, that is no noise of the sensors: starts
     that are free take up errors of the model, and a pose is the sum of all errors before. There velocities
     are predicted from the measured starts, the error by which predictions are judged, over all three lengths.
     What is returned is the last of the fits whose `horizon_error` on validation data is no worse than the
-    least of all.
+    least.
 
     Parameters
     ----------

@@ -324,7 +324,7 @@ class PredictionErrorFit(Fitted):
 
     @property
     def noise_gram(self) -> Array:
-        """J' J in units of the noise of the sensors alone, without a disturbance."""
+        """J' J in units of sensor noise alone, without a disturbance."""
         return _gram(self.without_process_noise)
 
     @cached_property

@@ -341,8 +341,7 @@ class Predictor:
     def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
         """Simulate from states (b, nx), and say what the sensors report, shape (b, k, 2n).
 
-        `before` (b, 2n) is what late sensors report at the starts; without it the vehicle was as at the
-        start.
+        `before` (b, 2n) is what late sensors report at the starts; without it the vehicle was as at first.
         """
         states = drive.at_samples(self.simulator.run(start, drive.t, drive.held, p))
         prompt = self.reported(states, t, drive.u, p)

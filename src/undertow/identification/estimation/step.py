@@ -120,8 +120,8 @@ def search_prior(model: WeakModel) -> tuple[Array, Array]:
     """Where a search is drawn to, and how much: stated priors, and for the rest a weak one.
 
     That lies at the stated value, as wide as the size of the vehicle allows. It stops a parameter where the
-    data do not determine it; where they do, it moves it by next to nothing. It is no knowledge, so errors do
-    not contain it.
+    data do not determine it; where they do, it moves it by next to nothing. It is no knowledge: errors do not
+    contain it.
     """
     centre, weight = prior_of(model)
     weak = default_weights(model)

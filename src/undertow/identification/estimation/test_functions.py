@@ -126,8 +126,7 @@ def boxes(t: Array, spacing: float) -> TestFunctions | None:
 
     A box has no derivative but a peak at either end, so that its residual is the change of velocity less the
     integral of the acceleration, of position less that of velocity. Boxes overlap; generalised least squares
-    knows how they are correlated. Signals are integrated by the cubic through the four samples around each
-    interval.
+    knows how they are correlated. Signals are integrated by the cubic through the four samples around each.
     """
     width = max(round(spacing / float(np.median(np.diff(t)))), 1)
     count = len(t) - width

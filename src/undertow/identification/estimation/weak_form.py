@@ -113,7 +113,7 @@ class WeakFit(Fitted):
 
     @cached_property
     def noise_gram(self) -> Array:
-        """J' J in units of the noise of the sensors alone, without a disturbance."""
+        """J' J in units of sensor noise alone, without a disturbance."""
         sensor_noise = self.model.whitening(self.data, self.p)
         J = whitened(self.model.linearise(self.data, self.p), sensor_noise).J
         return np.asarray(J.T @ J)
@@ -223,7 +223,7 @@ def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> W
 
 
 def _without_disturbance(fit: WeakFit) -> WeakFit:
-    """The fit under the noise of the sensors alone, if that explains what it leaves then.
+    """The fit under sensor noise alone, if that explains what it leaves then.
 
     Process noise that explains a poor fit keeps it poor: where the residual is small, both are tried.
     """
@@ -239,7 +239,7 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
 
 
 def _moved(p: Array, since: Array) -> bool:
-    """Whether a parameter has changed so much that the noise of the sensors enters otherwise."""
+    """Whether a parameter has changed so much that sensor noise enters differently."""
     return bool(np.any(np.abs(p - since) > SETTINGS.noise_moved * np.abs(since)))
 
 

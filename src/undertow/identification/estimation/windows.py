@@ -192,7 +192,7 @@ def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None
         )
     wanted = f"{SETTINGS.fewest} samples" if horizon is None else f"{horizon:g} s"
     raise UndertowError(
-        f"no gap-free stretch is long enough to predict over {wanted}: the longest in "
+        f"no gap-free segment is long enough to predict over {wanted}: the longest in "
         f"{', '.join(repr(r.name) for r in runs)} lasts {longest:g} s; give a longer log or a shorter horizon"
     )
 
@@ -516,7 +516,7 @@ def position_error(prediction: Prediction) -> float:
 def prediction_error(prediction: Prediction) -> float:
     """One number: geometric mean over the degrees of freedom of the relative error of the velocities.
 
-    0.05 is five per cent; the noise of the sensors is in it. `Prediction.relative` holds the parts.
+    0.05 is five per cent; including sensor noise. `Prediction.relative` holds the parts.
     """
     return geometric_mean(np.array(list(prediction.relative.values())))
 

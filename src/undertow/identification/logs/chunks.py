@@ -154,7 +154,7 @@ class LongLog:
         if not is_parquet(self._begin):
             parts = stretches_of(opened_table(self.path, self.mapping).table, column, self._where)
             return [part.lazy() for part in parts]
-        must_have(column, self._flat.collect_schema().names(), self._where, "column of stretches,")
+        must_have(column, self._flat.collect_schema().names(), self._where, "column of segments,")
         row = pl.col("row")
         ranges = (
             self._flat.select(column).with_row_index("row").drop_nulls().group_by(column)

@@ -189,11 +189,11 @@ _TEXTS = (
     "'{}' has cells that are not numbers, such as '{}' ({} of them): is it right to take them as missing?"
 )
 _BLANK = (
-    "commands without a value in some rows ({}) keep the one before, by missing_commands = "
+    "commands without a value in some rows ({}) keep their previous value, by missing_commands = "
     '"hold" above: do they?'
 )
 _FLAG = (
-    "'{0}' is 0 or 1: does it announce new values of a sensor slower than the log? Then give its columns "
+    "'{0}' is 0 or 1: does it flag new values of a sensor slower than the log? Then give its columns "
     'fresh = "{0}"'
 )
 
@@ -352,7 +352,7 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
     if not unit:
         unit, doubt = _unit(channel, values)
     elif name.is_motion_by_unit:
-        doubt = f"by its unit a velocity: is it {channel}?"
+        doubt = f"its unit is that of a velocity: is it {channel}?"
     if unit == "rev/s":
         unit, doubt = "rad/s", f"{doubt} rps: radians a second, or revolutions?".strip()
     entry: dict[str, object] = {"channel": channel, "unit": unit}
@@ -515,14 +515,14 @@ def _command(
         )
         if unit == "N":
             doubt += (
-                " The vehicle counts it in N: a curve in its file, or the force of a full command as scale"
+                " The vehicle file expects N: a curve in its file, or the force of a full command as scale"
             )
     elif unit == "rad":
         entry["unit"], doubt = _unit("phi", values)
     elif unit == "N" or max(most, -least) > SETTINGS.full:
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
         doubt += (
-            " The vehicle counts it in N: else give the force of a command of 1 as scale"
+            " The vehicle file expects N: else give the force of a command of 1 as scale"
             if unit == "N"
             else ""
         )

@@ -249,8 +249,7 @@ Channels = dict[str, Array]
 _LINEAR, _ANGLES = ("u", "v", "w"), ("phi", "theta", "psi")
 
 _SWAPPED = {"x": "y", "y": "x"}
-# Forward stays forward; left becomes starboard and up becomes down, so every second and third component
-# turns.
+# Forward stays forward; left becomes starboard and up becomes down, so second and third components turn.
 FLIPPED_BODY = (
     "v", "w", "q", "r", "v_dot", "w_dot", "q_dot", "r_dot", "tau_Y", "tau_Z", "tau_M", "tau_N"
 )  # fmt: skip

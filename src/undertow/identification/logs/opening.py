@@ -186,7 +186,7 @@ def refuse_too_many(samples: int, log: str | Path) -> None:
     if samples > MEASURABLE.samples:
         raise UndertowError(
             f"log {log}: with it there are {samples} samples, a fit takes at most {MEASURABLE.samples}: take "
-            "a part of the logs with --from and --to, or thin them out (10 to 20 samples per second are "
+            "a part of the logs with --from and --to, or decimate them (10 to 20 samples per second are "
             "enough)"
         )
 
@@ -279,8 +279,8 @@ def opened_field_log(
 ) -> Opened:
     """The table of a vehicle's own log, by a mapping or by what its format says.
 
-    It must have the `commands`; those in `also` are read where it has them. The window is in s on the clock
-    of the run.
+    It must have the `commands`; those in `also` are read where it has them. The window is in s of the run's
+    clock.
     """
     meaning = mapping or log.mapping_for([*commands, *also])
     if mapping is None:
@@ -341,7 +341,7 @@ def stretches_of(table: pl.DataFrame, column: str | None, where: str) -> list[pl
     """The parts of a table that are numbered in a column, in the order of time; all of it without one."""
     if column is None:
         return [table]
-    must_have(column, table.columns, where, "column of stretches,")
+    must_have(column, table.columns, where, "column of segments,")
     parts = table.filter(pl.col(column).is_not_null()).partition_by(
         column, maintain_order=True, include_key=False
     )

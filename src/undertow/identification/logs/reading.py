@@ -101,7 +101,7 @@ def read_log(
     runs = _runs_of(Path(path), asked)
     longest = max(runs, key=lambda run: float(run.t[-1] - run.t[0]))
     others = len(runs) - 1
-    note = f"{others} shorter stretches of the log left out: read_logs reads all of them"
+    note = f"{others} shorter segments of the log left out: read_logs reads all of them"
     return longest.with_notes(note) if others else longest
 
 

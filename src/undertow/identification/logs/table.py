@@ -163,7 +163,7 @@ _BREAKS = "the reader fails: the file is damaged or needs too much memory"
 
 
 _SMALLER = (
-    "take a part of it with --from and --to, thin it out with `every` in a mapping file, or leave out columns"
+    "take a part of it with --from and --to, decimate it with `every` in a mapping file, or leave out columns"
 )
 _ALWAYS_MISSING = ("", "NaN", "nan", "NAN", "NA", "N/A", "null", "None")
 _WITH_UNIT = r"^([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z%°µ][A-Za-z0-9%°µ/^*]*)$"
@@ -214,8 +214,8 @@ class LogLimits:
         if self.rows is not None and rows > self.rows:
             raise UndertowError(
                 f"{where} has more than {self.rows} rows, more than can be used: take a part of it with "
-                "--from and --to, or thin it out with `every` in a mapping file (10 to 20 samples per second "
-                "are enough)"
+                "--from and --to, or decimate it with `every` in a mapping file (10 to 20 samples per "
+                "second are enough)"
             )
         if rows * columns > self.cells:
             raise UndertowError(too_many_cells(where, rows, columns, self.cells))
@@ -249,7 +249,7 @@ def refuse_no_file(path: Path) -> None:
     """Refuse what is no file, and a file without a byte."""
     if path.is_dir():
         several = len([*path.glob("*.csv")]) > 1
-        joined = "; tables of one run belong into one, by their times, with empty cells" if several else ""
+        joined = "; merge the tables of one run into one, sorted by time, with empty cells" if several else ""
         raise UndertowError(f"log {path} is a folder, not a file: give the path of a file in it{joined}")
     if not path.is_file():
         there = [p.name for p in path.parent.iterdir() if p.is_file()] if path.parent.is_dir() else []
@@ -382,8 +382,8 @@ def _uneven(text: bytes, mapping: LogMapping, where: str) -> UndertowError | Non
         if len(row) > known:
             return UndertowError(
                 f"{where} cannot be read as a table: line {rows.line_num} has {len(row)} cells, the header "
-                f"{known}: delete what is neither the header nor a row below it, or say by `comment` in a "
-                "mapping file what such lines begin with"
+                f"{known}: delete lines that are neither header nor data, or state how such lines begin as "
+                "`comment` in a mapping file"
             )
     return None
 
@@ -454,8 +454,8 @@ def _text_to_number(column: pl.Series, mapping: LogMapping, where: str) -> pl.Se
     if len(odd) and mapping.not_numbers == "refuse":
         raise UndertowError(
             f"{where}: column {column.name!r} has the text {str(column[odd[0]]).strip()[:40]!r} in row "
-            f"{odd[0] + 1} ({len(odd)} such rows): name it under `missing` in a mapping file, take all such "
-            'cells as missing there by not_numbers = "missing", or leave the column out'
+            f"{odd[0] + 1} ({len(odd)} such rows): name it under `missing` in a mapping file, treat all such "
+            'cells as missing there with not_numbers = "missing", or leave the column out'
         )
     return cast
 

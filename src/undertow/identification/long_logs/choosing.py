@@ -181,10 +181,10 @@ def choose(
     cut = _cut(spools, found, samples[0])
     cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_stretches()))]
     kept = _kept([log.path for log in logs], len(holdout), budget)
-    progress(0.6, "information in every stretch")
+    progress(0.6, "computing the information of each segment")
     pools = _pools(cut, spools, kept, budget)
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
-    progress(0.95, "taking stretches")
+    progress(0.95, "extracting segments")
     taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]
     runs, validation = ([_run(vehicle, spools, s) for s in merged(own)] for own in taken)
     result = _result(vehicle, spools, found, cut, kept, pools, choices)

@@ -159,8 +159,9 @@ def remarks_on(known: Knowledge, runs: Sequence[Run]) -> list[str]:
         )
     if widest > SETTINGS.wide:
         remarks.append(
-            f"the model leaves more than noise on these logs: errors are up to {widest:.2g} times as large "
-            "as from noise alone, now and after the manoeuvre; undertow diagnose looks for what is missing"
+            f"the model leaves a residual above the noise on these logs: errors are up to {widest:.2g} times "
+            "as large as from noise alone, now and after the manoeuvre; undertow diagnose looks for what is "
+            "missing"
         )
     return remarks
 

@@ -231,7 +231,7 @@ def _checked(effect: str, vehicle: Vehicle, known: Catalogue) -> Candidate:
     if not candidate.parameters:
         raise UndertowError(
             f"effect '{effect}' adds no parameter to '{vehicle.name}': leave it out; 'none' is the model as "
-            "it is"
+            "given"
         )
     return candidate
 

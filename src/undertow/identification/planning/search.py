@@ -213,7 +213,7 @@ def plan_parameters(
 def _refuse(vehicle: Vehicle, free: Sequence[str], only: Sequence[str]) -> None:
     if not free:
         raise UndertowError(
-            f"no parameter of '{vehicle.name}' is to be estimated: write, for instance, "
+            f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
             "X_u = { value = ..., estimate = true }"
         )
     for name in only:
@@ -407,8 +407,7 @@ def plan_separation(
     What counts is the difference between the predictions of two models after the parameters of the one have
     been refitted to the other, in units of the noise (T-optimality; Atkinson and Fedorov, 1975, Biometrika
     62), in the weak form, by which `undertow diagnose` judges. While searching, refits are linearised. The
-    rivals are fitted to the logs, and have to keep fitting them; `vehicle` is the model without the effects
-    in question.
+    rivals are fitted to the logs, and have to keep fitting them; `vehicle` is the model without the effects.
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
     request, known = request or PlanRequest(), known or catalogue()
@@ -500,8 +499,8 @@ class _SeparationSearch(PlanSearch):
             )
         if self.spread > SEPARATION.wide:
             lines.append(
-                "even the best of the models leaves more than noise on the logs: distances are computed as "
-                f"if the noise were {self.spread:.2g} times larger"
+                "even the best of the models leaves a residual above the noise on the logs: distances are "
+                f"computed as if the noise were {self.spread:.2g} times larger"
             )
         return lines
 

@@ -213,8 +213,7 @@ def report_data(
 ) -> ReportData:
     """What a report shows of a model, and of the same model with something added, on the same logs.
 
-    Without `after` one model is shown; pictures call the two by their `names`; `given` is the model before
-    any fit.
+    Without `after` one model is shown; pictures call the two by their `names`; `given` is the unfitted model.
     """
     result = before.result
     both = [c for c in (before, after) if c is not None]

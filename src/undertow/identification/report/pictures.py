@@ -408,7 +408,7 @@ def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog]
         )
     pairs = [("as given", examined.given, BEFORE)]
     if examined.edits:
-        pairs.append(("mistakes undone", examined.mended, AFTER))
+        pairs.append(("mistakes corrected", examined.mended, AFTER))
     with look():
         count = len(logs) + (len(kinematics.rows) if kinematics else 0)
         picture, axes = figure(2.5 * count + 0.5, count, len(pairs))

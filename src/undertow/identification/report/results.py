@@ -153,7 +153,7 @@ def _what_it_does(addition: Addition) -> str:
     before, after = addition.ahead
     errors = f"over all horizons together the error {_verb(before, after)}"
     if rises(before, after):
-        return f"{change}; {errors}, so it is not worth adding."
+        return f"{change}; {errors}, so it does not improve predictions enough to be added."
     old, new = addition.before.error, addition.after.error
     force = "falls, which may be chance," if new < old else "does not fall"
     return (

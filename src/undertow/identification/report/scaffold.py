@@ -146,7 +146,7 @@ def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
 def effect_of(remaining: Sequence[Remaining], seconds: float) -> type[Effect]:
     """The effect that `undertow effects new` would write of residual forces, of logs as long as `seconds`."""
     labels = listed([*dict.fromkeys(label for left in remaining for label in _labels(left))])
-    words = ("a force that goes with " + labels, (), labels, "residual forces, none yet")
+    words = ("a force that varies with " + labels, (), labels, "residual forces, none yet")
     with TemporaryDirectory() as folder:
         file = Path(folder) / "what_remains.py"
         file.write_text(effect_file(file.stem, file.name, Suggestion(*words, terms_of(remaining, seconds))))

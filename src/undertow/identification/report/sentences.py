@@ -241,23 +241,24 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     disturbance = "; the rest is a disturbance that no model of these signals can predict"
     use = disturbance if diagnosis.predictable else ", and can be used as it is"
     apart = (
-        ": record the run that tells them apart before taking one of them for the cause"
+        ": record the run that tells them apart before concluding that one of them is the cause"
         if _separable(diagnosis)
         else (
-            ", and no run is known that would tell them apart: use any of them to predict, and take "
-            "none for the cause"
+            ", and no run is known that would tell them apart: use any of them for prediction, but do not "
+            "regard any as the cause"
         )
     )
     sentences: dict[str, str] = {
         "adequate": f"These logs show nothing missing: {left}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
-        "indistinguishable": f"{change}, but {_sets(diagnosis)} would do the same, or most of it{apart}.",
+        "indistinguishable": f"{change}, but {_sets(diagnosis)} would "
+        f"achieve the same, or most of it{apart}.",
         "helps_prediction": f"{change}, but it is not established as the cause: use it to predict, not to "
         "explain.",
         "not_identifiable": f"Something is missing, but these logs do not say what: {left}; record a run "
         "with different motions.",
     }
-    unexplained = f"No effect of the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
+    unexplained = f"No effect in the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
     freed = diagnosis.verdict == "adequate" and diagnosis.freed
     return (
         f"{change}, and nothing else is missing." if freed else sentences.get(diagnosis.verdict, unexplained)
@@ -303,7 +304,7 @@ def _made_of_what_remains(line: CommandLine) -> str:
 
 def _judged_on(diagnosis: Diagnosis) -> str:
     whole = any(run.role == "holdout" for run in diagnosis.runs)
-    return "validation runs" if whole else "stretches of the logs that were not fitted"
+    return "validation runs" if whole else "segments of the logs that were not fitted"
 
 
 def _taken(diagnosis: Diagnosis) -> list[str]:
@@ -344,11 +345,11 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
     worst = max(diagnosis.remaining, key=lambda r: r.normalised_error, default=None)
     if worst is None:
         return "check the logs with undertow doctor"
-    place = f"most of what is left is in {worst.degree_of_freedom}"
+    place = f"most of the residual is in {worst.degree_of_freedom}"
     if not _terms(diagnosis):
         return (
-            f"{place}, and no variable of the logs stands out in it: more runs may show what it depends on; "
+            f"{place}, and no logged variable clearly explains it: more runs may show what it depends on; "
             "undertow doctor checks the logs"
         )
     described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
-    return f"{place}; undertow effects new makes an effect of the residual force in {listed(described)}"
+    return f"{place}; undertow effects new turns the residual force into an effect, for {listed(described)}"

@@ -6,10 +6,11 @@ from undertow.model.effect import Measurement, Parameter, Signals
 
 
 class AttitudeBias(Measurement):
-    """Heading, roll and pitch are reported with a constant error: declination left out, a unit not level.
+    """Heading, roll and pitch are reported with a constant error: uncorrected declination, a unit that is not
+    level.
 
-    Beside the list of the design because a compass that is off is the commonest fault of a heading: positions
-    and velocities then disagree by a turned direction although both are right.
+    Included because compass errors are the most common heading error: the directions of position change and
+    velocity then disagree although both sensors are right.
     """
 
     id = "attitude_bias"

@@ -19,7 +19,7 @@ _STARTS = ((4.0, 0.0), (4.0, 0.4), (16.0, 0.2), (16.0, 0.4), (16.0, 0.6), (16.0,
 class BoundaryProximity(Wrench):
     """All damping of the hull raised near a bottom, a wall or the surface, fading with the distance.
 
-    It is there because drag identified in open water is too small beside a quay, over the sea bed or in a
+    Included because drag identified in open water is too small beside a quay, over the sea bed or in a
     narrow tank. The boundary is a plane: it lies in the direction (fade_N, fade_E, fade_D), the rise fades to
     1/e over 1 / |fade| metres, and the NED origin is fade_0 such lengths away from it. A bottom at depth z_b
     is fade_D = 1/L, fade_0 = z_b/L; the surface fade_D = -1/L, fade_0 = 0; a wall at y = y_w to the east

@@ -14,10 +14,10 @@ _AHEAD = sm.Matrix([1, 0, 0])
 class ControlSurfaces(Wrench):
     """Force of every rudder, fin or plane in the flow past it, with the drag that steering costs.
 
-    The force acts across the chord, in the flow where the surface stands: that place moves through the water,
-    slowed down in the wake, straightened by the hull, and sped up by a propeller ahead of it as far as the
-    surface stands in its slipstream (momentum theory). Turned with the chord, the force holds back. What a
-    rudder makes the hull do is a share of its force (MMG: a_H at x_H, t_R).
+    The force acts normal to the chord, in the local flow: reduced by the wake, straightened by the hull, and
+    accelerated by a propeller ahead for the part of the surface in its slipstream (momentum theory). Since it
+    turns with the chord, it also causes drag. The hull force induced by a rudder is a fraction of its own
+    (MMG: a_H at x_H, t_R).
     """
 
     id = "control_surfaces"
@@ -114,7 +114,7 @@ class ControlSurfaces(Wrench):
         return found
 
     def _flow(self, k: int, surface: Surface, s: Signals) -> dict[sm.Symbol, sm.Expr]:
-        """Velocity of the surface through the water around it: ahead, across, and ahead in the slipstream."""
+        """Velocity of the surface relative to the local water: ahead, across, and ahead in the slipstream."""
         turning = sm.Matrix(s.nu_r[3:]).cross(surface.place)
         ahead = (1 - self.wake[k]) * (s.nu_r[0] + turning[0])
         moved = sm.Matrix(s.nu_r[:3]) + self.flow_lever[k] * turning

@@ -13,7 +13,7 @@ _SIMPSON = sm.Matrix([1, 4, 2, 4, 2, 4, 2, 4, 1])
 class CrossflowDrag(Wrench):
     """Drag of every strip of the hull in the cross-flow that it meets: sway with yaw, heave with pitch.
 
-    It is there because turning moves bow and stern sideways: one coefficient gives the sway force, the yaw
+    Included because turning moves bow and stern sideways: one coefficient gives the sway force, the yaw
     moment and how they depend on each other, which diagonal quadratic damping cannot. Strip theory over the
     length L_cross, summed over nine stations by Simpson's rule; without rotation it is `quadratic_damping`.
     """

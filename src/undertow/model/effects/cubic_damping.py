@@ -8,7 +8,7 @@ from undertow.model.effect import DIAGONAL, DerivativeMatrix, Signals, Wrench
 
 
 class CubicDamping(Wrench):
-    """Drag proportional to the third power of the speed, as some basin tests of ships are fitted with."""
+    """Drag proportional to the third power of the speed, as fitted to some basin tests of ships."""
 
     id = "cubic_damping"
     family = "damping"

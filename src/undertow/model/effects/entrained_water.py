@@ -11,7 +11,7 @@ from undertow.model.symbols import coriolis, inertia_matrix, inertia_tensor
 class EntrainedWater(Wrench):
     """Water in free-flooding compartments: inertia and its Coriolis forces, but no weight in water.
 
-    It is there because a flooded hull is heavier in motion than on the scales. Unlike added mass it is the
+    Included because a flooded hull has more inertia than its dry mass. Unlike added mass it is the
     same in every direction and is accelerated over ground. In base parameters (mass, static moments, inertia
     about the origin), so that it is linear: the water's centre is at mx_w / m_w forward and so on.
     """

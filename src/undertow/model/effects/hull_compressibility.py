@@ -9,9 +9,9 @@ from undertow.model.symbols import rotation
 class HullCompressibility(Wrench):
     """Buoyancy that falls with depth as the hull is compressed (or rises: stiff hull, denser water below).
 
-    It is there because a vehicle trimmed at one depth is light above and heavy below. The change per metre
-    acts through the body origin; the excess at the surface says where weight and buoyancy are equal, at the
-    depth -B_surface / B_depth, and alone it is no compressibility but `net_buoyancy`.
+    Included because a vehicle trimmed at one depth is light above and heavy below. The change per metre acts
+    through the body origin; weight and buoyancy are equal at the depth -B_surface / B_depth. The excess at
+    the surface alone is not compressibility but `net_buoyancy`.
     """
 
     id = "hull_compressibility"

@@ -10,7 +10,7 @@ _U = symbol("U")
 class HullCubic(Wrench):
     """Sway force and yaw moment of third order in drift and turning, surge force of fourth (ships at speed).
 
-    Beside the list of the design because captive tests of ships are published as polynomials in v' = v/U and
+    Included because captive tests of ships are published as polynomials in v' = v/U and
     r' = r L/U times the dynamic pressure of U: Y_vvv_per_U multiplies v^3/U, X_vvvv_per_UU v^4/U^2, with
     U^2 = u^2 + v^2. Below the speed U_fade the terms fade, as a polynomial in r/U has no value at rest.
     The linear ones are `lift`, which has u where the polynomial has U; since U v = u v + v^3/(2 U) + ...,

@@ -6,9 +6,9 @@ from undertow.model.effect import Parameter, Signals, Wrench
 
 
 class ManoeuvringDrag(Wrench):
-    """Surge force that goes with drift and turning: speed lost in a turn, or gained by the lift of a hull.
+    """Surge force due to drift and turning: speed lost in a turn, or gained by the lift of a hull.
 
-    Beside the list of the design because diagonal damping lets a ship keep its speed in a turn, apart from
+    Included because diagonal damping lets a ship keep its speed in a turn, apart from
     what the Coriolis forces take. X_vr and X_wq come on top of those. A hull or wing with lift has X_vv and
     X_ww above zero: lift stands across the flow, and leans forward on a hull that drifts.
     """

@@ -9,7 +9,7 @@ from undertow.model.symbols import rotation
 
 
 class NetBuoyancy(Wrench):
-    """Buoyancy in excess of the weight, upward, through the body origin (bad trim, other water density).
+    """Buoyancy in excess of the weight, upward, through the body origin (poor ballasting, water density).
 
     Where the log has what a ballast tank or a buoyancy engine gives, in N, it is an input.
     """

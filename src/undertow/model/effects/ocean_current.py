@@ -41,7 +41,7 @@ class OceanCurrent(Flow):
 
 
 def check_current(north: float, east: float) -> None:
-    """Refuse a velocity of the water, m/s, that none has."""
+    """Refuse an impossible velocity of the water, m/s."""
     for way, value in (("north", north), ("east", east)):
         if not abs(value) <= FASTEST:
             raise UndertowError(

@@ -9,8 +9,8 @@ from undertow.model.symbols import rotation
 class PositionLeverArm(Measurement):
     """The antenna or transponder that gives the position sits off the body origin and swings around it.
 
-    Beside the list of the design because hardly any antenna is at the origin, and the lever of the velocity
-    sensor cannot stand for it: forces follow the velocity.
+    Included because hardly any antenna is at the origin, and the lever arm of the velocity sensor cannot
+    replace it: forces depend on the velocity.
     """
 
     id = "position_lever_arm"

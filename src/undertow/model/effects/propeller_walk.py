@@ -7,9 +7,9 @@ from undertow.model.effects.propellers import thrust_of
 
 
 class PropellerWalk(Wrench):
-    """Thrust ahead or astern comes with a side force and a yaw moment, astern with others than ahead.
+    """Thrust causes a side force and a yaw moment, with different factors ahead and astern.
 
-    Beside the list of the design because every ship with one screw walks sideways when it goes astern; a
+    Included because every ship with one screw walks sideways when it goes astern; a
     thruster that points a little off its axis does the same with equal shares ahead and astern.
     """
 

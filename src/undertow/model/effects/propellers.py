@@ -10,7 +10,7 @@ from undertow.model.effects.thrusters import at_rest
 
 
 class Propellers(Wrench):
-    """Thrust of propellers whose command is their speed of revolution, in the inflow that they meet.
+    """Thrust of propellers whose command is their speed of revolution, in their inflow.
 
     The thrust coefficient falls linearly with the advance ratio, K_T = K_T0 + K_T1 J, so that the thrust is
     rho D^4 (K_T0 |n| n + K_T1 |n| u_a / D), where u_a is the speed along the shaft that the wake leaves.

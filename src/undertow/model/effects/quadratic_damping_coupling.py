@@ -10,7 +10,7 @@ _PAIRS = ((1, 5), (5, 1), (2, 4), (4, 2))
 class QuadraticDampingCoupling(Wrench):
     """Drag of a hull whose bow and stern differ: sway with yaw and heave with pitch, by |v| v, |v| r, |r| v.
 
-    Beside the list of the design because tow and turning tests of model ships and torpedoes are published
+    Included because tow and turning tests of model ships and torpedoes are published
     with these second-order modulus terms. `crossflow_drag` is the same physics for a hull of one section all
     along, with three numbers; here every pair of motions has a number of its own.
     """

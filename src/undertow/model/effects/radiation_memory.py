@@ -6,7 +6,7 @@ from undertow.model.effect import DIAGONAL, VELOCITY, DerivativeMatrix, Paramete
 
 
 class RadiationMemory(Wrench):
-    """Force from the flow that the vehicle has set going earlier, one exponential kernel for each motion.
+    """Force from the flow caused by earlier motion, with one exponential kernel for each motion.
 
     The convolution of the velocity with exp(-t/T_memory) is carried by one state for each motion. In Cummins'
     equation it comes on top of the added mass at infinite frequency, which no body in water is without.

@@ -7,9 +7,10 @@ from undertow.model.effects.propellers import thrust_of
 
 
 class ReactionTorque(Wrench):
-    """Every propeller turns the vehicle about its own axis, against its rotation, in step with its thrust.
+    """Every propeller turns the vehicle about its own axis, against its rotation, in proportion to its
+    thrust.
 
-    It is there because the water resists the blades: torque over thrust is a length, some per cent of the
+    Included because the water resists the blades: torque over thrust is a length, some per cent of the
     propeller's diameter. hand_<thruster> = -1 says that a propeller turns the other way than the rest.
     """
 

@@ -62,7 +62,7 @@ class Restoring(Wrench):
 
     @classmethod
     def reconciled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
-        """Motion shows W - B alone: the weight is what the mass says, the buoyancy what is left."""
+        """Motion determines only W - B: the weight follows from the mass, the buoyancy from that."""
         if "W" not in taken:
             return dict(values)
         lift = values.get("B", 0.0) - values.get("W", 0.0)

@@ -8,7 +8,7 @@ from undertow.model.symbols import coriolis
 
 
 class RigidBodyCoriolis(Wrench):
-    """Forces that the rotating body axes bring in for the vehicle's own inertia; no parameter of its own."""
+    """Apparent forces of the vehicle's own inertia in the rotating body axes; no parameters of its own."""
 
     id = "rigid_body_coriolis"
     family = "inertia"

@@ -8,9 +8,9 @@ from undertow.model.effect import PerThruster, Signals, Wrench
 
 
 class RudderDrag(Wrench):
-    """Drag of deflected rudders and fins: the speed that steering costs, with the square of the deflection.
+    """Drag of deflected rudders and fins: speed loss due to steering, proportional to the deflection squared.
 
-    Beside the list of the design because `rudder_force` acts along a fixed line across the hull, while the
+    Included because `rudder_force` acts along a fixed line across the hull, while the
     normal force F_N of a rudder turns with it: X = -(1 - t_R) F_N sin(delta). With F_N in proportion to
     delta, and small angles, that is (1 - t_R) times `rudder` times delta^2 for a command delta in rad. Only
     the part of a column of the allocation that lies across the hull counts, so a propeller has none.

@@ -6,9 +6,9 @@ from undertow.model.effect import PerThruster, Signals, Wrench
 
 
 class RudderForce(Wrench):
-    """What a command gives grows with the square of the speed ahead, as for a rudder, a fin or a flap.
+    """Force per command that grows with the square of the forward speed, as of a rudder, a fin or a flap.
 
-    Beside the list of the design because a vehicle file knows the command of a control surface only as a
+    Included because a vehicle file knows the command of a control surface only as a
     thruster, whose force does not depend on the speed. The force acts along the column that the command has
     in the allocation, and turns round astern.
     """

@@ -6,9 +6,9 @@ from undertow.model.effect import Measurement, Parameter, Signals
 
 
 class SensorBias(Measurement):
-    """Velocities and turning rates are reported too large by a constant each.
+    """Velocities and angular rates are reported with a constant offset each.
 
-    It is there because gyros and electromagnetic logs have a zero of their own, which forces explain else.
+    Included because gyros and electromagnetic logs have zero offsets, which would otherwise look like forces.
     """
 
     id = "sensor_bias"

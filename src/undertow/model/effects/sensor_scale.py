@@ -6,10 +6,10 @@ from undertow.model.effect import Measurement, Parameter, Signals
 
 
 class SensorScale(Measurement):
-    """The velocity sensor (and the gyro) reads a constant factor too much, one factor for each instrument.
+    """The velocity sensor (and the gyro) reads high by a constant factor, one for each instrument.
 
-    It is there because a Doppler log set for another speed of sound reads u, v and w wrong by one factor,
-    which drag and thrust would have to share among them.
+    Included because a Doppler log set for another speed of sound reads u, v and w wrong by one factor,
+    which would otherwise distort drag and thrust.
     """
 
     id = "sensor_scale"

@@ -12,10 +12,10 @@ _SWING = column(["swing_x", "swing_y"])
 class Slosh(Wrench):
     """A mass that swings in the hull with little damping: liquid in a tank, a load on a hook, bilge water.
 
-    Beside the list of the design because tanks and cranes are common and their swing is neither damping nor
-    added mass: the hull is pushed long after it was moved. One mass on a spring in surge and sway, with its
-    displacement in the hull and its own velocity as states. It comes on top of the mass of the rigid body:
-    take it off there if it was weighed with the rest.
+    Included because tanks and cranes are common and their oscillation is neither damping nor added mass: the
+    hull is still pushed long after it moved. One mass on a spring in surge and sway, with its displacement in
+    the hull and its own velocity as states. It is additional to the mass of the rigid body: subtract it there
+    if it was included in the weighing.
     """
 
     id = "slosh"

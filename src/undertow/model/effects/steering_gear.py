@@ -8,8 +8,8 @@ from undertow.model.effect import Actuation, PerSurface, Signals
 class SteeringGear(Actuation):
     """A control surface follows its command with a lag, and no faster than its gear turns it.
 
-    It is there because a log mostly holds the angle that was asked for: the gear of a ship turns the rudder
-    by a few degrees a second, the servo of a small vehicle takes a tenth of a second.
+    Included because most logs contain the commanded angle: the steering gear of a ship turns the rudder at a
+    few degrees a second, the servo of a small vehicle takes a tenth of a second.
     """
 
     id = "steering_gear"

@@ -6,10 +6,10 @@ from undertow.model.effect import Actuation, LoggedOnly, Parameter, Signals
 
 
 class SupplyDroop(Actuation):
-    """All thrusters fade with their supply: with its voltage where the log has it, else linearly in time.
+    """All thrusters weaken with their supply: with its voltage if logged, else linearly in time.
 
-    It is there because the voltage of a battery falls while it is discharged, and thrust with its square,
-    which is an exponent of 2. Without the voltage, a charged battery begins every run.
+    Included because the voltage of a battery falls while it is discharged, and thrust with its square,
+    which is an exponent of 2. Without the voltage, every run is assumed to begin with a charged battery.
     """
 
     id = "supply_droop"

@@ -6,9 +6,9 @@ from undertow.model.effect import Actuation, PerSurface, Signals
 
 
 class SurfaceOffset(Actuation):
-    """A control surface stands at another angle than was asked for: by a constant, or by a share of it.
+    """The angle of a control surface differs from the commanded one by a constant, or by a fraction of it.
 
-    It is there because linkages are trimmed by hand, and a rudder that is two degrees off at zero makes every
+    Included because linkages are trimmed by hand, and a rudder that is two degrees off at zero makes every
     straight run a turn.
     """
 

@@ -12,13 +12,13 @@ _LENGTH, _COEFFICIENT = symbol("length"), symbol("tether_coefficient")
 
 
 class TetherDrag(Wrench):
-    """Drag of the tether that the vehicle pulls through the water, the more of it the farther it has gone.
+    """Drag of the tether towed through the water, which grows with the distance from the winch.
 
-    It is there because the cable of a small ROV drags more than its hull, and grows with the distance from
+    Included because the cable of a small ROV drags more than its hull, and grows with the distance from
     the winch, so that no hull coefficient can stand for it. It acts where the tether is attached, against the
-    velocity of that place through the water; what counts is the share of its length that follows the vehicle.
-    A length that is paid out wherever the vehicle goes drags alike everywhere, which `c_paid_out` is for.
-    Where the log has the length that is out, nothing is asked about the winch.
+    velocity of that place through the water; only the part of its length that moves with the vehicle counts.
+    A length paid out regardless of position drags equally everywhere (`c_paid_out`). If the paid-out length
+    is logged, the position of the winch is not needed.
     """
 
     id = "tether_drag"

@@ -15,7 +15,7 @@ _SPAN, _STRETCH = symbol("span"), symbol("stretch")
 class TetherTension(Wrench):
     """Pull of an elastic tether towards where it is made fast, slack below a length.
 
-    It is there because a cable that comes taut, a mooring line or a float on a line pulls with a force that
+    Included because a cable that comes taut, a mooring line or a float on a line pulls with a force that
     depends on where the vehicle is and not on how it moves: no damping and no constant force can replace it.
     The place `anchor` is counted from the attachment `eye` of a level vehicle that heads north, since without
     rotation only their difference can show.

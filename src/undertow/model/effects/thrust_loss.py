@@ -9,9 +9,9 @@ from undertow.model.effects.thrusters import at_rest
 
 
 class ThrustLoss(Wrench):
-    """A thruster that moves along its own thrust gives less of it, the less the faster.
+    """A thruster that moves in the direction of its thrust loses thrust with speed.
 
-    It is there because curves and data sheets give the thrust at rest. A propeller with K_T = K_0 - K_1 J of
+    Included because curves and data sheets give the thrust at rest. A propeller with K_T = K_0 - K_1 J of
     diameter D whose thrust at rest would be F loses D K_1 / sqrt(K_0) sqrt(rho F) v, with v the speed of the
     thruster through the water along its thrust: its column of the allocation times the velocity.
     """

@@ -8,7 +8,7 @@ from undertow.model.effect import Actuation, Parameter, Signals
 class ThrusterAsymmetry(Actuation):
     """Reverse thrust is weaker than forward thrust at the same command, the same for all thrusters.
 
-    It is there because blades are shaped for one sense of rotation, and the hull stands in the reversed jet.
+    Included because blades are shaped for one sense of rotation, and the reversed jet hits the hull.
     """
 
     id = "thruster_asymmetry"

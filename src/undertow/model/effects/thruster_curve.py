@@ -8,7 +8,7 @@ from undertow.model.effect import Actuation, Parameter, Signals
 class ThrusterCurve(Actuation):
     """Thrust is not proportional to the command: part of it grows with the square, for all thrusters alike.
 
-    It is there because the thrust of a propeller follows the square of its speed, while commands are often
+    Included because the thrust of a propeller follows the square of its speed, while commands are often
     taken for thrust. Where thrust per command is estimated, too, curve_linear is part of it and stays zero.
     """
 

@@ -1,4 +1,4 @@
-"""Thrusters that give more or less than they should."""
+"""Thrusters that give more or less thrust than nominal."""
 
 import sympy as sm
 

@@ -10,7 +10,7 @@ from undertow.model.effect import Actuation, Parameter, Signals
 class ThrusterSaturation(Actuation):
     """Commands beyond a limit give no more thrust than the limit itself, the same for all thrusters.
 
-    It is there because motors have a largest current and speed, while a log holds what was asked for.
+    Included because motors have a maximum current and speed, while a log contains the command.
     """
 
     id = "thruster_saturation"

@@ -8,7 +8,7 @@ from undertow.model.symbols import rotation
 
 
 class TrimOffset(Wrench):
-    """Shift of the centre of buoyancy against where the model has it: the vehicle lists or trims at rest."""
+    """Shift of the centre of buoyancy relative to the model: the vehicle lists or trims at rest."""
 
     id = "trim_offset"
     family = "statics"

@@ -7,7 +7,7 @@ from undertow.model.symbols import skew
 
 
 class VelocityLeverArm(Measurement):
-    """The velocity sensor (DVL) sits off the body origin, so rotation adds to what it reports."""
+    """The velocity sensor (DVL) sits off the body origin, so rotation contributes to its readings."""
 
     id = "velocity_lever_arm"
     reference = "rigid-body velocity field, v_S = v + omega x r_S; Fossen (2021), chapter 2"

@@ -7,9 +7,10 @@ from undertow.model.symbols import rotation, skew
 
 
 class VelocityMisalignment(Measurement):
-    """The velocity sensor (DVL) is mounted turned, so that motion ahead shows as motion to the side.
+    """The velocity sensor (DVL) is mounted at an angle, so that forward motion appears partly as sideways
+    motion.
 
-    It is there because sensors are bolted on by eye, and a turned velocity looks like a side force. About the
+    Included because sensors are aligned by eye, and a rotated velocity looks like a side force. About the
     vertical axis the angle may be any; tilts about the other two axes are taken to first order.
     """
 

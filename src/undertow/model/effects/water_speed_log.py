@@ -9,8 +9,8 @@ from undertow.model.symbols import rotation
 class WaterSpeedLog(Flow, Measurement):
     """The velocity is reported through the water, which moves steadily over ground, and not over ground.
 
-    Beside the list of the design because electromagnetic logs, pitot tubes and Doppler logs without sight of
-    the bottom do so: forces then seem to know of no current, and only positions drift.
+    Included because electromagnetic logs, pitot tubes and Doppler logs without sight of
+    the bottom do so: forces then seem to be independent of any current, and only positions drift.
     """
 
     id = "water_speed_log"

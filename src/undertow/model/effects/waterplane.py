@@ -8,9 +8,9 @@ from undertow.model.effect import Parameter, Signals, Wrench
 
 
 class Waterplane(Wrench):
-    """Weight and buoyancy of a hull that floats at the surface, for small motions about its place of rest.
+    """Weight and buoyancy of a hull that floats at the surface, for small motions about equilibrium.
 
-    Beside the list of the design because `restoring` is of hulls under water: buoyancy that grows with the
+    Included because `restoring` is of hulls under water: buoyancy that grows with the
     draught is what a vessel heaves and rolls on. It floats where z, phi and theta are zero: the origin has
     to lie in the waterline. Weight and centre of gravity are in the coefficients (K_phi = -m g GM).
     """

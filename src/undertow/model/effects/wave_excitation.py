@@ -55,13 +55,13 @@ class Headings(Parameter):
 
 
 class WaveExcitation(Wrench):
-    """Force of a regular wave on a hull at the surface, and its mean drift, from all sides.
+    """Force of a regular wave on a hull at the surface, and its mean drift force, for all headings.
 
     Beside `waves`, which moves the water around a hull that is small against the wave and under it: here the
     hull pierces the surface, is as long as the wave and scatters it. The elevation is as in `waves`,
     a cos(k s - w t + e) with swell_cos = a cos(e) and swell_sin = a sin(e). Forces are those on the hull held
     fast, of this one frequency, as harmonics of the angle between the bow and where the wave travels, to
-    starboard; port and starboard are alike. The drift is that of a hull which moves as the wave lets it.
+    starboard; port and starboard are alike. The drift force is that of a freely moving hull.
     """
 
     id = "wave_excitation"

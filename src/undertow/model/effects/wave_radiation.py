@@ -23,7 +23,7 @@ def _of_kernel(unit: str, meaning: str) -> Parameter:
 
 
 class WaveRadiation(Wrench):
-    """Force of the waves that a hull at the surface has sent out earlier, a swinging kernel for each motion.
+    """Force of waves radiated earlier by a hull at the surface, an oscillating kernel for each motion.
 
     Beside `radiation_memory`, of one state for each motion, because slow motion makes no waves: radiation
     damping is zero at zero frequency, which one state cannot give. Two states can: the damping is that of a

@@ -14,7 +14,8 @@ _PUSH = column(["push_ahead", "push_down"])
 
 
 class Waves(Flow, Wrench):
-    """A regular deep-water wave: water that moves on circles, smaller the deeper, and presses on the hull.
+    """A regular deep-water wave: water moves in circles that shrink with depth, and exerts pressure on the
+    hull.
 
     The elevation is a cos(k s - w t + e), with s the way along the direction of travel from the NED origin
     and t the time since the start of the run; wave_cos = a cos(e) and wave_sin = a sin(e). The wave pushes

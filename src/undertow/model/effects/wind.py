@@ -15,10 +15,10 @@ _SPEED, _DENSITY = 10.0, 1.225
 class Wind(Wrench):
     """Force of the wind on the frontal and the lateral area of a surface vessel.
 
-    Beside the list of the design because no log of a surface vessel outdoors is without it, and a current
-    does not look the same: wind pushes, while a current carries and its force fades with the drag. Areas
-    contain their drag coefficients. Where the log holds the wind, over ground or as it is felt aboard, they
-    are all that has to be found. Without it the wind is steady, and only the products of areas and pressure
+    Included because every log of a surface vessel outdoors contains it, and it differs from a current, which
+    carries the vessel along so that its force vanishes. Areas contain their drag coefficients. Where the log
+    holds the wind, over ground or as it is felt aboard, they are all that has to be found. Without it the
+    wind is steady, and only the products of areas and pressure
     show: the areas are then those for `wind_speed`, and the vessel's own speed counts as little beside it. It
     acts x_wind ahead of the origin and z_wind below it (above: negative).
     """

@@ -6,11 +6,11 @@ from undertow.model.effect import Parameter, Signals, Wrench
 
 
 class ZeroAngleLift(Wrench):
-    """Forces and moments across the hull that the speed ahead alone makes, with its square.
+    """Forces and moments across the hull due to forward speed alone, proportional to its square.
 
-    Beside the list of the design because a fin that sits a degree off, a bent hull, an antenna on one side or
-    a wing with camber steers a vehicle that holds its rudders straight: nothing at rest, four times as much
-    at twice the speed. A ship with one screw needs some rudder to go straight for the same reason.
+    Included because a fin that sits a degree off, a bent hull, an antenna on one side or
+    a wing with camber steers a vehicle whose rudders are straight: no force at rest, four times as much at
+    twice the speed. A single-screw ship needs some rudder angle to go straight for the same reason.
     """
 
     id = "zero_angle_lift"

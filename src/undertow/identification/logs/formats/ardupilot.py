@@ -98,7 +98,7 @@ def actuators(
             # outputs, which it turns.
             heeded = not firmware.startswith("ArduSub")
             travel *= -1.0 if heeded else 1.0
-            remark = "the command is turned" if heeded else "ArduSub does not heed it for motors"
+            remark = "the command is turned" if heeded else "ArduSub ignores it for motors"
             notes.append(f"SERVO{output}_REVERSED is set for motor {motor}: {remark}")
         off = OFF if np.any(pulses == OFF) else None
         column = Column(channel=f"motor{motor}", scale=1.0 / travel, offset=-rest / travel, off=off)

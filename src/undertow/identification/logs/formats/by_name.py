@@ -96,9 +96,9 @@ def _motors(log: FieldLog, unknown: Sequence[str]) -> list[str]:
     return [asked] if unknown else []
 
 
-_MOVES = "? by the name a velocity that no other column is"
+_MOVES = "? judging by its name, a velocity that no other column provides"
 _VELOCITIES = (
-    "{}: by the name velocities, which no other column is known to be: are they, in what unit and along "
+    "{}: judging by their names, velocities that no other column provides: are they, in what unit and along "
     'which axes? Then give each its channel ("u", "v", "w", "p", "q", "r") under [columns]'
 )
 

@@ -246,7 +246,7 @@ def open_records(path: Path) -> Records:
     lengths[list(kinds)] = [kind.length for kind in kinds.values()]
     places, damaged = _chained(data, lengths)
     skipped = len(data) - int(lengths[data[places + 2]].sum())
-    notes = [f"{damaged} damaged stretches, {skipped} bytes, are left out"] if damaged else []
+    notes = [f"{damaged} damaged segments, {skipped} bytes, are left out"] if damaged else []
     rows = _rows_of(data[places + 2])
     there = {kinds[k].name: _Messages(kinds[k], places[own], data) for k, own in rows.items()}
     clocks = {

@@ -377,7 +377,7 @@ def used_stretches(
     if not armed:
         notes.append("the vehicle is never armed: all of the log is used")
     elif not moving:
-        notes.append("armed, but no motor leaves its rest: all of the armed time is used")
+        notes.append("armed, but no motor leaves neutral: all of the armed time is used")
     # No command is known before the first message on them.
     begin = float(outputs[0][0]) if outputs is not None and len(outputs[0]) else span[0]
     kept = long_enough((max(a, begin), b) for a, b in moving or armed or [span])
