@@ -1,4 +1,4 @@
-"""Clocks that differ in one log: sources or commands that are late against the rest."""
+"""Clock differences within a log: sources or commands that are late relative to the rest."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
 
 @dataclass(frozen=True)
 class ClockSettings:
-    """From where on clocks differ."""
+    """Thresholds for clock differences."""
 
     rounds: int = 5  # Gauss-Newton steps for velocities
     converged: float = 0.02  # change, in sampling steps, that ends them
@@ -52,7 +52,7 @@ SETTINGS = ClockSettings()
 
 @dataclass(frozen=True)
 class Latency:
-    """How late a source is against another, the one against which that is most certain; early if negative."""
+    """Delay of a source relative to the one against which it is most certain; early if negative."""
 
     names: tuple[str, ...]
     against: tuple[str, ...]
@@ -66,10 +66,10 @@ class Latency:
 
 
 def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
-    """Delay of every source that comes after another, as far as d(eta)/dt = J(eta) nu shows it.
+    """Delay of every source that is later than another, as far as d(eta)/dt = J(eta) nu shows it.
 
-    A sensor may be late, and none comes before its time: so what is earlier counts as prompt. Sources that
-    are not clearly late count as one beside those that are.
+    A sensor may be late, but never early: the earlier of two is taken as prompt. Sources that are not clearly
+    late are treated as one.
     """
     channels = kinematics.channels
     sources = [own for group in _SOURCES if (own := tuple(n for n in group if n in channels))]
@@ -82,10 +82,10 @@ def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
 
 
 def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]) -> list[Latency]:
-    """Latencies without which pose rates and velocities agree clearly better, all of the rest beside them.
+    """Latencies whose removal makes pose rates and velocities agree clearly better, given the rest.
 
-    Gauss-Newton on a delay that is not there may end where it explains an error of another kind. Where rates
-    and velocities hardly have anything in common without it either, no clock is to blame.
+    Gauss-Newton on a non-existent delay may end where it explains a different error. If rates and velocities
+    are hardly related even without it, no clock is to blame.
     """
     clear = [one for one in found if one.clear(runs[0].step)]
     weight = kinematics.rates(runs).weight
@@ -123,8 +123,8 @@ def _delays(
 ) -> tuple[Array, Array]:
     """Delay of each source against each by Gauss-Newton, (k, k), and its error; infinite where none shows.
 
-    What else sensors do to velocities is fitted beside them: in a steady turn a late position looks like one
-    of a sensor off the origin.
+    Other sensor errors are fitted at the same time: in a steady turn a late position looks like that of a
+    sensor away from the origin.
     """
     weight = kinematics.rates(runs).weight
     step, count, size = runs[0].step, len(sources), SETTINGS.cluster * len(kinematics.rows)
@@ -167,14 +167,14 @@ def _earlier(run: Run, sources: Sequence[tuple[str, ...]], delays: Array) -> Run
 
 
 def without_latencies(runs: Sequence[Run], found: Sequence[Latency]) -> list[Run]:
-    """Runs as they would be if the sources that are clearly late were not."""
+    """Runs corrected for the sources that are clearly late."""
     late = [one for one in found if one.clear(runs[0].step)]
     return [_earlier(run, [one.names for one in late], np.array([one.delay for one in late])) for run in runs]
 
 
 @dataclass(frozen=True)
 class Shift:
-    """How late velocities are against the rate of the pose, beside the latencies found."""
+    """Delay of velocities relative to the rate of the pose, in addition to the latencies found."""
 
     names: tuple[str, ...]
     poses: tuple[str, ...]  # against whose rates
@@ -272,7 +272,7 @@ def clock_findings(
 
 
 def late_source(one: Latency, mapping: LogMapping) -> Finding:
-    """The finding on a source that is late, and the lines of the mapping file that mend it."""
+    """The finding on a source that is late, and the lines of the mapping file that correct it."""
     early = one.delay < 0
     described = {*one.names} <= {*VELOCITY[:3]} and not early
     effect = ", or the effect sensor_delay can model it" if described else ""
@@ -294,11 +294,11 @@ def delay_edits(one: Latency, mapping: LogMapping) -> Edits:
 
 
 def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
-    """Tell how late the motion follows the commands, or whether that grows or shrinks along the logs.
+    """Delay of the motion after the commands, or its drift along the logs.
 
-    None where it does neither, unless commands are a series with stamps of its own. A constant delay is an
-    effect of its own (actuation_delay), which real vehicles have; a motion before its command, or a delay
-    that drifts, is a matter of the clocks.
+    None if there is neither, unless commands are a series with its own time stamps. A constant delay is an
+    effect (actuation_delay), which real vehicles have; a motion before its command, or a drifting delay, is a
+    clock error.
     """
     step = at.runs[0].step
     near = _refitted_near(at)
@@ -336,8 +336,8 @@ class _Near:
 def _refitted_near(at: Dynamics) -> _Near:
     """Begin the search for a delay: Gauss-Newton does not find one of many samples.
 
-    The fit to commands that are many samples off may have taken all force from them, and would then see none
-    of their delays; and what it did not explain is no noise any more.
+    The fit to commands that are many samples off may have reduced their force to zero, and would then not
+    show their delay; and its residual is then not noise.
     """
     step = at.runs[0].step
     tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
@@ -359,10 +359,9 @@ def _acausal(delay: float, error: float, step: float) -> bool:
 def _explains(at: Dynamics, delay: float) -> bool:
     """Whether the refitted model explains decisively more with commands that are that much later.
 
-    Only that makes a negative delay one of the clocks. Where a controller answers the motion (feedback), the
-    commands follow what the model lacks, and so foretell it, backwards: with commands that are moved a while
-    ahead every such log is explained a little better, and nearly all that the model left is left still. Of
-    clocks that are shifted, it vanishes.
+    Only that makes a negative delay a clock error. In feedback control the commands respond to the missing
+    effect and so correlate with it: with commands shifted ahead every such log is explained a little better,
+    but nearly all of the residual remains. With a true clock error it vanishes.
     """
     fit = at.refitted(undo=_later(delay, 0.0))
     return fit is not None and at.gain(fit).decisive
@@ -386,10 +385,10 @@ def _prompt(delay: float, error: float, *, acausal: bool, shifted: bool) -> Find
 
 
 def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> list[Latency]:
-    """Latencies by which no motion comes before its commands, where the commands can tell.
+    """Latencies with which no motion precedes its commands, as far as the commands show.
 
-    Pose rates and velocities say how far sources are apart, and not which of them is wrong: where velocities
-    without their delay clearly come before the commands, and those of the log do not, the rest is early.
+    Pose rates and velocities show how far sources are apart, not which of them is wrong: if corrected
+    velocities clearly precede the commands, and those of the log do not, the rest is early.
     """
     step = runs[0].step
     late = [one for one in found if one.clear(step)]
@@ -445,7 +444,7 @@ def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Find
 def _step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array, Array, float] | None:
     """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave.
 
-    None where a command that is missing would come into the data.
+    None if a missing command would enter the data.
     """
     here, moved = (_residual(at, _later(*s)) for s in (shift, shift + np.array([small, 0.0])))
     if here is None or moved is None:

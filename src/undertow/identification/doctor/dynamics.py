@@ -1,4 +1,4 @@
-"""How well a model explains logs, and how much better with mistakes in commands or vehicle file undone."""
+"""How well a model explains logs, and how much better with mistakes in commands or vehicle file corrected."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from .sensors import inconsistent
 
 @dataclass(frozen=True)
 class DynamicsSettings:
-    """From where on the fit of a model says that a log is read wrongly."""
+    """Thresholds beyond which the fit of a model shows that a log is misread."""
 
     samples: int = 1600  # samples that are fitted, all runs together, in three degrees of freedom
     samples_of_many: int = 600  # the same with more than `many` degrees of freedom
@@ -198,7 +198,7 @@ class Dynamics:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a refitted model leaves of each equation of motion, before and after a change."""
+    """Residual of a refitted model in each equation of motion, before and after a change."""
 
     names: tuple[str, ...]  # degrees of freedom
     # before, after: (n,) mean squares in units of the sensors' noise.
@@ -244,7 +244,7 @@ class Gain:
 
 
 def normalised_mean_square(fit: WeakFit) -> Array:
-    """Mean square of what a fit leaves of every equation, in units of the sensors' noise, (2n,)."""
+    """Mean square residual of a fit in every equation, in units of sensor noise, (2n,)."""
     whitening = fit.model.whitening(fit.data, fit.p)
     return mean_square(whitened(fit.model.linearise(fit.data, fit.p), whitening).r, fit.data)
 
@@ -256,7 +256,7 @@ def _free_step(at: Linearised, now: Array, prior: tuple[Array, Array]) -> Array:
 
 
 def _other_unit(before: Array, after: Array) -> Array:
-    """Factors of the noise where a channel is in another unit now: what is smaller is not better for that."""
+    """Factors of the noise if a channel is in another unit now: smaller is not better for that reason."""
     ratio = after / np.where(before > 0, before, np.inf)
     return np.where((ratio > 0) & ((ratio < 1 / SETTINGS.unit) | (ratio > SETTINGS.unit)), ratio, 1.0)
 
@@ -375,7 +375,7 @@ def _in_unit(clause: str, limits: dict[str, float], scale: float, offset: float)
 
 
 def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
-    """The mistake whose undoing explains the motion decisively; None where none does."""
+    """The mistake whose correction explains the motion decisively; None if none does."""
     worth_fitting = [m for _, m in _worth_fitting(at, known)]
     # Units are many, and neighbours predict alike: they must not crowd out the others.
     units, others = (
@@ -415,9 +415,8 @@ def dynamic_mistakes(
 ) -> Explanation | None:
     """The mistake in frames that kinematics cannot see, or in commands, that explains the motion decisively.
 
-    None where pose rates and velocities hardly have anything in common: whatever fits such a log better is
-    no evidence of anything. Nor is it where none of the commands ever changes: a motion without a force is
-    explained by any unit that makes it smaller.
+    None if pose rates and velocities are hardly related: a better fit to such a log is no evidence. Nor is it
+    if no command ever changes: a motion without a force is explained by any unit that makes it smaller.
     """
     if vehicle.command_names and not any(_is_driven(vehicle, run) for run in runs):
         return None
@@ -453,7 +452,7 @@ def _two_reversed(vehicle: Vehicle, at: Dynamics, signs: list[Mistake]) -> Expla
 def wirings(
     vehicle: Vehicle, at: Dynamics, kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping
 ) -> list[Mistake]:
-    """Mistakes that change the sign by which motions answer commands, as far as kinematics allow them."""
+    """Mistakes that change the sign of the response to commands, as far as kinematics allow them."""
     axes = [m for m in reading_mistakes(mapping, runs) if m.id in ("frame", "flipped_axis")]
     turned = allowed(kinematics, runs, at, axes)
     return [*_told_apart(at, [*swapped_commands(vehicle), *reversed_commands(vehicle)]), *turned]
@@ -500,7 +499,7 @@ def _is_one_of(felt: Array, seen: Sequence[Array]) -> bool:
 
 
 def _felt(at: Dynamics, run: Run) -> np.ndarray:
-    """A few samples of what the model feels of a log."""
+    """A few samples of the channels of a log that the model uses."""
     names = [n for n in (*at.data.names, *at.data.commands) if run.has(n) and n not in ("x", "y")]
     names += [n for n in ("x", "y") if run.derived and run.has(n)]
     step = max(1, len(run.t) // 50)
@@ -511,10 +510,10 @@ _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 
 
 def other_mass(at: Dynamics) -> Finding | None:
-    """A mass that is not the one that the logs ask for; None where it is, or they cannot tell.
+    """A stated mass that contradicts the logs; None if it does not, or they cannot tell.
 
-    With added masses that are free and have no stated spread, nothing follows: they take up any mass. Nor
-    can it where an added mass that is held fixed explains as much with another value.
+    With free added masses without stated spread nothing can be concluded: they compensate for any mass. Nor
+    if another value of a fixed added mass explains as much.
     """
     known = at.vehicle.values.get("m")
     if known is None or known.estimate or "m" not in at.vehicle.parameter_names:
@@ -564,7 +563,7 @@ def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
 
 
 def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:
-    """Added masses that were several standard deviations off in the same sense, and no longer are."""
+    """Added masses that were several standard deviations off in the same direction, and no longer are."""
     off, home = (_standardised(f) for f in (before, after))
     moved = {n: z for n, z in off.items() if abs(z) > SETTINGS.home}
     same_sense = len(moved) >= 2 and len({np.sign(z) for z in moved.values()}) == 1
@@ -579,9 +578,9 @@ def _standardised(fit: WeakFit) -> dict[str, float]:
 
 
 def without_refuted(examined: Examination) -> Examination:
-    """What was found, less mistakes that explain less than a model does which leaves only noise as it is.
+    """The findings without mistakes that explain less than the unchanged model, if that leaves only noise.
 
-    Mistakes that show in how a model explains motion are believed for want of a better explanation.
+    Mistakes found through the fit of a model are believed only for want of a better explanation.
     """
     return examined.model_copy(update={"findings": [f for f in examined.findings if not _leaves_much(f)]})
 

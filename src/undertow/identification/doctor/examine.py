@@ -88,7 +88,7 @@ _INSTEAD: dict[type[Effect], str] = {
 
 @dataclass(frozen=True)
 class Examined:
-    """An examination with what it was about."""
+    """An examination with its subject."""
 
     result: Examination  # what is written to JSON
     # given, mended: the logs, less those that are wrong alone, and what they are once the mistakes found are
@@ -107,7 +107,7 @@ def examine(
 ) -> Examined:
     """Look for what is wrong with logs, which must have the velocities and commands of the vehicle.
 
-    Without a `mapping`, that with which the runs were read is taken.
+    Without a `mapping`, the one with which the runs were read is used.
     """
     began = time.perf_counter()
     for run in runs:
@@ -175,7 +175,7 @@ def _of_one(vehicle: Vehicle, run: Run) -> _Examiner:
 
 
 def _refused(examiner: _Examiner) -> tuple[Finding, Edits] | None:
-    """What cannot be in a log, and all that mends it."""
+    """Impossible contents of a log, and their corrections."""
     examiner.look_at_samples()
     if examiner.is_timed:
         examiner.undo_reading_mistakes()
@@ -184,7 +184,7 @@ def _refused(examiner: _Examiner) -> tuple[Finding, Edits] | None:
 
 
 def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
-    """What cannot be in some of the logs, by their names, where the others do not show it.
+    """Impossible contents of some of the logs, by name, if the others do not show them.
 
     Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
     """
@@ -199,7 +199,7 @@ def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
 
 
 class _Examiner:
-    """Logs while they are examined: every mistake that is found is undone before the next is looked for."""
+    """Logs under examination: every mistake found is corrected before the next is sought."""
 
     def __init__(self, vehicle: Vehicle, runs: list[Run], mapping: LogMapping) -> None:
         self.vehicle, self.given, self.runs, self.mapping = vehicle, list(runs), runs, mapping
@@ -385,7 +385,7 @@ class _Examiner:
         self.edits += edits
 
     def _doubt(self, found: Explanation, others: list[str]) -> None:
-        """Say what may be a mistake or an error of a sensor, and leave it."""
+        """Report a possible mistake or sensor error without correcting it."""
         self.findings.append(
             Finding(
                 id=found.mistake.id,

@@ -1,4 +1,4 @@
-"""The force that a motion needs against what the commands give; forces and speeds that no vehicle has."""
+"""The force that a motion requires against that of the commands; impossible forces and speeds."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def _means(
 
 
 def without(beside: Array, columns: Array) -> Array:
-    """What columns have beside others."""
+    """Columns orthogonalised against others."""
     size = np.linalg.norm(beside, axis=0)
     scaled = beside[:, size > 0] / size[size > 0]
     return np.asarray(columns - scaled @ np.linalg.lstsq(scaled, columns, rcond=1e-10)[0])
@@ -204,7 +204,7 @@ _INERTIA = ("m", "m", "m", "I_x", "I_y", "I_z")
 
 @dataclass(frozen=True)
 class Response:
-    """How one motion answers one command, or all of them together."""
+    """Response of one motion to one command, or to all of them together."""
 
     degree_of_freedom: str
     command: str  # the command; empty for all together
@@ -218,7 +218,7 @@ class Response:
     given: float
 
     def sure(self, errors: float, share: float) -> bool:
-        """Whether the gain stands out of its error, and the command explains a share of the motion."""
+        """Whether the gain exceeds its error, and the command explains part of the motion."""
         return abs(self.gain) > errors * self.error and self.share > share
 
 
@@ -291,7 +291,7 @@ def _fitted(columns: Array, force: Array) -> tuple[Array, Array, Array]:
 def suspicious(
     vehicle: Vehicle, runs: Sequence[Run], mapping: LogMapping, kinematics: Kinematics
 ) -> Explanation | None:
-    """A motion that needs a few times the force commanded, as it would in another unit; None where none does.
+    """A motion that requires a few times the commanded force, as in a wrong unit; None if none does.
 
     Parameters are those of `impossible`. Lags and dead times make a motion need less, never more.
     """
@@ -305,7 +305,7 @@ def impossible(
     mapping: LogMapping,
     kinematics: Kinematics,
 ) -> Explanation | None:
-    """What in logs no vehicle of this mass, thrust and size can do; None where there is nothing."""
+    """Motion that no vehicle of this mass, thrust and size can have; None if there is none."""
     check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, PLAUSIBLE)
     return check.by_force() or check.by_size() or check.by_angles() or check.by_limits()
 
@@ -401,7 +401,7 @@ class _PlausibilityCheck:
 
     # --- size ------------------------------------------------------------------------------------
     def by_size(self) -> Explanation | None:
-        """Speeds that a vehicle of this size does not reach."""
+        """Speeds that a vehicle of this size cannot reach."""
         known = self.vehicle.values.get("m")
         if known is None or known.estimate or not known.value > 0:
             return None
@@ -437,7 +437,7 @@ class _PlausibilityCheck:
 
     # --- size of the commands --------------------------------------------------------------------
     def by_angles(self) -> Explanation | None:
-        """Rudders and fins that turn farther than any does: in degrees."""
+        """Rudder and fin angles too large for radians: in degrees."""
         limit = self.settings.angle
         sizes = {n: _rms(self.runs, n) for n in self.vehicle.angle_names}
         far = {n: size for n, size in sizes.items() if size > limit}
@@ -448,7 +448,7 @@ class _PlausibilityCheck:
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": far[worst], "limit": limit}, [])
 
     def by_limits(self) -> Explanation | None:
-        """Commands far beyond what the vehicle file has as the largest."""
+        """Commands far beyond their limit in the vehicle file."""
         limits = self.vehicle.largest_commands
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
         far = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
@@ -484,7 +484,7 @@ def _in_degrees(names: tuple[str, ...]) -> Mistake:
 
 
 def times(names: tuple[str, ...], found: float) -> Mistake:
-    """Commands that count a factor too much or too little; near a power of ten it is one."""
+    """Commands too large or too small by a factor, rounded if near a power of ten."""
     ten = 10.0 ** round(np.log10(found))
     factor = ten if max(found / ten, ten / found) < 2.5 else float(f"{found:.2g}")
 

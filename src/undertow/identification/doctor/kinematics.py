@@ -1,4 +1,4 @@
-"""The rate of the pose against the body velocities of a log: what needs no model of the forces.
+"""The rate of the pose against the body velocities of a log, without a model of the forces.
 
 For test functions phi with compact support, the integral of phi d(eta)/dt + ... = 0 reads, by parts,
 -int phi' eta dt = int phi J(eta) nu dt. No signal is differentiated.
@@ -102,7 +102,7 @@ class Mismatch:
 
     @property
     def excess(self) -> Array:
-        """What noise does not explain, shape (b,)."""
+        """The part that noise does not explain, shape (b,)."""
         return np.maximum(self.share - self.floor, 0.0)
 
     @property
@@ -210,7 +210,7 @@ class Kinematics:
         return Mismatch(share, np.maximum(floor, SETTINGS.quadrature), self._moves(np.array(total)))
 
     def _moves(self, power: Array) -> Flags:
-        """Blocks that do more than hardly move, by the power of all."""
+        """Blocks with noticeable motion, relative to the power of all."""
         turns = np.array([self.rows[b[0]] in POSE[3:] for b in self.blocks])
         of_kind = np.where(turns, power[turns].sum(), power[~turns].sum())
         return np.asarray(power > SETTINGS.hardly * of_kind)
@@ -283,7 +283,7 @@ def most_active(run: Run, names: Sequence[str], most: int) -> slice:
 
 
 def weights_over(t: Array, spacing: float) -> TestFunctions | None:
-    """Test functions over the samples of a stretch, kept: it is compared anew for every possible mistake."""
+    """Cached test functions over the samples of a segment, which is compared for every possible mistake."""
     return _weights_over(t.tobytes(), spacing)
 
 

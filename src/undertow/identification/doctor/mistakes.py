@@ -124,7 +124,7 @@ def both(first: Mistake, second: Mistake) -> Mistake:
 
 @dataclass(frozen=True)
 class PlausibilitySettings:
-    """From where on a log is not only suspicious but impossible.
+    """Thresholds beyond which a log is not only suspicious but impossible.
 
     Each stands several times farther out than anything in the sound logs of the benchmarks (ten vehicles,
     every effect of the catalogue hidden at up to twice its usual size, currents up to 1 m/s) and in four real

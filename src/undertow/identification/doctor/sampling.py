@@ -68,7 +68,7 @@ def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) 
 
 
 def _of_runs(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
-    """What is found in runs; where several show the same, the worst of them with the names of the others."""
+    """Findings in runs; if several agree, the worst one with the names of the others."""
     found = [(run.name, f) for run in runs for f in _of_run(run, channels, mapping)]
     kinds: dict[tuple[str, str], list[tuple[str, Finding]]] = {}
     for name, f in found:
@@ -118,7 +118,7 @@ def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
 
 
 def _bursts(step: Array, usual: float) -> list[Finding]:
-    """Rows that come a few at once: what is between them is no time in which the vehicle moved."""
+    """Rows that arrive in bursts: the time between them is not time in which the vehicle moved."""
     gaps = step[step > SETTINGS.gap * usual]
     share = float(np.sum(gaps) / np.sum(step))
     if share <= SETTINGS.most_time or len(gaps) < SETTINGS.missing * len(step):
@@ -257,9 +257,9 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
 def was_filtered(runs: Sequence[Run], names: Sequence[str]) -> dict[str, float]:
     """Channels that were filtered before they were logged (or computed), with their apparent cut-off, Hz.
 
-    Differences of rising order see ever higher frequencies. On white noise they agree; on a filtered record
-    each finds less than the one before, down to less than any sensor has. Channels that were derived from
-    others, that a mapping file states the noise of, or that repeat their values are not looked at.
+    Differences of increasing order probe ever higher frequencies. For white noise they agree; for a filtered
+    record each finds less than the one before, down to less than any sensor has. Channels that were derived
+    from others, that a mapping file states the noise of, or that repeat their values are not looked at.
     """
     found = {}
     for name in names:
@@ -420,7 +420,7 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
 
 
 def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:
-    """What a motion, sampled every `step` s, leaves open; `driven`: whether a command acts on it."""
+    """What a motion, sampled every `step` s, cannot identify; `driven`: whether a command acts on it."""
     moving, means, noise = motion.moving, motion.means, motion.noise_of_means
     if not len(moving) or not len(means) or np.sqrt(np.mean(means**2)) < SETTINGS.excited * noise:
         yield "anything: the motion does not exceed its noise"
@@ -451,7 +451,7 @@ def _alike(speed: Array) -> bool:
 def excitation_findings(
     rows: Sequence[DofExcitation], vehicle: Vehicle, runs: Sequence[Run]
 ) -> Iterator[Finding]:
-    """Degrees of freedom that were not moved, and what else the motion leaves open."""
+    """Degrees of freedom that were not excited, and parameters that the motion cannot identify."""
     for row in rows:
         if row.cannot:
             dead = not _moved(row)
@@ -471,7 +471,7 @@ def excitation_findings(
 def _still_commands(
     rows: Sequence[DofExcitation], vehicle: Vehicle, runs: Sequence[Run]
 ) -> Iterator[Finding]:
-    """Commands that never change: nothing can be learned of them, and the column may be a wrong one."""
+    """Commands that never change: they cannot be identified, and the column may be the wrong one."""
     still = {n for n in vehicle.command_names if all(_still(run.channels[n]) for run in runs)}
     if not still:
         return

@@ -1,4 +1,4 @@
-"""What a real velocity sensor does to a log; whether pose rates and velocities agree."""
+"""Errors of real velocity sensors; whether pose rates and velocities agree."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ALIKE = {
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """From where on pose rates and velocities disagree, and what a sensor explains of that."""
+    """Thresholds for disagreement of pose rates and velocities, and for sensor errors."""
 
     # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
     cluster: int = 8
@@ -150,7 +150,7 @@ def _chosen(columns: Callable[[Samples], Array], names: Sequence[str]) -> Callab
 
 
 def _bias(at: Samples) -> Array:
-    """A reading that is too large by a constant: what is there is smaller."""
+    """A reading with a constant offset: the true value is smaller."""
     return -at.jacobian
 
 
@@ -257,7 +257,7 @@ def inconsistent(mismatch: Mismatch) -> np.ndarray:
 
 
 def explains(before: Mismatch, after: Mismatch) -> bool:
-    """Whether a mismatch goes away decisively, and none appears elsewhere."""
+    """Whether a mismatch vanishes decisively, and none appears elsewhere."""
     wrong, gone = inconsistent(before), _gone(before, after)
     worse = after.excess > SETTINGS.worse * before.excess + SETTINGS.slightly
     return bool(np.any(wrong & gone) and not np.any(worse))
@@ -266,7 +266,7 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
 def contradicts(found: Explained, chosen: Mistake) -> bool:
     """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them.
 
-    It has to explain them wherever it does something: what stays is that of a sensor, and more may be.
+    It has to explain them wherever it has an influence: the remainder is due to a sensor, and perhaps more.
     """
     before, after = found.before, found.after
     moved = np.abs(after.share - before.share) > SETTINGS.matters
@@ -286,9 +286,9 @@ def _explained(before: Mismatch, after: Mismatch) -> float:
 
 
 def _gone(before: Mismatch, after: Mismatch) -> np.ndarray:
-    """Blocks whose mismatch goes away, so that pose rates and velocities have more in common than apart.
+    """Blocks whose mismatch vanishes, so that pose rates and velocities agree more than they differ.
 
-    Else noise that is scaled away with its motion would count as explained.
+    Otherwise noise scaled away together with its motion would count as explained.
     """
     return (after.excess <= before.excess / SETTINGS.decisive) & (after.share < PLAUSIBLE.agreement)
 
@@ -365,7 +365,7 @@ def _decisive(
 
 
 def _left_alone(before: Mismatch, after: Mismatch, touched: Flags) -> bool:
-    """Whether a mismatch stays where a mistake takes part in it: then that is not what is wrong there."""
+    """Whether a mismatch remains where a mistake is involved: then that is not the cause there."""
     wrong = inconsistent(before) & touched
     return bool(np.any(after.excess[wrong] > before.excess[wrong] / SETTINGS.worse))
 
@@ -382,8 +382,8 @@ def _shows_unit(
 ) -> bool:
     """Whether a mismatch that goes away with a mistake, or with both of a pair, tells of another unit.
 
-    A little less of it does not where a sensor may be off as much. Nor does what goes away as well once the
-    channels are zero: in their own unit they agree with the rest.
+    A small reduction does not, if a sensor error may be as large. Nor does one also achieved with the
+    channels set to zero: in their own unit they agree with the rest.
     """
     before, after = change
     if whole.id in UNITS_OF_MOTION and not _explained(before, after) > PLAUSIBLE.other_unit:
@@ -492,12 +492,12 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
 
 
 def contradicted(kinematics: Kinematics, runs: Sequence[Run]) -> bool:
-    """Whether some pose rate and the velocities have more apart than is called consistent."""
+    """Whether some pose rate and the velocities differ by more than is called consistent."""
     return bool(np.any(kinematics.mismatch(runs).excess > SETTINGS.rest))
 
 
 def without_measurement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding | None:
-    """Velocities that say nothing while the pose moves; None where there are none."""
+    """Velocities that stay zero while the pose moves; None if there are none."""
     rates = kinematics.rates(runs)
     excess = kinematics.of_rates(rates).excess
     blocks = (b for b, e in zip(kinematics.blocks, excess, strict=True) if e > SETTINGS.rest)

@@ -1,9 +1,9 @@
-"""Signs: which way the motion answers every command in every run, whatever else acts; squares without one.
+"""Signs: direction of the response to every command in every run, whatever else acts; unsigned squares.
 
-The force that a motion needs is regressed on what the vehicle file says of every command, with a gain of its
-own for each, beside damping, lift and constant forces of any size. Gains are 1 where the file is right, and
-may be far from it; none is negative. A reading of the logs is contradicted by how much worse they are
-explained where no gain may be.
+The force that a motion requires is regressed on the force of every command according to the vehicle file,
+each with its own gain, together with damping, lift and constant forces of any size. Gains are 1 if the file
+is right, and may be far from it; none is negative. A reading of the logs is contradicted by how much worse
+they are explained if gains may not be negative.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .sensors import clustered_least_squares
 
 @dataclass(frozen=True)
 class SignSettings:
-    """From where on gains say that commands are wired, named or signed wrongly."""
+    """Thresholds beyond which gains show that commands are wired, named or signed wrongly."""
 
     samples: int = 2000  # samples of a run that are looked at, the most active
     # Share of what nothing else explains that commands must explain for a motion to be evidence.

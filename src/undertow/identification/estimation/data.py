@@ -36,7 +36,7 @@ from .test_functions import (
 # --- covariance of estimates from correlated residuals --------------------------------------------
 @dataclass(frozen=True)
 class ClusterSettings:
-    """Numbers by which stretches of time count as independent."""
+    """Settings that define independent time blocks."""
 
     forgotten: float = 0.3  # autocorrelation below which a series has forgotten its past
     spreads: float = 2.0  # the same for short series, in standard deviations of that of white noise
@@ -55,7 +55,7 @@ def inverse_of(information: Array) -> Array:
 
 
 def memory(series: Array) -> int:
-    """Lag by which a series (K,) has forgotten its past; 1 for white noise."""
+    """Lag beyond which a series (K,) is uncorrelated; 1 for white noise."""
     limit = max(CLUSTERS.forgotten, CLUSTERS.spreads / np.sqrt(max(len(series), 1)))
     covariance = np.correlate(series, series, "full")[len(series) - 1 :]
     return int(np.argmax(covariance < limit * covariance[0])) or len(series)
@@ -69,11 +69,11 @@ def summed_scores(r: Array, J: Array, block: Index) -> Array:
 
 
 def clustered(information: Array, scores: Array) -> Array:
-    """Covariance of an estimate: never less than noise alone gives, and robust to correlated residuals.
+    """Covariance of an estimate: robust to correlated residuals, and at least that due to noise.
 
     A sandwich estimator with clusters. `information` is J' J with what priors add; `scores` (groups, k) holds
-    J' r of groups of residuals in the order of time. Neighbours are one cluster where what a parameter learns
-    from one is correlated with what it learns from the next, as under a slow disturbance.
+    J' r of groups of residuals in the order of time. Neighbours are merged into one cluster if their scores
+    for a parameter are correlated, as under a slow disturbance.
     """
     inverse = inverse_of(information)
     robust = np.array([_variance(part) for part in (scores @ inverse).T])
@@ -82,7 +82,7 @@ def clustered(information: Array, scores: Array) -> Array:
 
 
 def _variance(series: Array) -> float:
-    """Variance of the sum of a series, from clusters of neighbours that forget each other."""
+    """Variance of the sum of a series, from uncorrelated clusters of neighbours."""
     longer = int(CLUSTERS.memories * (memory(series) - 1))
     size = max(1, min(longer, len(series) // CLUSTERS.fewest))
     return float(np.sum(np.add.reduceat(series, np.arange(0, len(series), size)) ** 2))
@@ -91,7 +91,7 @@ def _variance(series: Array) -> float:
 # --- segments and noise ---------------------------------------------------------------------------
 @dataclass(frozen=True)
 class NoiseSettings:
-    """Numbers by which noise is estimated and distinguished from motion."""
+    """Settings for estimating noise and distinguishing it from motion."""
 
     # Orders of the differences that white noise is taken from, and samples for each order that a log needs.
     orders: tuple[int, ...] = (3, 4, 5, 6, 7, 8)
@@ -109,7 +109,7 @@ class NoiseSettings:
 
 @dataclass(frozen=True)
 class RateSettings:
-    """Numbers of the local cubics that a rate is taken from."""
+    """Settings of the local cubics used to estimate rates."""
 
     widths: tuple[int, ...] = (3, 5, 8, 13, 20, 32)  # half-widths in samples, from narrow to wide
     degree: int = 3
@@ -120,7 +120,7 @@ class RateSettings:
 
 @dataclass(frozen=True)
 class BlockSettings:
-    """Numbers by which logs are divided: knots of test functions, and blocks that count as independent."""
+    """Settings for dividing logs: knots of test functions, and independent blocks."""
 
     # Velocities that a smoother derived from pose have correlated errors; wider functions average over them.
     wider_for_derived: float = 2.0
@@ -264,9 +264,9 @@ def unbanded(bands: Array) -> csr_array:
 def white_noise(t: Array, y: Array) -> float:
     """Standard deviation of the white noise on a smooth signal, robust to kinks and jumps.
 
-    A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses what is
-    smooth. The lowest order is taken, which knows the noise best, unless a higher one leaves clearly
-    less: then the lower one takes a fast signal for noise.
+    A difference of order k amplifies white noise by sqrt(binomial(2k, k)) and suppresses smooth parts. The
+    lowest order is used, which has the least variance, unless a higher one gives clearly less: then the lower
+    one mistakes a fast signal for noise.
     """
     known = noise_by_order(t, y)
     clearly = 1.0 + NOISE.clearly / np.sqrt(len(y))
@@ -274,7 +274,7 @@ def white_noise(t: Array, y: Array) -> float:
 
 
 def noise_by_order(t: Array, y: Array) -> list[float]:
-    """Standard deviation of white noise by differences of rising order; none of too few samples."""
+    """Standard deviation of white noise by differences of increasing order; empty for too few samples."""
     if len(t) <= NOISE.samples_for_order * NOISE.orders[0]:
         return []
     steps = np.diff(t)
@@ -297,8 +297,8 @@ class Whitening:
 
     Rows are ordered by test function, then by equation. `covariance` (b, m) is that from the noise of the
     channels, and `overlap` (b, m) the products of test functions of one equation, the covariance of a white
-    disturbance; lower halves in LAPACK's banded storage. `intensity` (m,) is that of the disturbance: what
-    the model leaves beyond the noise.
+    disturbance; lower halves in LAPACK's banded storage. `intensity` (m,) is that of the disturbance: the
+    residual above the noise.
     """
 
     def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
@@ -306,7 +306,7 @@ class Whitening:
         self._take(intensity)
 
     def _take(self, intensity: Array) -> None:
-        """Factor with a disturbance."""
+        """Cholesky factor with a disturbance."""
         measured, white = self._bands
         if not np.any(intensity):
             self._factor = _cholesky(measured)
@@ -334,7 +334,7 @@ class Whitening:
         return solved(self._factor, table.reshape(len(table), -1)).reshape(table.shape)
 
     def noise_sample(self, rng: np.random.Generator) -> Array:
-        """What the noise of the channels alone would look like after whitening: one draw, shape (m,)."""
+        """Whitened channel noise alone: one draw, shape (m,)."""
         factor = _cholesky(self._bands[0])
         draw = np.asarray(rng.standard_normal(factor.shape[1]))
         return self(_times(factor, draw))
@@ -401,7 +401,7 @@ def smooth_rate(t: Array, y: Array) -> Array:
 
 
 def _widest(t: Array, y: Array) -> Index:
-    """Half-width of the widest fits that leave no more than noise at most instants, by signal."""
+    """Half-width of the widest fits that leave only noise at most instants, by signal."""
     noise = np.array([white_noise(t, column) for column in y.T])
     some = np.unique(np.linspace(0, len(t) - 1, RATES.places).astype(np.intp))
     found = np.full(y.shape[1], RATES.widths[0])
@@ -437,9 +437,9 @@ class Segment:
         return np.arange(len(self.t)) if self.reported is None else np.flatnonzero(self.reported[:, channel])
 
     def noise(self, sigma: Array) -> Array:
-        """White noise in every sample that blurs means as much as noise `sigma` (2n,) of the reports does.
+        """White noise in every sample equivalent, in means, to noise `sigma` (2n,) of the reports.
 
-        Values between reports are no news. Shape (2n,), or (N, 2n) where samples are doubted.
+        Values between reports carry no information. Shape (2n,), or (N, 2n) if samples are down-weighted.
         """
         if self.reported is not None:
             sigma = sigma * np.sqrt(len(self.t) / np.maximum(np.count_nonzero(self.reported, axis=0), 1))
@@ -464,14 +464,14 @@ class WeakData:
 
     @cached_property
     def derived(self) -> tuple[int, ...]:
-        """Velocities among the 2n channels that were taken from the pose, whose noise is known."""
+        """Velocities among the 2n channels that were derived from the pose, with known noise."""
         size = len(self.names) // 2
         taken = [i for i in range(size, 2 * size) if any(self.names[i] in r.derived for r in self.runs)]
         return tuple(i for i in taken if self.sigma[i - size] > 0)
 
     @property
     def derived_names(self) -> tuple[str, ...]:
-        """Velocities that were taken from the pose: no sensor measured them."""
+        """Velocities derived from the pose, which no sensor measured."""
         return tuple(self.names[i] for i in self.derived)
 
     @cached_property
@@ -501,7 +501,7 @@ class WeakData:
 
     @cached_property
     def block_seconds(self) -> float:
-        """Length of blocks: long against the memory of vehicles, short enough that there are many."""
+        """Length of blocks: long compared with the memory of vehicles, short enough for many blocks."""
         return float(np.clip(self.seconds / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
 
     @cached_property
@@ -515,7 +515,7 @@ class WeakData:
         return blocks_of_time(self.time - start, seconds, self.run_of)
 
     def forgetful(self, series: Array) -> float:
-        """Length of blocks, s, of which a series (K,) by test function forgets one in the next, if there are
+        """Length of blocks, s, between which a series (K,) by test function is uncorrelated, if there are
         enough of them.
         """
         step = float(np.median(np.diff(self.time[:: len(self.rows)])))
@@ -536,9 +536,9 @@ def blocks_of_time(since: Array, seconds: float, *piece: Index | Array) -> Index
 def prepare(
     runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None, family: Family = test_functions
 ) -> WeakData:
-    """Cut runs into segments and put test functions on them: B-splines, or boxes for the integral form.
+    """Cut runs into segments and place test functions on them: B-splines, or boxes for the integral form.
 
-    `sigma`, shape (2n,), is the noise of the channels, estimated from the runs where it is not given.
+    `sigma`, shape (2n,), is the noise of the channels, estimated from the runs if not given.
     """
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     for run in runs:
@@ -611,7 +611,7 @@ def _segments(
 
 
 def _reported(run: Run, names: Sequence[str], piece: slice) -> Flags | None:
-    """Which samples of channels are reports; None where all are."""
+    """Which samples of channels are reports; None if all are."""
     if not any(n in run.reported for n in names):
         return None
     every = np.ones(len(run.t), dtype=bool)

@@ -1,4 +1,4 @@
-"""What every estimator returns: how far its parameters can be trusted, and differ between runs."""
+"""The result of every estimator: estimates, their uncertainty, and differences between runs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .step import at_bounds, default_weights, estimated, follower_errors, follow
 
 @dataclass(frozen=True)
 class BetweenRunsSettings:
-    """Numbers of the test."""
+    """Settings of the test."""
 
     # Chance that an effect whose runs agree gets values by run all the same. A diagnosis tries some ten such
     # effects: one in a hundred has one too many then, which costs a little precision and no wrong name.
@@ -41,7 +41,7 @@ BETWEEN_RUNS = BetweenRunsSettings()
 
 @dataclass(frozen=True)
 class BetweenRuns:
-    """A parameter with a value in every run, and how far these differ."""
+    """A parameter with a value in every run, and their heterogeneity."""
 
     parameter: str
     values: dict[str, float]  # by run, SI and SNAME signs
@@ -53,12 +53,12 @@ class BetweenRuns:
 
     @property
     def mean(self) -> float:
-        """Mean over the runs, weighted by how well each knows it."""
+        """Mean over the runs, weighted by their precision."""
         return sum(self.weights[run] * value for run, value in self.values.items())
 
 
 def heterogeneity(values: Array, variance: Array) -> tuple[float, float]:
-    """How far independent estimates of one value differ, (k,) with their variances.
+    """Heterogeneity of independent estimates of one value, (k,) with their variances.
 
     Cochran's Q, and the standard deviation between them beyond their errors (DerSimonian and Laird,
     Controlled Clinical Trials 7, 1986).
@@ -103,9 +103,9 @@ def stated_by_run(vehicle: Vehicle, free: Sequence[str]) -> list[str]:
 def may_differ(
     model: WeakModel, runs: Sequence[Run], among: Collection[str] | None = None
 ) -> list[tuple[str, ...]]:
-    """Free parameters, common to all runs so far, that nature may have changed between them, by effect.
+    """Free parameters, common to all runs so far, that may vary between them, by effect.
 
-    All of an effect or none: the direction of a current says little without its speed.
+    All of an effect or none: the direction of a current is useless without its speed.
     """
     if len(origins(runs)) < 2:
         return []
@@ -121,7 +121,7 @@ def may_differ(
 def least_differing(
     model: WeakModel, values: Array, covariance: Array, groups: Sequence[Sequence[str]]
 ) -> tuple[int, float]:
-    """Group of parameters whose values by run differ least, and the chance of that if they were the same.
+    """Group of parameters whose values by run differ least, and the p-value of equality.
 
     values, covariance: of the free parameters, (n_free,) and (n_free, n_free).
     """
@@ -157,7 +157,7 @@ def of_the_vehicle(model: WeakModel, table: Sequence[BetweenRuns]) -> Array:
 # --- fits -----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class IdentifiabilitySettings:
-    """Limits by which parameters are called identified."""
+    """Limits for calling parameters identified."""
 
     # Share of the largest eigenvalue of the scaled information below which a direction is not seen at all.
     unseen: float = 1e-10
@@ -204,8 +204,8 @@ def _term(name: str, factor: float) -> str:
 def undetermined(gram: Array, free: Sequence[str], nothing: float = SETTINGS.unseen) -> list[list[str]]:
     """Parameters that data with information J'J (without priors) do not determine, in groups.
 
-    A group of one does not show at all; of a larger one only combinations show. `nothing` is the share of the
-    largest eigenvalue of the scaled information below which a direction is not seen.
+    A group of one is not identifiable at all; of a larger one only combinations are. `nothing` is the share
+    of the largest eigenvalue of the scaled information below which a direction is not seen.
     """
     _, vectors, unseen = _directions(gram, nothing)
     null = vectors[:, unseen]
@@ -222,9 +222,9 @@ def undetermined(gram: Array, free: Sequence[str], nothing: float = SETTINGS.uns
 
 
 def base_parameters(gram: Array, free: Sequence[str], nothing: float = SETTINGS.unseen) -> list[Combination]:
-    """The combinations that stand in for parameters which data determine together only.
+    """The combinations of parameters that data determine only jointly.
 
-    They span what the information of each group of `undetermined` sees, in reduced row echelon form: each
+    They span the identifiable subspace of each group of `undetermined`, in reduced row echelon form: each
     begins with a parameter that is in no other.
     """
     size, vectors, unseen = _directions(gram, nothing)
@@ -302,14 +302,14 @@ class Fitted(ABC):
 
     @cached_property
     def information(self) -> Array:
-        """What data and stated priors say together: J'J plus the weight of the priors."""
+        """Information of data and stated priors: J'J plus the weight of the priors."""
         return self.gram + np.diag(prior_of(self.model)[1] ** 2)
 
     @property
     def vehicle(self) -> Vehicle:
         """The vehicle with fitted values and standard errors, those of tied parameters included.
 
-        What differs between runs has its mean, and as error how far another run may be from that.
+        Parameters that differ between runs have their mean, and as error the spread of a further run.
         """
         names, covariance = self.vehicle_covariance
         values = {n: self.values[n] for n in names}
@@ -330,7 +330,7 @@ class Fitted(ABC):
     def vehicle_covariance(self) -> tuple[tuple[str, ...], Array]:
         """Names and covariance of what the vehicle has for the free parameters.
 
-        Where values by run are averaged, their spread counts as error.
+        If values by run are averaged, their spread counts as error.
         """
         names, table = self.model.values.names, self.between_runs
         if not table:
@@ -377,7 +377,7 @@ class Fitted(ABC):
 
     @property
     def active(self) -> list[str]:
-        """Constraints that hold the estimates back, by name: bounds, then matrices at their limit."""
+        """Active constraints, by name: bounds, then matrices at their limit."""
         bounds = [f"{name} at its bound {bound:g}" for name, bound in at_bounds(self.model, self.p).items()]
         return [*bounds, *self.model.limits.active(self.p)]
 
@@ -404,10 +404,10 @@ def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
 
 
 def cramer_rao(fit: Fitted) -> dict[str, float]:
-    """Least standard error that an unbiased estimator can have by sensor noise, by parameter.
+    """Cramér-Rao bound on the standard errors due to sensor noise, by parameter.
 
-    What comes on top of it in the standard errors is what the model leaves beyond the noise. Stated priors
-    are not data, and do not count. For the weak form the data are the products with its test functions.
+    Standard errors exceed it because of the residual above the noise. Stated priors are not data, and do not
+    count. For the weak form the data are the products with its test functions.
     """
     return dict(zip(fit.model.free, np.sqrt(np.diag(inverse_of(fit.noise_gram))).tolist(), strict=True))
 
@@ -439,16 +439,16 @@ def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
 
 
 def held_by_size(fit: Fitted) -> list[str]:
-    """Parameters that the default prior, from mass, inertia and length, holds more than the data do."""
+    """Parameters determined more by the default prior, from mass, inertia and length, than by the data."""
     weight = default_weights(fit.model) ** 2
     share = weight * np.diag(inverse_of(fit.information + np.diag(weight)))
     return [n for n, part in zip(fit.model.free, share, strict=True) if part > SETTINGS.held]
 
 
 def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
-    """Degrees of freedom in which no known force fixes a scale, with the parameters that have one in common.
+    """Degrees of freedom in which no known force sets the scale, with the parameters that share it.
 
-    The logs show ratios of these only; their scale stays as stated.
+    The logs determine only their ratios; their scale stays as stated.
     """
     free, values = fit.model.free, fit.model.values
     found = {}
@@ -460,7 +460,7 @@ def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
 
 
 def notes(fit: Fitted) -> list[str]:
-    """What held a fit where the data do not, in words."""
+    """Constraints on a fit other than the data, in words."""
     lines = [
         f"no known force in these logs determines the scale of the forces in {dof}: {', '.join(names)} are "
         "known up to a common factor, which stays as stated"

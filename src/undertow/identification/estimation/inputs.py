@@ -1,4 +1,4 @@
-"""What drives a model between samples: actuator states along the commands, zero-order hold."""
+"""Inputs of a model between samples: actuator states along the commands, zero-order hold."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def change(values: Array) -> Array:
 
 
 def share_of_step(t: Array, delay: float) -> tuple[Array, Array]:
-    """Where in the step after each sample a jump that is so late arrives, and its rate in the delay."""
+    """Where in the step after each sample a jump with this delay arrives, and its derivative."""
     step = np.append(np.diff(t), np.inf)
     index = np.minimum(_at_work(t, delay), len(t) - 2)
     return np.clip((t[index + 1] + delay - t) / step, 0.0, 1.0), 1.0 / step
@@ -320,11 +320,11 @@ class ActuatorStates:
         return DrivenSignal(shifted_mean(t, driven.value, seconds), moved, start)
 
     def seconds_late(self, p: Array) -> float:
-        """Dead time between commands and what they bring about, s."""
+        """Dead time between commands and their effect, s."""
         return float(self._dead_time(p)[0]) if self.functions.vehicle.composition.dead_time != 0 else 0.0
 
     def _before(self, t: Array, driven: DrivenSignal, p: Array) -> DrivenSignal:
-        """What a chain without states gave before each sample.
+        """Output of a chain without states before each sample.
 
         A jump that falls between samples bends the velocity there: trapezoids over a kink at the share s of a
         step are off by 1 - 6 s (1 - s) times what they are off by over one at a sample.

@@ -1,4 +1,4 @@
-"""Output error: parameters from simulations of many windows, with the start of each estimated, too."""
+"""Output error: parameters from simulations of many windows with estimated initial states."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .windows import Windows, cut, horizons, prediction_error
 
 @dataclass(frozen=True)
 class OutputErrorSettings:
-    """Numbers of the fit by output error."""
+    """Settings of the fit by output error."""
 
     horizon: float = 5.0  # length of a window, s
     most_steps: int = 40
@@ -102,9 +102,9 @@ class OutputErrorFit(Fitted):
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the free parameters: at least what noise gives, robust to what the model leaves.
+        """Covariance of the free parameters: robust to model error, and at least that due to noise.
 
-        Windows (or stretches of five seconds in longer ones) are taken as independent: a sandwich estimator
+        Windows (or five-second parts of longer ones) are taken as independent: a sandwich estimator
         with clusters inflates the covariance where the errors of one window are correlated.
         """
         groups = len(self.at.scores)
@@ -129,10 +129,10 @@ class Descent:
     """Levenberg-Marquardt on the parameters, with the best starts for every step.
 
     With `ahead` the error is that of velocities predicted from the measured motion at the start of a window,
-    as predictions are judged: the start of each window is known as well as its sensors know it, and whatever
-    the model leaves comes after it. Of the pose only the start counts, for its errors are those of the
-    velocities once more, summed up; velocities that were derived from it count like others. What the pose
-    says about the sensors is lost by that, and stands in `ahead`, as `by_kinematics` has it.
+    as predictions are judged: the start of each window is known to sensor accuracy, and model errors
+    accumulate after it. Of the pose only the start counts, since its errors are the accumulated velocity
+    errors; velocities derived from it count like others. The information of the pose about the sensors, lost
+    in this way, is in `ahead` (see `by_kinematics`).
     """
 
     def __init__(
@@ -155,10 +155,10 @@ class Descent:
         self._steps = 0
 
     def fit(self, p: Array) -> OutputErrorFit:
-        """Minimise, weight every channel by what the model leaves in it, until the weights converge.
+        """Minimise and reweight every channel by its residual, until the weights converge.
 
-        The first weights are those of the start. By sensor noise alone, a channel that the start
-        fits well would give way to one that no parameters fit, and weigh little ever after.
+        The first weights are those at the start. With weights from sensor noise alone, a channel that the
+        start fits well would be sacrificed to one that no parameters fit, and be down-weighted from then on.
         """
         dispersion = np.ones(len(self.windows.names))
         self._weigh(dispersion)
@@ -183,7 +183,7 @@ class Descent:
         return self._shooting.measured_starts(p) if self._ahead else self._shooting.fitted_starts(p)
 
     def _weigh(self, dispersion: Array, trust: Array | None = None) -> None:
-        """Weight channels by what a model leaves, and samples by `trust` (b, k, 2n), which are no start."""
+        """Weight channels by the residual of a model, and samples, except starts, by `trust` (b, k, 2n)."""
         self._shooting.weight = self._weight / np.sqrt(dispersion)
         if self._ahead:
             trust = np.ones((*self.windows.t.shape, len(dispersion))) if trust is None else trust.copy()
@@ -192,7 +192,7 @@ class Descent:
         self._shooting.trust = trust
 
     def _weigh_priors(self, state: State, dispersion: Array) -> None:
-        """Count once what a slow residual repeats, if the residual exceeds the noise: that is independent."""
+        """Count correlated residuals once, if the residual exceeds the noise: that is independent."""
         left = float(np.max(dispersion)) >= SETTINGS.little_left
         self._space.weigh_priors(state.at.inflation if left else 1.0)
 
@@ -220,7 +220,7 @@ class Descent:
         return scale
 
     def _moved(self, state: State, before: Array) -> float:
-        """How far the parameters have come, in the standard deviations of the fit."""
+        """Change of the parameters, in standard deviations of the fit."""
         places = list(self.model.places)
         return float(np.linalg.norm(state.at.J @ (state.p[places] - before[places])))
 
@@ -244,7 +244,7 @@ class Descent:
         return self._minimised(self._at(p, starts), _negligible_fall)
 
     def _roughly(self, p: Array, starts: Array) -> State:
-        """The same until what is left, and so the weights, hardly change."""
+        """The same until the residual, and hence the weights, hardly change."""
         return self._minimised(
             self._at(p, starts), lambda at: max(_negligible_fall(at), SETTINGS.rough_fall * at.cost)
         )
@@ -259,7 +259,7 @@ class Descent:
         return state
 
     def _minimised(self, state: State, enough: Callable[[Reduced], float]) -> State:
-        """Steps until one gains less than enough."""
+        """Steps until one gains less than the threshold."""
         for _ in range(SETTINGS.most_steps):
             self._steps += 1
             state, gained = self._stepped(state)
@@ -297,21 +297,21 @@ class Descent:
 def _negligible_fall(at: Reduced) -> float:
     """Fall of the cost below which a descent has converged.
 
-    What a poor model leaves is many times the noise, and goes together from sample to sample: there a
-    fraction of a noise variance moves no parameter by a notable share of its standard error.
+    The residual of a poor model is many times the noise, and correlated from sample to sample: a fraction of
+    a noise variance then moves no parameter noticeably relative to its standard error.
     """
     return SETTINGS.least_fall * max(1.0, at.cost / max(float(at.counts.sum()), 1.0)) * at.inflation
 
 
 def _damped(at: Reduced, damping: float) -> Linearised:
-    """The linearised problem with steps held back, relative to how well each parameter is determined."""
+    """The linearised problem with damped steps, relative to how well each parameter is determined."""
     hold = np.diag(np.sqrt(damping) * np.linalg.norm(at.J, axis=0))
     r, J = np.concatenate([at.r, np.zeros(len(hold))]), np.vstack([at.J, hold])
     return Linearised(r, J, np.zeros((len(r), 0)))
 
 
 def channel_weights(windows: Windows, *, derived: bool = False) -> Array:
-    """One over the noise of each channel; zero for what is not measured, or, unless it counts, derived."""
+    """Inverse noise of each channel; zero for channels not measured, or derived ones not used."""
     with_data = np.isfinite(windows.measured).any(axis=(0, 1))
     left_out = set() if derived else {name for run in windows.runs for name in run.derived}
     used = with_data & np.array([name not in left_out for name in windows.names])
@@ -335,13 +335,13 @@ LossName = Literal["gaussian", "huber", "student-t"]
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss by what iterated reweighting needs of it."""
+    """A loss function as needed for iterative reweighting."""
 
     weight: Callable[[Array], Array]  # Weight of an error z in standard deviations: influence over error
     slope: Callable[[Array], Array]  # Derivative of the influence
 
     def correction(self, z: Array) -> tuple[float, float]:
-        """What the covariance of weighted least squares lacks for errors such as z.
+        """Correction of the covariance of weighted least squares for errors such as z.
 
         A factor on the variance where errors are independent, mean(w) mean(psi^2) / mean(psi')^2, and one on
         scores in a sandwich, mean(w) / mean(psi').
@@ -382,7 +382,7 @@ def fit_output_error(
     """Fit the free parameters of a vehicle to several logs at once by the error of their simulation.
 
     The logs are cut into windows. The parameters are shared, and the true motion at the start of every window
-    is estimated with them. Channels are weighted by their noise, and by what the model leaves beyond it.
+    is estimated with them. Channels are weighted by their noise, and by the model residual above it.
 
     Parameters
     ----------
@@ -394,14 +394,14 @@ def fit_output_error(
     free : sequence of str, optional
         Names of the parameters to fit; by default those that the vehicle marks with `estimate`.
     horizon : float or None
-        Length of a window in s; None: each stretch without gaps is one.
+        Length of a window in s; None: each gap-free segment is one.
     start : mapping, optional
         Starting values; by default those of a weak-form fit.
     constraints : Constraints
         Constraints on the parameters.
     loss : str
         "gaussian" squares every error; "huber" and "student-t" reweight each sample until the parameters
-        converge, so that no outlier pulls without limit.
+        converge, so that the influence of outliers is bounded.
     """
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
@@ -437,21 +437,20 @@ def final_fit(
     """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
 
     Windows are a quarter of the slowest time constant at first (see `horizons`): a fit over long windows
-    alone, begun far away, ends in a local minimum. Where the residual is close to noise, one time constant
-    follows, then the longest ones, and whole stretches without gaps if they, too, leave little: each start
-    that is estimated takes information from the parameters (standard errors over windows of a time constant
-    are ten times those over a run of a minute). Where more is left, that is no noise of the sensors: starts
-    that are free take up errors of the model, and a pose is the sum of all errors before. There velocities
-    are predicted from the measured starts, the error by which predictions are judged, over all three lengths.
-    What is returned is the last of the fits whose `horizon_error` on validation data is no worse than the
-    least.
+    alone, started far away, ends in a local minimum. Where the residual is close to noise, one time constant
+    follows, then the longest ones, and whole gap-free segments if their residual is also close to noise:
+    estimated starts cost information about the parameters (standard errors over windows of a time constant
+    are ten times those over a run of a minute). Otherwise free starts absorb model errors, and a pose
+    accumulates all earlier errors; velocities are then predicted from measured starts, the error by which
+    predictions are judged, over all three lengths. What is returned is the last of the fits whose
+    `horizon_error` on validation data is no worse than the least.
 
     Parameters
     ----------
     weak : WeakFit
         Where to begin.
     runs, validation : sequence of Run
-        Logs to fit to and to judge by.
+        Training and validation logs.
     loss : str
         That of `fit_output_error`.
     """
@@ -491,10 +490,10 @@ def final_fit(
 
 
 def by_kinematics(weak: WeakFit) -> tuple[Array, Array]:
-    """What pose rates against velocities say about the free parameters, whatever forces act.
+    """Information on the free parameters from pose rates and velocities, independent of forces.
 
-    They know the errors of the sensors, and no model of the forces is in them. Values, (n_free,), and one
-    over their standard errors, zero where nothing is said.
+    They determine sensor errors without a model of the forces. Values, (n_free,), and inverse standard
+    errors, zero where undetermined.
     """
     rows = weak.data.equation >= len(weak.data.names) // 2
     r, J = weak.at.r[rows], weak.at.J[rows]
@@ -517,15 +516,15 @@ def _whole(runs: Sequence[Run]) -> float | None:
 
 
 def _little_left(fit: Fitted) -> bool:
-    """Whether simulations leave little more than the noise of every channel."""
+    """Whether simulations leave little more than noise in every channel."""
     return isinstance(fit, OutputErrorFit) and bool(np.max(fit.dispersion) < SETTINGS.little_left)
 
 
 def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
     """Error of predicted velocities of fits of one model, (k,), as shares of the motion.
 
-    Geometric mean over windows of the three `horizons`; infinite where a simulation diverges. Runs are judged
-    by what is left of them once they have taught what belongs to them (see `adaptation.in_run`).
+    Geometric mean over windows of the three `horizons`; infinite where a simulation diverges. Runs are scored
+    on the part not used to estimate their own values (see `in_run`).
     """
     functions = fits[0].model.functions
     predictor, judged = Predictor(functions, compiled=False), [in_runs(fit, validation) for fit in fits]
@@ -540,9 +539,9 @@ def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
 def weak_start(
     model: WeakModel, runs: Sequence[Run], start: Mapping[str, float] | None
 ) -> tuple[WeakModel, Mapping[str, float]]:
-    """The model and where its fit begins: as given, or else by the weak form, with values by run if need be.
+    """The model and the start of its fit: as given, else by the weak form, with values by run if needed.
 
-    Runs that are too short for the weak form leave the model and the values of its file.
+    For runs too short for the weak form, model and values stay as in the file.
     """
     if start is not None:
         return model, start
@@ -555,5 +554,5 @@ def weak_start(
 
 
 def started(model: WeakModel, start: Mapping[str, float]) -> Array:
-    """All parameters at the start of a search: the vehicle's, some replaced, made physical."""
+    """All parameters at the start of a search: those of the vehicle, some replaced, made physical."""
     return SearchSpace(model).nearest(model.started(start))

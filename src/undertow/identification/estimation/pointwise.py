@@ -1,4 +1,4 @@
-"""What the weak form needs of a model at one sample, and how large its parameters can be."""
+"""Terms of the weak form at one sample, and bounds on parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from undertow.typing import Array
 # --- natural sizes of parameters ------------------------------------------------------------------
 @dataclass(frozen=True)
 class ScaleSettings:
-    """Numbers by which the size of a vehicle becomes a weak prior of its parameters."""
+    """Settings of the weak prior on parameters from the size of a vehicle."""
 
     # Standard deviation of the default prior, as a share of the largest value that counts as possible: 0.6
     # for added mass in units of the inertia. Like a stated one it is widened by `StepSettings.prior_width`:
@@ -35,14 +35,13 @@ _LIMITS = Limits()
 
 
 def largest_values(functions: Functions, names: Sequence[str]) -> Array:
-    """Largest magnitude of parameters that a vehicle of this size allows, SI; infinite where it says nothing.
+    """Largest magnitude of parameters for a vehicle of this size, SI; infinite if unlimited.
 
     That is `Parameter.within` times the natural size: the product of powers of the vehicle's mass, length
     and the time sqrt(length / g) that has the parameter's unit. The length is the edge of a cube of water as
     heavy as the vehicle or its radius of gyration, whichever is larger; for a coefficient of moments alone
-    the square of the length is that of the radius of gyration about these axes. A stated value that is larger
-    counts as the size itself; one that a fit has found does not, lest every fit go ten times as far as the
-    last.
+    the square of the length is that of the radius of gyration about these axes. A larger stated value counts
+    as the size itself; a fitted one does not, lest every fit go ten times as far.
     """
     vehicle = functions.vehicle
     known = {n: v.value for n, v in vehicle.values.items()} | dict(vehicle.environment)
@@ -54,7 +53,7 @@ def largest_values(functions: Functions, names: Sequence[str]) -> Array:
 
 
 def scale_directions(functions: Functions, names: Sequence[str], p: Array) -> dict[str, Array]:
-    """By degree of freedom, the change of free parameters that makes all of its forces larger by one share.
+    """By degree of freedom, the change of free parameters that scales all of its forces by one factor.
 
     Its inertia grows with them, so that the motion stays the same, unless a force in it is known. Degrees of
     freedom whose inertia is known are left out. Entries of a direction (k,) are in the order of `names`.
@@ -99,7 +98,7 @@ def _largest(
 
 
 def _natural_size(parameter: Parameter, size: VehicleSize, known: dict[str, float], rows: set[int]) -> float:
-    """Natural size of a parameter; zero where the vehicle says nothing of it."""
+    """Natural size of a parameter; zero if the vehicle does not determine it."""
     length = max(size.length, size.gyration)
     if parameter.arm_of:
         return length * (1.0 if parameter.arm_of == "1" else known.get(parameter.arm_of, 0.0))
@@ -127,8 +126,8 @@ class Pointwise:
     The measured pose and velocity are first turned back into the true ones (inverse of the measurement
     effects). Rows: velocity, acceleration by all forces but the commands, pose, pose rate, acceleration by
     the commands; n rows each. The equations of motion are divided by the mass matrix: their noise then hardly
-    depends on the parameters, and least squares is not drawn to small inertia, as it is where the noise is
-    multiplied by what is estimated.
+    depends on the parameters, and least squares is not biased to small inertia, as it is if the noise is
+    multiplied by estimated parameters.
 
     `free` holds the places in p of the parameters that derivatives are taken in; `actuators_vary` says
     whether what reaches the thrusters depends on any of these, or on states.
@@ -239,7 +238,7 @@ class Pointwise:
 
     @cached_property
     def previous(self) -> ca.SX:
-        """What the drive was before the sample."""
+        """The drive before the sample."""
         return ca.SX.sym("previous", self._drive.shape[0])
 
     @cached_property
@@ -249,7 +248,7 @@ class Pointwise:
 
     @cached_property
     def _by_commands(self) -> ca.SX:
-        """Part of the forcing that the commands bring in."""
+        """Part of the forcing due to the commands."""
         f = self.functions
         slope = ca.jacobian(f.forcing, self._drive)
         if not ca.depends_on(slope, ca.vertcat(self._drive, f.eta, f.nu)):
@@ -258,7 +257,7 @@ class Pointwise:
 
     @cached_property
     def true_motion(self) -> ca.SX:
-        """Pose and velocity from what sensors report: the attitude first, since all else may turn with it."""
+        """Pose and velocity from sensor reports: the attitude first, since all else may depend on it."""
         f = self.functions
         motion, places = ca.vertcat(f.eta, f.nu), range(2 * self.size)
         turned = [i for i, dof in enumerate(f.vehicle.dof_indices) if dof > 2]
@@ -319,7 +318,7 @@ def _solved(report: ca.SX, motion: ca.SX, measured: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class LimitSettings:
-    """Numbers by which a matrix counts as positive."""
+    """Tolerances for positive matrices."""
 
     least_mass: float = 1e-3  # least eigenvalue of the mass matrix, as a share of the stated inertias
     # Share of the scale of a matrix by which a least eigenvalue may miss its limit, and still counts as at
@@ -340,10 +339,10 @@ class Cut:
 
 
 class PositiveMatrices:
-    """Which parameters a model can have together: matrices that have to be positive.
+    """Joint constraints on parameters: matrices that have to be positive.
 
-    Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a
-    hull hold lift and the Munk moment too, which need not take energy from every motion.
+    Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a hull
+    include lift and the Munk moment, which need not dissipate energy.
     """
 
     def __init__(self, functions: Functions, places: Sequence[int], *, dissipative: bool = False) -> None:
@@ -359,7 +358,7 @@ class PositiveMatrices:
         self._all, self._matrices = found, [matrix for matrix in found if matrix.varies]
 
     def cuts(self, p: Array) -> list[Cut]:
-        """What a step from p has to do for every matrix to be positive; nothing where all are."""
+        """Inequalities on a step from p for every matrix to be positive; empty if all are."""
         return [cut for matrix in self._matrices for cut in matrix.cuts(p)]
 
     def broken(self, p: Array) -> bool:
@@ -367,7 +366,7 @@ class PositiveMatrices:
         return any(matrix.least(p) < -SETTINGS.rounding for matrix in self._matrices)
 
     def impossible(self, p: Array) -> list[str]:
-        """Names of all matrices that are not positive at p, those that no free parameter changes too."""
+        """Names of all matrices that are not positive at p, including those without free parameters."""
         return [matrix.described(p) for matrix in self._all if matrix.least(p) < -SETTINGS.rounding]
 
     def moved(self, p: Array, step: Array) -> Array:
@@ -377,7 +376,7 @@ class PositiveMatrices:
         return found
 
     def active(self, p: Array) -> list[str]:
-        """Names of the limits that hold the parameters back, with the motions that they concern."""
+        """Names of the active limits, with the motions that they concern."""
         return [matrix.described(p) for matrix in self._matrices if matrix.least(p) < SETTINGS.at_limit]
 
 
@@ -439,7 +438,7 @@ def _masses(functions: Functions) -> list[ca.SX]:
 
 
 def added_mass_at_zero_frequency(functions: Functions, p: Array) -> Array | None:
-    """Added mass of slow motion, (n, n), with what states of effects add to it; None where they add nothing.
+    """Added mass of slow motion, (n, n), with contributions of effect states; None if there are none.
 
     With z' = A z + B nu at rest, slow motion has z = -A^-1 B nu - A^-2 B nu', so that a force C z is one of
     the damping -C A^-1 B and of the inertia C A^-2 B. Of potential flow that inertia is positive: the free

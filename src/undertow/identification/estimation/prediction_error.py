@@ -49,7 +49,7 @@ class LinearWindows(NamedTuple):
 
 
 class Chained:
-    """Windows that share their last sample with the next, stretch by stretch, simulated by one model."""
+    """Windows that share their last sample with the next, segment by segment, simulated by one model."""
 
     def __init__(self, functions: Functions, windows: Windows, free: tuple[str, ...]) -> None:
         self.windows = windows
@@ -158,7 +158,7 @@ def _counted_once(windows: Windows, last: Flags) -> Flags:
 
 @dataclass(frozen=True)
 class Noise:
-    """What is random in the model."""
+    """The random part of the model."""
 
     variance: Array  # (2n,) of the noise of the channels, in the square of their units
     # (3n,) of what changes each state beside the model, its square per second: zero for a pose, the
@@ -186,7 +186,7 @@ class Filtered:
 def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -> Filtered:
     """One pass of a Kalman filter over all windows in order of time.
 
-    `last` (b,) marks windows with which a stretch ends; `seconds` (b,) is the length of each.
+    `last` (b,) marks windows at the end of a segment; `seconds` (b,) is the length of each.
     """
     columns, size = linear.defect.shape[2], linear.defect.shape[1]
     rows, windows, channels, predicted, seen = [], [], [], [], []
@@ -224,7 +224,7 @@ def _symmetric(matrix: Array) -> Array:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The motion given all that is measured, and the noise that explains it."""
+    """The motion given all measurements, and the noise that explains it."""
 
     motion: Array  # (b, 3n, 1 + n_free) change of every state, and its derivative in the free parameters
     # (3n, 2) sum of the squared disturbances over their length, and how many of them the data determine, by
@@ -235,7 +235,7 @@ class Smoothed:
 
 
 def smoothed(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise, passed: Filtered) -> Smoothed:
-    """The way back, from the last window to the first (Rauch, Tung and Striebel)."""
+    """The backward pass, from the last window to the first (Rauch, Tung and Striebel)."""
     count, size, columns = linear.defect.shape
     motion = np.zeros((count, size, columns))
     disturbance, errors = np.zeros((size, 2)), np.zeros((len(noise.variance), 2))
@@ -275,7 +275,7 @@ def _error_sums(linear: LinearWindows, j: int, mean: Array, spread: Array, varia
 
 @dataclass(frozen=True)
 class PredictionErrorSettings:
-    """Numbers of the fit by prediction error."""
+    """Settings of the fit by prediction error."""
 
     intervals: int = 2  # sampling intervals in a window: process noise acts between windows
     most_samples: int = 60_000
@@ -331,7 +331,7 @@ class PredictionErrorFit(Fitted):
     def covariance(self) -> Array:
         """Covariance of the free parameters: at least what noise and disturbance give.
 
-        Stretches of five seconds are taken as independent: a sandwich estimator with clusters inflates the
+        Five-second blocks are taken as independent: a sandwich estimator with clusters inflates the
         covariance where innovations are correlated.
         """
         table = self.passed.table
@@ -411,7 +411,7 @@ def _refuse_long(runs: Sequence[Run]) -> None:
 
 
 def _without_derived(windows: Windows) -> Windows:
-    """The windows with those channels as missing that are made of others."""
+    """The windows with derived channels marked as missing."""
     measured = windows.measured.copy()
     measured[..., channel_weights(windows) == 0] = np.nan
     return replace(windows, measured=measured)
@@ -428,7 +428,7 @@ class _State:
 
 
 class _Search:
-    """Gauss-Newton on parameters and starts together; the noise is matched to what each step leaves."""
+    """Gauss-Newton on parameters and starts together; the noise is matched to the residual of each step."""
 
     def __init__(self, model: WeakModel, chained: Chained, progress: Progress) -> None:
         self.model, self._chained, self._progress = model, chained, progress
@@ -453,7 +453,7 @@ class _Search:
         return self._vague(Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * SETTINGS.vague))
 
     def _vague(self, noise: Noise) -> Noise:
-        """The noise, with a slow disturbance that wandered for as long as a stretch before that starts."""
+        """The noise, with a slow disturbance that has evolved over the length of a segment before it."""
         size = len(noise.variance)
         length = float(np.sum(self._seconds)) / max(int(np.sum(self._chained.last)), 1)
         slow = np.sqrt(noise.intensity[size:] * length)
@@ -504,7 +504,7 @@ class _Search:
         return self._at(self._space.moved(state.p, step), state.starts + motion[:, : state.starts.shape[1]])
 
     def _cost(self, state: _State) -> float:
-        """What the parameters are to make small while the noise is as it is."""
+        """The cost to be minimised by the parameters at fixed noise."""
         squares = squared(state.passed.table[:, 0]) + state.passed.log_determinant
         cost = self._space.cost(state.p, squares)
         return cost if np.isfinite(cost) else np.inf
@@ -512,8 +512,8 @@ class _Search:
     def _match(self, back: Smoothed) -> None:
         """Bring the noise nearer to its most likely value.
 
-        A sum of squares over how many of its terms the data determine has a fixed point where the likelihood
-        is greatest, which is reached much faster than by expectation and maximisation.
+        The sum of squares over its effective degrees of freedom has its fixed point at the maximum
+        likelihood, which is reached much faster than by expectation and maximisation.
         """
         known = self._noise.intensity
         ratio = _per_term(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)

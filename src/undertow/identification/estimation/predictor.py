@@ -1,4 +1,4 @@
-"""Simulation of windows by one model, from starts that the measurement gives."""
+"""Simulation of windows by one model, from measured starts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Numbers of the estimate of a model's own states at the start of a stretch."""
+    """Settings for estimating a model's own states at the start of a segment."""
 
     seconds: float = 10.0  # of the first window that they are estimated from
     # Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
@@ -48,9 +48,9 @@ SETTINGS = StartSettings()
 
 @dataclass(frozen=True)
 class Origin:
-    """States at the beginning of every stretch of the logs by one set of parameters.
+    """States at the beginning of every segment of the logs for one set of parameters.
 
-    state: (stretches, nx); scale: (size,), how far off each own state may be there.
+    state: (stretches, nx); scale: (size,), uncertainty of each own state there.
     """
 
     state: Array
@@ -107,13 +107,13 @@ class OwnStates:
 
     # --- along the log ------------------------------------------------------------------------
     def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
-        """Memory without a past, actuators as if the first command had been held for long, by stretch."""
+        """Memory without a past, actuators as if the first command had long been held, by segment."""
         (actuator,) = at_samples(self._functions.rest, [u, p, t[:, None]], len(t))
         return np.column_stack([np.zeros((len(u), self._functions.memory.shape[0])), actuator])
 
     @staticmethod
     def _scale(along: list[Array]) -> Array:
-        """How large the states become, which is how far off a beginning may be."""
+        """Magnitude of the states, which bounds the error of the initial ones."""
         largest = np.max([np.max(np.abs(a), axis=0) for a in along], axis=0)
         return np.where(largest > 0, largest, 1.0)
 
@@ -165,13 +165,13 @@ class OwnStates:
 
 
 def _first_windows(windows: Windows, first: Index) -> Windows:
-    """The first seconds of the first window of every stretch."""
+    """The first seconds of the first window of every segment."""
     step = float(np.median(np.diff(windows.runs[0].t)))
     return windows.take(first, max(int(SETTINGS.seconds / step), 3))
 
 
 def _stretches(windows: Windows) -> list[Index]:
-    """Windows of every stretch without gaps, in order of time."""
+    """Windows of every gap-free segment, in order of time."""
     number = numbered(windows.run, windows.segment)
     return [np.flatnonzero(number == i) for i in range(number.max() + 1)]
 
@@ -193,7 +193,7 @@ def best_start(
     width: Array,
     first: Array | None = None,
 ) -> Array:
-    """Starts (b, m) that explain best what follows, by Gauss-Newton with a prior around the given ones.
+    """Starts (b, m) that best explain the following samples, by Gauss-Newton with the given ones as prior.
 
     `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
     (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
@@ -270,7 +270,7 @@ class Predictor:
     def beginning(self, windows: Windows, rows: Index, part: Windows, p: Array) -> Predictor:
         """A predictor of `part`, which is the beginning of some of the windows.
 
-        What is known of the starts at these parameters is not worked out again.
+        Starts known at these parameters are not computed again.
         """
         found, other = self._found(windows, p), self.another()
         known = _Found(found.motion[rows], found.own[rows], found.origin)
@@ -312,8 +312,8 @@ class Predictor:
     ) -> _Found:
         """Measured motion and own states at the starts, kept for the next calls with the same parameters.
 
-        A descent comes back to the same parameters again and again while it moves the starts. Of one set of
-        windows only: whoever predicts log after log keeps none of them.
+        A descent returns to the same parameters repeatedly while it moves the starts. Only one set of windows
+        is cached.
         """
         of, recent = self._recent
         if of() is not windows:
@@ -352,7 +352,7 @@ class Predictor:
         )
 
     def reported(self, states: Array, t: Array, u: Array, p: Array) -> Array:
-        """What sensors that are not late report of states of shape (b, k, nx)."""
+        """Reports of prompt sensors for states of shape (b, k, nx)."""
         size = 2 * self._points.size
         if self.sensors_are_true:
             return states[:, :, :size].copy()
@@ -369,11 +369,10 @@ class Predictor:
 
 # --- what sensors report late ---------------------------------------------------------------------
 def reported_late(values: Array, t: Array, seconds: Array, before: Array) -> Array:
-    """What is reported at each sample where every channel comes late by a time of its own, (b, k, c, ...).
+    """Reports at each sample if every channel has its own delay, (b, k, c, ...).
 
-    A window knows nothing of what was before it but what was reported at its start, `before` (b, c, ...):
-    from there a late channel goes in a straight line to the first value of the simulation, where its own time
-    reaches the window.
+    Of the time before a window only the report at its start is known, `before` (b, c, ...): from there a late
+    channel goes linearly to the first value of the simulation, where its own time reaches the window.
     """
     late = values.copy()
     rest = (1,) * (values.ndim - 3)

@@ -47,7 +47,7 @@ def value_name(name: str, run: str) -> str:
 
 
 def origins(runs: Sequence[Run]) -> tuple[str, ...]:
-    """Names of the runs that these are, or are stretches of, each once."""
+    """Names of these runs, or of the runs of which they are segments, each once."""
     return tuple(dict.fromkeys(run.origin for run in runs))
 
 
@@ -154,7 +154,7 @@ class RunValues:
 
 
 class PositiveMatricesByRun(PositiveMatrices):
-    """What parameters can be together, for those of every run."""
+    """Joint constraints on parameters, for those of every run."""
 
     def __init__(self, functions: Functions, values: RunValues, *, dissipative: bool = False) -> None:
         super().__init__(functions, values.local, dissipative=dissipative)
@@ -215,7 +215,7 @@ SETTINGS = ResidualSettings()
 
 
 class SensorDelay:
-    """How old every measured channel is, and what follows for a segment."""
+    """Age of every measured channel, and a segment corrected for it."""
 
     def __init__(self, functions: Functions, free: tuple[int, ...] = ()) -> None:
         self._functions, self._free = functions, free
@@ -280,8 +280,8 @@ class SensorDelay:
 def _known(s: Segment, seconds: Array) -> int:
     """How many test functions lie before the last instant at which all channels are known, or none.
 
-    A stretch hardly longer than the delay does not show it and is used as it was measured. If it dropped
-    out, long delays would look good because little is left to be wrong about.
+    A segment hardly longer than the delay does not show it and is used as measured. If it dropped out, long
+    delays would look good because little data remain.
     """
     beyond = s.t + np.max(seconds) > s.t[-1]
     lost = int(np.count_nonzero(abs(s.functions.value) @ beyond > 1e-12))
@@ -534,8 +534,8 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
     """A residual whose equations of force have no weight where commands from before the log are at work.
 
     They are in no log: each row that depends on them has a direction of its own among the first states.
-    A stretch hardly longer than the delay counts as it is: if it dropped out, long delays would look good
-    because little is left to be wrong about.
+    A segment hardly longer than the delay is kept: if it dropped out, long delays would look good because
+    little data remain.
     """
     lost = int(np.searchsorted(s.t[s.functions.supports.first], begin))
     if not 0 < 2 * lost < s.functions.count:
@@ -549,10 +549,10 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
 
 
 def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
-    """All segments together, in units of their noise, without what unknown first states contribute.
+    """All segments together, in units of their noise, without the part due to unknown initial states.
 
-    `beside` (m,) is the whitened residual of a model that this one is compared with. What the unknown first
-    states take from this one is taken over from there, so that having them wins nothing.
+    `beside` (m,) is the whitened residual of a model that this one is compared with. The part removed by
+    unknown initial states is taken from there, so that they bring no advantage.
     """
     lengths = np.cumsum([len(part.r) for part in parts])[:-1]
     others = [None] * len(parts) if beside is None else np.split(beside, lengths)
@@ -586,7 +586,7 @@ def _without_start(part: Linearised, whitening: Whitening, beside: Array | None)
 
 
 def without_spikes(data: WeakData) -> WeakData:
-    """The same data with spikes replaced by the cubic through their neighbours, and doubted.
+    """The same data with spikes replaced by the cubic through their neighbours, and down-weighted.
 
     Angles and velocities that were derived from others are left alone.
     """
@@ -609,7 +609,7 @@ def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
 
 
 def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
-    """A signal with noise `sigma`, its spikes replaced by what their neighbours say; and where they were."""
+    """A signal with noise `sigma`, its spikes replaced by interpolation; and where they were."""
     index, weight = _neighbours(t)
     spread = np.sqrt(1.0 + np.sum(weight**2, axis=1))
     clean, spike = y.copy(), np.zeros(len(y), dtype=bool)

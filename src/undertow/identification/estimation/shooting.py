@@ -64,7 +64,7 @@ class Reduced:
 
     @cached_property
     def inflation(self) -> float:
-        """Mean factor, at least 1, by which residuals that go together within groups raise variances.
+        """Mean factor, at least 1, by which correlated residuals within groups increase variances.
 
         The trace of J^-1 B over the number of parameters, with the information J and the covariance B of the
         scores; 1 where all residuals are independent (Takeuchi's information criterion).
@@ -74,7 +74,7 @@ class Reduced:
 
 
 def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
-    """The problem that remains once every window has its best start.
+    """The problem that remains with every window at its best start.
 
     `parts` are sums over windows, batch by batch, with derivatives in the n free parameters first.
     """
@@ -205,7 +205,7 @@ class Shooting:
         return one.shooting, self.values.own(p, one.run)
 
     def _together(self, by_run: Callable[[OneRun], Array]) -> Array:
-        """What there is of the windows of every run, (b, ...), at their places."""
+        """The values of the windows of every run, (b, ...), in their order."""
         parts = [by_run(one) for one in self.by_run]
         found = np.empty((len(self.windows), *parts[0].shape[1:]))
         for one, part in zip(self.by_run, parts, strict=True):
@@ -230,8 +230,8 @@ class Shooting:
     def fitted_starts(self, p: Array) -> Array:
         """Starts of the windows that fit these parameters best, shape (b, 2n).
 
-        What is read off the log at one sample is a little off, and a window may run away from there: then
-        its beginning is fitted first, twice as much of it after that and so on, and all in the end.
+        A start read from the log at one sample is inaccurate, and a window may diverge from there: then its
+        beginning is fitted first, then twice as much, and so on, until the whole window is.
         """
         first, length = self.measured_starts(p), self.windows.t.shape[1]
         every = np.arange(len(self.windows))
@@ -279,7 +279,7 @@ class Shooting:
     def _stepped(self, p: Array, starts: Array) -> tuple[Array, Array]:
         """Starts after Gauss-Newton steps of their own, and the mean square of each window with them.
 
-        A window takes the steps that do it good.
+        A window accepts only steps that reduce its cost.
         """
         squares = self.mean_squares(p, starts)
         for _ in range(SETTINGS.steps):
@@ -346,7 +346,7 @@ class Shooting:
         return np.where(self.used[rows], error, 0.0)
 
     def _weights(self, rows: slice) -> Array:
-        """What errors are multiplied with, of a shape that broadcasts to (b, k, 2n)."""
+        """Weights of errors, of a shape that broadcasts to (b, k, 2n)."""
         return self.weight if self.trust is None else self.weight * np.sqrt(self.trust[rows])
 
     def errors(self, p: Array, starts: Array) -> Array:

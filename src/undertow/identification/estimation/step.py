@@ -205,11 +205,11 @@ class SearchSpace:
         self._limits = step_limits(model) if limited else None
 
     def weigh_priors(self, inflation: float) -> None:
-        """Let priors weigh as much as they should beside residuals that go together.
+        """Let priors have their proper weight if residuals are correlated.
 
-        Each of these counts for one although so many (`Reduced.inflation`) say the same: what a poor model
-        leaves would otherwise move a mass ten standard deviations away from what is stated, and what is
-        missing would not show.
+        Residuals count one each although so many (`Reduced.inflation`) are redundant: the residual of a poor
+        model would otherwise move a mass ten standard deviations from its stated value, and hide the missing
+        effect.
         """
         centre, weight = self._priors
         self.prior = centre, weight * np.sqrt(inflation)
@@ -367,7 +367,7 @@ def freed(vehicle: Vehicle, names: Iterable[str]) -> Vehicle:
 def estimated(vehicle: Vehicle, values: Mapping[str, float], errors: Mapping[str, float]) -> Vehicle:
     """The vehicle with fitted values and their standard errors, SI and SNAME signs.
 
-    What the data say nothing of keeps the error that was stated for it, if any.
+    Parameters without information in the data keep their stated error, if any.
     """
     found = {}
     for name, value in values.items():
@@ -392,7 +392,7 @@ class Constraints:
     def model(self, vehicle: Vehicle, free: Sequence[str]) -> WeakModel:
         """The model of a vehicle with its free parameters, without those that follow others.
 
-        What the vehicle's file leaves to a free one follows it, whether the file marks that one or not.
+        Parameters that the vehicle's file ties to a free one follow it, marked or not.
         """
         equal = _resolved(self.equal, vehicle)
         kept = [n for n in free if n not in equal]
@@ -493,7 +493,7 @@ def followers(model: WeakModel, values: Mapping[str, float]) -> dict[str, float]
 
 
 def _tied_by_fit(f: Functions) -> dict[str, tuple[str, float]]:
-    """What is tied by a constraint and not by the vehicle, whose values follow by themselves."""
+    """Parameters tied by a constraint and not by the vehicle, whose values follow automatically."""
     return {name: pair for name, pair in f.equal.items() if name not in f.vehicle.tied}
 
 

@@ -95,7 +95,7 @@ def meeting(row: Index, n: int) -> tuple[Index, Index]:
 
 
 def knot_spacing(t: Array) -> float:
-    """Spacing of knots for a clock: a few samples, so that all that the sampling resolves is seen."""
+    """Spacing of knots for given times: a few samples, so that all that the sampling resolves is used."""
     return float(SAMPLES_PER_KNOT * np.median(np.diff(t)))
 
 

@@ -23,7 +23,7 @@ from .windows import Windows, cut
 
 @dataclass(frozen=True)
 class WeakFormSettings:
-    """Numbers of the fit in the weak form."""
+    """Settings of the fit in the weak form."""
 
     most_steps: int = 15
     # Predicted reduction of chi-square below which a step cannot change any judgement.
@@ -75,7 +75,7 @@ def first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
 def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
     """Intensity in each equation that makes the whitened residual of a fit have unit mean square.
 
-    Zero where the noise of the channels explains the residual by itself.
+    Zero where channel noise alone explains the residual.
     """
     data = fit.data
     parts = fit.model.linearise(data, fit.p)
@@ -172,10 +172,10 @@ def fit_weak(
 
 
 def fit_weak_by_run(vehicle: Vehicle | WeakModel, data: WeakData) -> WeakFit:
-    """Fit as `fit_weak` does, with values by run of what differs between the runs.
+    """Fit like `fit_weak`, with values by run for parameters that differ between the runs.
 
-    Those are the parameters that the vehicle file marks with `per_run`, and those that nature changes and
-    that differ beyond chance (see `separated`).
+    Those are the parameters that the vehicle file marks with `per_run`, and variable ones that differ
+    significantly (see `separated`).
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, None, _PLAIN)
     stated = stated_by_run(model.functions.vehicle, model.values.names)
@@ -184,9 +184,9 @@ def fit_weak_by_run(vehicle: Vehicle | WeakModel, data: WeakData) -> WeakFit:
 
 
 def separated(fit: WeakFit, among: Collection[str] | None = None) -> WeakFit:
-    """The fit with values by run of those common parameters that differ between the runs beyond chance.
+    """The fit with values by run for those common parameters that differ significantly between runs.
 
-    `among` are the parameters in question; by default all that nature changes.
+    `among` are the parameters in question; by default all variable ones.
     """
     groups = may_differ(fit.model, fit.data.runs, among)
     while groups:
@@ -420,12 +420,12 @@ def of_each_run(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def adapted(vehicle: Vehicle, run: Run) -> tuple[Vehicle, Run]:
-    """A vehicle as it is in a run, and the part of the run by which it may be judged.
+    """A vehicle with the values of a run, and the part of the run on which it may be scored.
 
-    What belongs to each run (current, trim: ``per_run = true``) is estimated by the weak form from the first
-    part of the run, all else being as stated; the stated value with its sigma, the mean and the spread of the
-    runs that were fitted, holds what this part leaves open. Nothing is estimated from what judges. Where
-    nothing belongs to each run, or nothing of it may be estimated, vehicle and run are returned as they are.
+    Parameters with a value per run (current, trim: ``per_run = true``) are estimated by the weak form from
+    the first part of the run, with all others as stated; the stated value with its sigma (mean and spread of
+    the fitted runs) is the prior. Nothing is estimated from the scored part. Without such parameters, vehicle
+    and run are returned unchanged.
     """
     names = of_each_run(vehicle)
     if not names:
@@ -440,7 +440,7 @@ def adapted(vehicle: Vehicle, run: Run) -> tuple[Vehicle, Run]:
 
 
 def end_of_first_part(run: Run) -> float:
-    """When the part of a run ends from which what belongs to it is estimated, s (see `adapted`)."""
+    """End of the part of a run from which its own values are estimated, s (see `adapted`)."""
     return float(run.t[0]) + ADAPTATION.share * float(run.t[-1] - run.t[0])
 
 
@@ -463,9 +463,9 @@ def values_in(fit: Fitted, first_parts: Sequence[WeakData]) -> dict[str, float]:
 
 
 def in_run(fit: Fitted, run: Run) -> tuple[Vehicle, Run]:
-    """A fitted vehicle in a run, and the part of the run by which it may be judged (see `adapted`).
+    """A fitted vehicle in a run, and the part of the run on which it may be scored (see `adapted`).
 
-    A run that was fitted, or a stretch of one, has the values found for it, and all of it judges.
+    A training run, or a segment of one, has the values found for it, and all of it is scored.
     """
     if run.origin in fit.runs_with_values:
         return fit.vehicle_in(run), run
@@ -482,7 +482,7 @@ def learned_from(fit: Fitted, runs: Sequence[Run], run: Index, time: Array) -> F
 
 
 def factor_of_the_rest(squares: Array, first: Flags, group: Index) -> Array:
-    """Factor by which squares in what was learned from count as those of the rest do, never less than 1.
+    """Factor, at least 1, that raises squares in the part used for estimation to the level of the rest.
 
     squares: (m,) or (m, n), by row or window and quantity.
     first: (m,), what was learned from.
@@ -498,6 +498,6 @@ def factor_of_the_rest(squares: Array, first: Flags, group: Index) -> Array:
 
 
 def in_runs(fit: Fitted, runs: Sequence[Run]) -> tuple[list[Vehicle], list[Run]]:
-    """The same for several runs: a vehicle for each, and what is left of each to judge by."""
+    """The same for several runs: a vehicle for each, and the part of each to be scored."""
     pairs = [in_run(fit, run) for run in runs]
     return [vehicle for vehicle, _ in pairs], [rest for _, rest in pairs]

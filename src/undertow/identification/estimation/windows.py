@@ -1,4 +1,4 @@
-"""Runs cut into windows: the motion at their start, the commands in them, what is predicted over them."""
+"""Runs cut into windows: the motion at their start, the commands in them, predictions over them."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def cut(
 ) -> Windows:
     """Cut runs into windows and take the motion at each start from the measurement.
 
-    `horizon` is the length of a window in s; None makes one window of every stretch without gaps. `sigma`,
+    `horizon` is the length of a window in s; None makes one window of every gap-free segment. `sigma`,
     shape (2n,), is the noise of the channels, estimated where it is not given. No window covers the first
     `skip` s of a run.
     """
@@ -174,7 +174,7 @@ def cut(
 
 
 def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
-    """Cut every run into windows of so many of its own sampling intervals."""
+    """Cut every run into windows of a number of its own sampling intervals."""
     lengths = [intervals * run.step for run in runs]
     found = [_stretches(i, run, vehicle, lengths[i]) for i, run in enumerate(runs)]
     for run, length, own in zip(runs, lengths, found, strict=True):
@@ -253,7 +253,7 @@ def _windows_of(
     sigma: Array | None,
     stretches: list[Stretch],
 ) -> Windows:
-    """The windows of all stretches side by side, padded to the longest."""
+    """The windows of all segments side by side, padded to the longest."""
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     sigma = channel_noise(runs, names) if sigma is None else sigma
     count = np.concatenate([s.stops - s.starts for s in stretches])
@@ -287,9 +287,9 @@ def start_values(
     """Pose and velocity (k, 2n) at some samples of a stretch without gaps; zero for a channel not measured.
 
     Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what differs
-    from the integral of the measured angular rates: that is kinematics and holds for every model. Where some
-    samples are no reports, NaN in `reported`, only the others are smoothed; of a channel whose reports lie
-    all before and after the stretch, the curve through them is.
+    from the integral of the measured angular rates: that is kinematics and holds for every model. If some
+    samples are not reports, NaN in `reported`, only the others are smoothed; for a channel with reports only
+    before and after the segment, the curve through them is.
     """
     value = np.zeros((len(at), len(names)))
     there = np.isfinite(measured).all(axis=0)
@@ -334,7 +334,7 @@ def local_value(
     """Value of a noisy signal (N,) at some of its samples (k,).
 
     A polynomial is fitted to the samples around each instant, to as many of them as it fits within the noise.
-    So a kink or a jump narrows the fit instead of biasing it, down to the sample itself.
+    A kink or a jump thus narrows the fit instead of biasing it, down to the sample itself.
     """
     value = _without_outlier(y, at, sigma)
     for width in widths:
@@ -445,7 +445,7 @@ def _instants(t: Array, delay: float) -> tuple[Array, Index, Index]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a model predicts over windows, beside what was measured."""
+    """Predictions of a model over windows, with the measurements."""
 
     windows: Windows  # The windows, with the measurement
     # (b, k, 2n) reported pose and velocity by the model; NaN in the padding and from where a
@@ -542,7 +542,7 @@ def _rms(values: Array) -> Array:
 # --- how long windows have to be ------------------------------------------------------------------
 @dataclass(frozen=True)
 class HorizonSettings:
-    """Numbers by which a vehicle's time constants become lengths of windows."""
+    """Settings that derive window lengths from a vehicle's time constants."""
 
     # Multiples of the slowest time constant. After a quarter of it an error of a force still grows with
     # time, after four of them the motion at the start is forgotten (e^-4 is 2 %).
@@ -564,9 +564,9 @@ HORIZONS = HorizonSettings()
 def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float]:
     """Short, middle and long window for a vehicle's logs, s: 1/4, 1 and 4 of its slowest time constants.
 
-    Where the record is too short for that, the long windows are as long as it allows, and the others at most
-    half of the next longer. Where the model has no time constant (no damping, or an unstable one), they are
-    shares of the record. Short windows have twenty samples at least, as far as the record allows.
+    If the record is too short for that, the long windows are as long as it allows, and the others at most
+    half of the next longer. If the model has no time constant (undamped or unstable), they are fractions of
+    the record. Short windows have twenty samples at least, as far as the record allows.
     """
     stretches = [longest_stretch(vehicle, run) for run in runs]
     record = float(np.sum(stretches))
@@ -605,10 +605,10 @@ def shortest_horizon(runs: Sequence[Run], samples: int = SETTINGS.fewest) -> flo
 
 
 def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:
-    """Time constants of a vehicle's velocities, s, the fastest first; those of motions that die away.
+    """Time constants of a vehicle's velocities, s, the fastest first; of decaying motions only.
 
     They are those of M^-1 d(forcing)/d(nu), averaged over the motion in the logs: for quadratic damping that
-    is the damping at the speeds seen. A motion that nothing damps, or that the model makes grow, has none.
+    is the damping at the speeds seen. An undamped or growing motion has none.
     """
     return _dying(np.mean(_rates_seen(vehicle, runs), axis=0))
 
@@ -631,7 +631,7 @@ def _rates_seen(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
 
 
 def _dying(rates: Array) -> Array:
-    """Time constants of what dies away, s, the fastest first."""
+    """Time constants of decaying modes, s, the fastest first."""
     poles = np.linalg.eigvals(rates).real
     return np.sort(-1.0 / poles[poles < 0.0])
 
