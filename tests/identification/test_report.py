@@ -529,7 +529,7 @@ def test_an_error_that_rises_is_no_plain_yes() -> None:
     risen = _diagnosis().model_copy(update={"ranking": [_ranked("lift", 3.0, error_after=7.5)]})
     page = render_report(risen)
     assert ">in part" in page
-    assert "In part: better than chance with a disturbance in the noise model" in page
+    assert "In part: significant with a disturbance in the noise model" in page
     assert ">in part" not in render_report(_diagnosis())
 
 

@@ -175,7 +175,7 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     values = {"k_tension": stiffness, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
     errors = {"k_tension": 3.1, "L_slack": 4739.0, "z_anchor": 4710.0, "x_eye": 0.05}
     words = undetermined(catalogue()["tether_tension"](()), values, errors)
-    assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not known" in words
+    assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not determined" in words
 
 
 @pytest.mark.parametrize(("error", "said"), [(0.8, "is not determined by these logs"), (0.1, "")])

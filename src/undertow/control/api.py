@@ -1,4 +1,4 @@
-"""What `import undertow` gives of control; the commands call the same functions."""
+"""The control part of `import undertow`; the commands call the same functions."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ def check_gains(
     start : mapping, optional
         Largest errors by coordinate, m and rad, at rest, that the certified region has to contain.
     uncertain : float, mapping or "stated", optional
-        Parameters that the certified region has to hold for every value of: those of inertia and damping, all
-        within a share of their values (0.1 is 10 %), some within their own shares by name, or those with a
+        Inertia and damping parameters over whose whole range the certified region has to hold: all within a
+        fraction of their values (0.1 is 10 %), some by name within their own fractions, or those with a
         standard deviation within their intervals at `confidence`; the values of the file by default.
     observer : str or Path, optional
         Observer file; the loop with this observer is linearised, too.
     progress : callable
-        Called with the fraction done and a description of the present work.
+        Called with the fraction done and a description of the current step.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def linearize(
 # --- bringing up to date what follows from a vehicle ------------------------------------------------
 @dataclass(frozen=True)
 class Update:
-    """What an update has written: C code, pictures, and the state before (if any) and now."""
+    """The result of an update: C code, plots, and the state before (if any) and now."""
 
     old: Snapshot | None
     new: Snapshot
@@ -157,7 +157,7 @@ class Update:
 
 
 def last_update(vehicle: Vehicle, out: Path) -> Snapshot | None:
-    """What the last update of a vehicle left in its folder below `out`; None where there was none."""
+    """State left by the last update of a vehicle in its folder below `out`; None if there was none."""
     from .linear.report import Snapshot
 
     folder = out / slug(vehicle.name)
@@ -182,9 +182,9 @@ def update(
     old: Snapshot | None = None,
     progress: Progress = lambda done, words: None,
 ) -> Update:
-    """Write everything that follows from a vehicle and its gain files: C code, controllers, pictures, state.
+    """Write everything derived from a vehicle and its gain files: C code, controllers, plots, state.
 
-    `out` gets a folder for the vehicle. `at` is a motion besides hovering whose eigenvalues are watched, SI,
+    `out` gets a folder for the vehicle. `at` is a motion besides hovering whose eigenvalues are tracked, SI,
     `at_words` the same in words; `old` what `last_update` found. If something cannot be read, stated in C or
     written, nothing is written.
     """
@@ -241,7 +241,7 @@ def _pictures(
     at: Mapping[str, float] | None,
     new: Snapshot,
 ) -> dict[str, Figure]:
-    """Pictures by file name, of what has a linear form."""
+    """Plots by file name, of systems that can be linearised."""
     from .linear.pictures import picture
     from .linear.report import Analysis
     from .linear.trim import find_trim

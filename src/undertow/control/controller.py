@@ -1,4 +1,4 @@
-"""A control law as it runs aboard: sampled, scheduled, allocated, with limits."""
+"""A control law as it runs on board: sampled, scheduled, allocated, with limits."""
 
 from __future__ import annotations
 
@@ -90,9 +90,9 @@ def thruster_commands(sharing: Sharing, force: ca.SX) -> ca.SX:
 
     Without limits f = W^-1 B' (B W^-1 B')^-1 tau, the solution with the least f' W f. With limits the same
     step is made as far as the first thruster that reaches its limit; that one stays there, and the free ones
-    take over what is left of tau, in the least-squares sense where they are too few. So commands never exceed
-    their limits, no round leaves more of tau than the one before, and within the limits the result is that of
-    the pseudo-inverse.
+    take over the rest of tau, in the least-squares sense if they are too few. Commands thus never exceed
+    their limits, no iteration increases the remaining tau, and within the limits the result is that of the
+    pseudo-inverse.
     """
     allocation = sharing.allocation
     wanted = force[list(allocation.rows)]
@@ -113,7 +113,7 @@ def thruster_commands(sharing: Sharing, force: ca.SX) -> ca.SX:
 
 
 def _room(command: ca.SX, step: ca.SX, limit: ca.SX) -> ca.SX:
-    """Which part of a step a command can make before it is at its limit."""
+    """Fraction of a step that a command can make before it reaches its limit."""
     if limit.is_constant() and not isfinite(float(limit)):
         return ca.SX(inf)
     return ca.if_else(step == 0, inf, (limit - ca.sign(step) * command) / ca.fabs(step))

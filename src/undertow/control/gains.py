@@ -29,7 +29,7 @@ Diagonal = dict[Coordinate, Quantity] | list[Quantity] | Quantity
 
 
 class ScheduleTable(FileTable):
-    """In which order the coordinates are driven to their set-points."""
+    """Order in which the coordinates are driven to their set-points."""
 
     # With "yaw-first" x and y wait until the heading has come within `gate`, rad, once.
     order: Literal["together", "yaw-first"] = "together"
@@ -67,7 +67,7 @@ class GainTable(FileTable):
 
 @dataclass(frozen=True)
 class GainLimits:
-    """Beyond these numbers are slips of a unit or a power of ten, and sums of their products lose digits."""
+    """Limits beyond which a unit or a power of ten is wrong, and sums of products lose digits."""
 
     gains: tuple[float, float] = (1e-12, 1e12)  # SI
     weights: tuple[float, float] = (1e-9, 1e9)
@@ -113,7 +113,7 @@ class GainSet:
 
 
 def bundled_gains() -> dict[str, Path]:
-    """Gain files that come with the program, by name."""
+    """Bundled gain files, by name."""
     folder = Path(str(files("undertow") / "vehicles" / "gains"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
@@ -123,9 +123,9 @@ def load_gains(
 ) -> GainSet:
     """Read a gain file, or a bundled one by its name (paper-pd, paper-pid, paper-smc), for a vehicle.
 
-    `change` is applied to the table of the file before it is checked against the vehicle. Refused is a gain
-    that is missing, of the wrong size or unit, negative or not finite, and a law that needs a force that no
-    thruster gives where the file does not say that it knows.
+    `change` is applied to the table of the file before it is checked against the vehicle. A gain that is
+    missing, of the wrong size or unit, negative or not finite is refused, as is a law that needs a force that
+    no thruster gives, unless the file declares it.
     """
     otherwise = f"gains '{source}' are neither a file nor a bundled set"
     path = file_or_bundled(source, bundled_gains(), otherwise)
@@ -235,7 +235,7 @@ def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
 
 # --- what the law needs of the vehicle ----------------------------------------------------------
 def _check_axes(table: GainTable, plant: Plant, steered: bool) -> None:
-    """Refuse a law that asks for forces which no thruster gives, unless the file says that it knows."""
+    """Refuse a law that needs forces which no thruster gives, unless the file declares them unactuated."""
     vehicle = plant.vehicle
     silent = [vehicle.degrees_of_freedom[i] for i in plant.unactuated]
     missing = [d for d in silent if d not in table.unactuated]
@@ -256,7 +256,7 @@ def _check_axes(table: GainTable, plant: Plant, steered: bool) -> None:
 
 
 def _dependent(dof: str, table: GainTable, plant: Plant) -> bool:
-    """Whether what pushes in a degree of freedom always pushes in another one that the law uses, too."""
+    """Whether actuation of one degree of freedom always acts on another one that the law uses."""
     dofs = plant.vehicle.degrees_of_freedom
     rows = plant.B.xreplace(plant.numbers)
     kept = [i for i, d in enumerate(dofs) if d not in table.unactuated]

@@ -82,8 +82,7 @@ class Law(abc.ABC):
     def offset(self, s: LawSignals) -> sm.Matrix:
         """Distance from the set-point that sampling the law may leave, by estimate, shape (n, 1).
 
-        In m and rad, divided by the interval in s to the power of `offset_order`; zero for laws without a
-        jump.
+        In m and rad, divided by the interval in s to the power of `offset_order`; zero for continuous laws.
         """
         return sm.zeros(len(s.coordinates), 1)
 
@@ -115,7 +114,7 @@ class PD(Law):
 
 
 def feed_forward(s: LawSignals) -> sm.Matrix:
-    """What keeps the model on its reference beside the weight: M nu_r_dot + (C + D) nu_r, shape (n, 1)."""
+    """Force beyond the weight to keep the model on its reference: M nu_r_dot + (C + D) nu_r, shape (n, 1)."""
     plant = s.plant
     return plant.M * s.nu_r_dot + (plant.C + plant.D) * s.nu_r
 
@@ -187,7 +186,7 @@ class SlidingMode(_Sliding):
 
 
 class BoundaryLayer(_Sliding):
-    """Sliding-mode control with a boundary layer: linear where |S| is below the width, so without chatter."""
+    """Sliding-mode control with a boundary layer: linear for |S| below the width, hence no chatter."""
 
     id = "sliding-mode-boundary-layer"
     reference = "Slotine and Li (1991), Applied Nonlinear Control, chapter 7 (boundary layer)"

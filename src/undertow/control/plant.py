@@ -1,4 +1,4 @@
-"""A vehicle as control theory writes it: M nu_dot + C(nu) nu + D(nu) nu + g(eta) = B inputs."""
+"""A vehicle in control form: M nu_dot + C(nu) nu + D(nu) nu + g(eta) = B inputs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Plant:
     of that speed; without one they have none. Control surfaces and logged inputs, which no law commands, are
     taken out of `vehicle`.
 
-    Every wrench is sorted by what it depends on: its derivative in the acceleration goes to M, what stays at
-    rest to g, what is proportional to inputs to B, and what moves to C (workless effects) or D (all others).
-    What fits nowhere is named in `left_out`, with the reason by id; simulations contain it, conditions on
-    gains do not. `vehicle` is the model as given, but for logged inputs, which no law commands, and without a
-    speed for control surfaces; `speed`, m/s, is that ahead at which forces of fins are taken.
+    Every wrench is split by its dependence: its derivative in the acceleration goes to M, the part at rest to
+    g, the part proportional to inputs to B, and the part due to motion to C (workless effects) or D (all
+    others). Effects that do not fit are named in `left_out`, with the reason by id; simulations contain them,
+    conditions on gains do not. `vehicle` is the model as given, but for logged inputs, which no law commands,
+    and without a speed for control surfaces; `speed`, m/s, is that ahead at which forces of fins are taken.
     """
 
     def __init__(self, vehicle: Vehicle, speed: float = 0.0) -> None:
@@ -131,7 +131,7 @@ class Plant:
     # --- inertial frame -----------------------------------------------------------------------
     @cached_property
     def J_inverse(self) -> sm.Matrix:
-        """The inverse of J, shape (n, n), by its two blocks; six Euler angles are not inverted by force."""
+        """The inverse of J, shape (n, n), by its two blocks."""
         dofs = self.vehicle.dof_indices
         angles = column(POSE[3:])
         whole = {3: rotation(angles).T, 6: body_rates(angles)}
@@ -214,7 +214,7 @@ class Plant:
         return slope.xreplace(still | {symbol("u"): sm.Float(self.speed)})
 
     def _misfit(self, effect: Wrench, wrench: sm.Matrix, pushed: sm.Matrix) -> str:
-        """Why a wrench has no place in the matrices, or nothing."""
+        """Why a wrench does not fit into the matrices, or nothing."""
         if wrench.free_symbols & set(effect.state_symbols):
             return "it has states of its own"
         if wrench.has(self._composition.signals.t):
@@ -243,7 +243,7 @@ def _inverse(block: sm.ImmutableMatrix) -> sm.Matrix:
 
 
 def _as_commanded(vehicle: Vehicle, speed: float, left_out: dict[str, str]) -> Vehicle:
-    """The vehicle without inputs that only a log has, and at no speed without surfaces, which need way on."""
+    """The vehicle without logged inputs and, without a speed, without control surfaces."""
     idle = () if speed else vehicle.surfaces
     if not idle and not vehicle.inputs:
         return vehicle
@@ -256,7 +256,7 @@ def _as_commanded(vehicle: Vehicle, speed: float, left_out: dict[str, str]) -> V
 
 
 def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
-    """The vehicle without what the water, the way of a command and the sensors do."""
+    """The vehicle without flow, actuation and measurement effects."""
     for effect in vehicle.all_effects:
         other = [k for k in kinds_of(effect) if k != "wrench"]
         if other:
@@ -288,7 +288,7 @@ def _damping(force: sm.Matrix, nu: sm.Matrix) -> sm.Matrix | None:
 
 
 def _column(term: sm.Expr, row: int, nu: sm.Matrix) -> int | None:
-    """Which velocity a term is put down to: the row's own, else the last one (u r is a matter of r)."""
+    """The velocity to which a term is attributed: the row's own, else the last one (u r to r)."""
     powers = term.as_powers_dict()
     factors = [j for j, v in enumerate(nu) if powers.get(v, 0) >= 1]
     if term == 0 or row in factors:

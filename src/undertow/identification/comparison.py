@@ -285,7 +285,7 @@ class ComparisonResult(ResultTable):
 
 
 def finite(value: float | None) -> float | None:
-    """The number, or None where it does not count as a region."""
+    """The number, or None if it is not finite."""
     return float(value) if value is not None and isfinite(value) else None
 
 

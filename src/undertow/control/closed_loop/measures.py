@@ -1,4 +1,4 @@
-"""What a run comes to: settling, overshoot, what is left, effort, and oscillations that last."""
+"""Measures of a run: settling, overshoot, final error, effort, and sustained oscillations."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _judged(periods: np.ndarray, heights: np.ndarray, least: float) -> Cycle | N
 
 
 def _rising(swing: np.ndarray, dead: float) -> np.ndarray:
-    """Last samples before zero is crossed upwards, once for every time the swing has been well below it."""
+    """Last samples before upward zero crossings, one for each time the signal has been well below zero."""
     side = np.where(swing > dead, 1, np.where(swing < -dead, -1, 0))
     marks = np.flatnonzero(side)
     turns = marks[1:][(side[marks[1:]] > 0) & (side[marks[:-1]] < 0)]
@@ -82,7 +82,7 @@ ALONG, CROSS = "along track", "cross track"
 
 @dataclass(frozen=True)
 class Credible:
-    """What a state of a vehicle in water can be; a run that leaves it has diverged."""
+    """Limits of the state of a vehicle in water; a run beyond them has diverged."""
 
     # largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches
     speed: float = FASTEST
@@ -110,7 +110,7 @@ CREDIBLE = Credible()
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first state of a run that no vehicle in water can have."""
+    """The first impossible state of a run."""
 
     time: float  # when, s
     # name, unit: which state; velocities in m/s and rad/s
@@ -140,10 +140,10 @@ def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float)
 
 @dataclass(frozen=True)
 class CoordinateResult:
-    """How one coordinate came to its set-point; errors are desired less true.
+    """How one coordinate approached its set-point; errors are desired minus true.
 
-    The same heading comes back with every turn. So an angle has settled where it is near any of them, and the
-    other measures are of the one that the vehicle comes to.
+    Headings repeat with every turn: an angle has settled if it is near any of them, and the other measures
+    refer to the one that the vehicle reaches.
     """
 
     # name, unit: the coordinate; "along track" and "cross track" are measured on the line from the start to
@@ -180,7 +180,7 @@ class CommandResult:
 
 
 class _Error:
-    """What is gathered of one coordinate; `turn` is after how much it is the same again."""
+    """Accumulated measures of one coordinate; `turn` is its period."""
 
     def __init__(self, move: float, turn: float) -> None:
         self.move, self.band, self._turn = move, BAND * abs(move), turn
@@ -203,7 +203,7 @@ class _Error:
         return -round(self.final / self._turn) if self._turn else 0
 
     def beyond(self, turns: int) -> float:
-        """How far it came past the set-point that lies so many turns on, never below zero."""
+        """Overshoot beyond the set-point shifted by a number of turns, at least zero."""
         further = self._turn * turns
         least, most = self.least + further, self.most + further
         return max(-least if self.move + further > 0 else most, 0.0)
@@ -323,7 +323,7 @@ class Measures:
 
 
 class _Commands:
-    """What is gathered of the commands."""
+    """Accumulated measures of the commands."""
 
     def __init__(self, parts: Parts) -> None:
         self._names, self._places = parts.controller.command_names, parts.commanded

@@ -1,4 +1,4 @@
-"""The functions of a closed loop: a vehicle, its sensors, and a controller that may know another vehicle."""
+"""The functions of a closed loop: vehicle, sensors, and a controller that may use another model."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Parts:
 
     @cached_property
     def turned(self) -> tuple[str, ...]:
-        """Thrusters whose push differs by more than 45 degrees from what the controller takes it for.
+        """Thrusters whose thrust direction differs by more than 45 degrees from the controller's model.
 
         Compared is the wrench of a command of one, in the motions that the controller knows; moments are
         divided by the longest lever arm that it knows.
@@ -230,8 +230,8 @@ _STEP, _REACH = 0.05, 0.5
 class SampledLoop:
     """A closed loop linearised at its set-point, at rest.
 
-    What has a jump there counts as constant, as the sign of a sliding-mode law does; dead times are left out.
-    The vehicle is looked at with either set of parameters that differ by direction, the law with their mean.
+    Discontinuous terms, such as the sign of a sliding-mode law, count as constant; dead times are left out.
+    The vehicle is taken with either set of direction-dependent parameters, the law with their mean.
     """
 
     def __init__(self, parts: Parts, pose: np.ndarray, desired: np.ndarray) -> None:
@@ -272,13 +272,13 @@ class SampledLoop:
             return np.log(np.linalg.eigvals(step).astype(complex)) / dt
 
     def keeps_stability(self, dt: float) -> bool:
-        """Whether sampling makes nothing unstable that is stable without it."""
+        """Whether sampling keeps everything stable that is stable without it."""
         return all(
             _growing(self.sampled_rates(dt, side)) <= _growing(self.continuous_rates(side)) for side in (0, 1)
         )
 
     def longest(self) -> float:
-        """The interval up to which sampling makes nothing unstable, s; infinite where there is none."""
+        """The longest interval with which sampling destabilises nothing, s; infinite if unlimited."""
         grid = np.geomspace(_SHORTEST, _LONGEST, 141)
         bad = next((i for i, dt in enumerate(grid) if not self.keeps_stability(float(dt))), None)
         if bad is None:
@@ -290,7 +290,7 @@ class SampledLoop:
         return low
 
     def substeps(self, dt: float, continuous: bool = False) -> int:
-        """Runge-Kutta steps in an interval, so that each is short beside the fastest motion.
+        """Runge-Kutta steps in an interval, so that each is short compared with the fastest motion.
 
         That is one of the vehicle, as its commands are held, and of the whole loop where they are not.
         """
@@ -309,7 +309,7 @@ def _growing(rates: np.ndarray) -> int:
 
 
 def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple) -> list[np.ndarray]:
-    """Derivatives of one output at a point; what is not finite there (the root of a sign) counts as zero."""
+    """Derivatives of one output at a point; infinite ones (the root of a sign) count as zero."""
     symbols = [ca.SX.sym(n, function.size1_in(n)) for n in function.name_in()]
     output = function(*symbols)
     value = (output if isinstance(output, tuple) else (output,))[function.name_out().index(of)]

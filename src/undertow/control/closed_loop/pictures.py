@@ -33,7 +33,7 @@ _PAPERS_VEHICLE = "mini-auv"
 
 @dataclass(frozen=True)
 class BandSettings:
-    """When a command is drawn as the band that it fills: lines closer than the paper resolves are a blot."""
+    """When a command is drawn as a band instead of unresolvable lines."""
 
     stretches: int = 300  # parts of the picture's width, each a few pixels wide
     # Way to and fro in a stretch, in heights of it, from which it is a band; a smooth motion turns once.
@@ -92,7 +92,7 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
 
 
 def track(records: Sequence[Record]) -> Figure:
-    """The way of several runs in the plane, north up, with the mission or the set-point."""
+    """The track of several runs in the plane, north up, with the mission or the set-point."""
     first = records[0]
     with look():
         picture, axes = figure(5.0)

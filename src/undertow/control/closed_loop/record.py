@@ -50,7 +50,7 @@ class FollowedError:
 
 @dataclass(frozen=True)
 class LoopResult:
-    """What came of a run."""
+    """The result of a run."""
 
     # controller, law, vehicle: name and law of the gain set, and name of the vehicle that moved
     controller: str
@@ -83,7 +83,7 @@ class LoopResult:
 
 @dataclass(frozen=True)
 class Swing:
-    """What a command does from each row to the next, which its mean does not show; shape (n,) each."""
+    """Variation of a command within each row interval, which its mean does not show; shape (n,) each."""
 
     low: np.ndarray
     high: np.ndarray
@@ -144,12 +144,12 @@ class Record:
         return stream.getvalue()
 
     def to_json(self) -> str:
-        """The result as JSON; what has grown beyond all numbers is null."""
+        """The result as JSON; infinite numbers are null."""
         return json.dumps(json_ready(asdict(self.result)), indent=2, allow_nan=False) + "\n"
 
 
 class Recorder:
-    """Keeps every so many-th row of a run, with mean and swing of the commands up to the next."""
+    """Keeps every n-th row of a run, with mean and swing of the commands up to the next."""
 
     def __init__(self, parts: Parts, scenario: Scenario, mission: Mission | None = None) -> None:
         self._parts, self._scenario, self._stride = parts, scenario, scenario.stride

@@ -1,4 +1,4 @@
-"""What is asked of a closed loop: from where to where, how long, how often, and what gets in the way."""
+"""The task of a closed loop: start and goal, duration, sampling, and disturbances."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def force_unit(axis: str) -> str:
 def heading(rule: str, start: Mapping[str, float], to: Mapping[str, float]) -> float:
     """Heading from the start to the set-point, rad: (42) of the mini-AUV paper, or its four-quadrant form.
 
-    Where nothing is to be gone in the plane, the first heading is kept.
+    If there is no distance in the plane, the initial heading is kept.
     """
     north, east = to["x"] - start["x"], to["y"] - start["y"]
     if not (north or east):

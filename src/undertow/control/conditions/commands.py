@@ -287,7 +287,7 @@ def terms_of(plant: Plant, matrix: sm.Matrix, spread: Spread = NO_SPREAD) -> lis
     Raises
     ------
     UndertowError
-        If it does not count as a region.
+        If it is no such sum.
     """
     symbols = [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind), *shifts(spread)]
     moving, found = plain(plant, matrix, spread).applyfunc(sm.expand), []

@@ -100,8 +100,7 @@ def rotation_of(plant: Plant) -> sm.Matrix:
     Raises
     ------
     UndertowError
-        If it does not count as a region: then the frame of an error counts, and inertia that is the same in
-        all axes turns, too.
+        If they do not: then the frame of an error matters, and inertia equal in all axes turns, too.
     """
     own = [i for i, d in enumerate(plant.vehicle.dof_indices) if d < 3]
     rotation = plant.J.extract(own, own)
@@ -486,7 +485,7 @@ def motion_terms(plant: Plant, spread: Spread = NO_SPREAD) -> list[Term]:
     Raises
     ------
     UndertowError
-        If it does not count as a region.
+        If it is no such sum.
     """
     found = terms_of(plant, plant.C + plant.D, spread)
     if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):

@@ -445,7 +445,7 @@ class Range:
 
 
 class Uncertainty:
-    """How far the parameters of a vehicle are known.
+    """Uncertainty of the parameters of a vehicle.
 
     `confidence` is the probability of the interval of each parameter, and of the ellipsoid of all of them.
     `covariance` (names, matrix) is that of an identification, SI, SNAME signs; without it the standard

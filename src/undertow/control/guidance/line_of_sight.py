@@ -27,7 +27,7 @@ class Guidance:
 
 
 class Leg(NamedTuple):
-    """Where a vehicle is beside its leg, SX or arrays."""
+    """Position of a vehicle relative to its leg, SX or arrays."""
 
     course: ca.SX  # direction of the leg, rad
     incline: ca.SX  # angle of the leg above the horizontal, rad
@@ -40,10 +40,10 @@ class Leg(NamedTuple):
 
 
 class LineOfSight(Reference):
-    """Straight legs between way-points for a vehicle that steers where it drives.
+    """Straight legs between way-points for a vehicle that steers along its heading.
 
     With the cross-track error e and lookahead D, the heading is chi - atan((e + sigma e_int) / D) and
-    e_int_dot = D e / ((e + sigma e_int)^2 + D^2), which grows little where the vehicle is far off. A vehicle
+    e_int_dot = D e / ((e + sigma e_int)^2 + D^2), which grows slowly far from the leg. A vehicle
     that dives by pitching has the same in the vertical plane; another one follows the depth of the leg. At a
     turn into the next leg e_int is multiplied by the cosine of the turn, as the steady current across a leg
     is: the law is stated for one leg. The integral of the vertical plane, which holds trim, goes on.
@@ -213,7 +213,7 @@ def _clipped(value: ca.SX, most: ca.SX) -> ca.SX:
 
 
 def beside(m, begin, end, place) -> Leg:  # type: ignore[no-untyped-def]
-    """Where a place is beside the leg from begin to end, in CasADi or NumPy (`m`)."""
+    """Position relative to the leg from begin to end, in CasADi or NumPy (`m`)."""
     north, east, down = (end[i] - begin[i] for i in range(3))
     length = m.sqrt(north**2 + east**2)
     course, incline = m.arctan2(east, north), -m.arctan2(down, length)

@@ -31,7 +31,7 @@ class WaypointTable(FileTable):
 
 
 class LimitTable(FileTable):
-    """What the reference keeps to."""
+    """Limits of the reference."""
 
     acceleration: Quantity = "0.1 m/s^2"
     turn_rate: Quantity = "20 deg/s"
@@ -48,7 +48,7 @@ class GuidanceTable(FileTable):
 
 
 class CurrentTable(FileTable):
-    """Water that the simulation moves and the controller does not know of."""
+    """Current of the simulation, unknown to the controller."""
 
     north: Quantity = 0.0
     east: Quantity = 0.0
@@ -72,7 +72,7 @@ class MissionTable(FileTable):
 
 @dataclass(frozen=True)
 class MissionLimits:
-    """Beyond these numbers are slips of a unit: no vehicle in water has such a mission."""
+    """Limits beyond which a unit is wrong: no vehicle in water has such a mission."""
 
     size: float = 1e6  # m and rad, of a way-point
     low: float = 1e-6  # of speeds, accelerations and distances, SI
@@ -190,7 +190,7 @@ class Mission:
 
 
 def _keeps(profile: Profile, limits: Limits) -> None:
-    """Refuse a trajectory that is faster than its limits, and say where and when it would not be."""
+    """Refuse a trajectory that exceeds its limits, and say where, and which time it would need."""
     words = {False: ("speed", "m/s"), True: ("turn rate", "rad/s")}
     for angles, (name, unit) in words.items():
         for order, limit in enumerate(limits.of(angles), 1):
@@ -238,8 +238,7 @@ def load_mission(source: str | Path) -> Mission:
     Raises
     ------
     UndertowError
-        If it does not count as a region, or a number of it does not count as a region that a mission can
-        have.
+        If it is not a mission file, or one of its numbers is impossible.
     """
     path = Path(source)
     if not is_file(path):
@@ -284,7 +283,7 @@ def mission_from_table(table: MissionTable) -> Mission:
 
 
 def _check_keys(table: MissionTable) -> None:
-    """Refuse what a mission of this kind would not look at."""
+    """Refuse keys that a mission of this kind does not use."""
     if table.guidance is not None and table.kind != "legs":
         raise UndertowError(f"[guidance] is for kind = 'legs', and this is '{table.kind}': remove it")
     timed = [i for i, w in enumerate(table.waypoints, 1) if w.t is not None]

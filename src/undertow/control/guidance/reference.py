@@ -45,7 +45,7 @@ class Kinematics:
 
 @dataclass(frozen=True)
 class Course:
-    """What a reference asks for at a sample."""
+    """Desired motion at a sample."""
 
     eta_d: ca.SX  # (n, 1): desired pose, m and rad
     # nu_r, nu_r_dot: (n, 1): reference velocity and its rate, body frame, SI
@@ -55,7 +55,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Followed:
-    """A reference beside a run, rows over time."""
+    """A reference along a run, rows over time."""
 
     desired: dict[str, np.ndarray]  # (n,): what was desired, by pose coordinate
     # (n,): desired less true, by coordinate; "cross track" and "depth" (m) for legs
@@ -118,7 +118,7 @@ SETTINGS = ReferenceSettings()
 
 @dataclass(frozen=True)
 class Limits:
-    """What a reference keeps to."""
+    """Limits of a reference."""
 
     # speed, acceleration: of the position, magnitude, m/s and m/s^2
     speed: float
@@ -265,7 +265,7 @@ def spline(names: tuple[str, ...], poses: np.ndarray, times: np.ndarray) -> Prof
 
 
 def within(profile: Profile, limits: Limits) -> Profile:
-    """The path of a profile, slowed down or sped up as a whole until it just keeps to its limits."""
+    """The path of a profile, uniformly scaled in time until it just meets its limits."""
     factors = [0.0]
     for angles in (False, True):
         rate, growth = limits.of(angles)

@@ -20,7 +20,7 @@ from undertow.typing import Array
 
 @dataclass(frozen=True)
 class AnalysisSettings:
-    """What counts as zero in linear systems, and what curves show."""
+    """Tolerances for zero in linear systems, and ranges of curves."""
 
     rank: float = 1e-9  # singular values below this part of the largest are rounding
     rounding: float = 1e-14  # entries of a sampled A less the identity up to this are rounding
@@ -41,7 +41,7 @@ SETTINGS = AnalysisSettings()
 
 @dataclass(frozen=True)
 class Mode:
-    """A pole, with how its motion looks."""
+    """A pole with the properties of its motion."""
 
     pole: complex  # rad/s, or z if sampled; of a pair the one with the positive imaginary part
     states: tuple[str, ...]  # that take part, the most first
@@ -111,7 +111,7 @@ def like(system: ct.StateSpace, a: Array, b: Array, c: Array, d: Array) -> ct.St
 def modes(system: ct.StateSpace) -> list[Mode]:
     """Poles with the states that take part, the fastest growing first; pairs once.
 
-    A state that nothing depends on (place, heading) gives a pole at zero exactly.
+    A state that nothing depends on (position, heading) gives a pole at exactly zero.
     """
     names, kept = system.state_labels, list(range(system.nstates))
     found: list[tuple[complex, tuple[str, ...]]] = []
@@ -154,7 +154,7 @@ def _clean(pole: complex, scale: float) -> complex:
 # --- what can be moved and seen --------------------------------------------------------------
 @dataclass(frozen=True)
 class Reach:
-    """What inputs can move, or, of the transposed system, what outputs show."""
+    """The controllable subspace, or, for the transposed system, the observable one."""
 
     rank: int  # dimension of what can be reached
     of: int  # number of states
@@ -165,12 +165,12 @@ class Reach:
 
 
 def controllability(system: ct.StateSpace) -> Reach:
-    """Which states the inputs can move."""
+    """States that the inputs can move."""
     return _reach(system, slopes(system), system.B)
 
 
 def observability(system: ct.StateSpace) -> Reach:
-    """Which states the outputs show."""
+    """States that the outputs show."""
     return _reach(system, slopes(system).T, system.C.T)
 
 
@@ -239,7 +239,7 @@ def sampled_gramian(a: Array, b: Array, samples: float) -> Array:
 
 
 def minimal(system: ct.StateSpace) -> ct.StateSpace:
-    """The part of a system that inputs move and outputs show, in other states."""
+    """The controllable and observable part of a system, in other states."""
     by_rate = slopes(system)
     basis = reached(by_rate, system.B)
     shown = basis @ reached(basis.T @ by_rate.T @ basis, basis.T @ system.C.T)
@@ -262,7 +262,7 @@ def zeros_of(system: ct.StateSpace) -> list[complex]:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop that is closed by negative feedback is from the border of stability."""
+    """Stability margins of a loop closed by negative feedback."""
 
     stable: bool  # whether the closed loop is; if not, the margins say what would have to change
     gain: float  # factor on the loop gain, the nearest to one, that leads to the border; infinite without
@@ -333,12 +333,12 @@ def disk_margin_of_all(loop: ct.StateSpace) -> float:
 
 
 def disks_of_all(loop: ct.StateSpace, omega: Array) -> Array:
-    """What `disk_margin_of_all` is the least of, at each frequency, rad/s."""
+    """The disk at each frequency, rad/s, whose minimum is `disk_margin_of_all`."""
     return np.atleast_1d(ct.disk_margins(loop, omega, returnall=True)[0])
 
 
 def disks(gain: NDArray[np.complex128]) -> Array:
-    """Size of the disk in which loop gains L may vary up to the border of stability: 2 |1 + L| / |1 - L|.
+    """Size of the disk in which loop gains L may vary up to the stability limit: 2 |1 + L| / |1 - L|.
 
     Seiler, Packard, Gahinet (2020), An introduction to disk margins: 1/(|S - T|/2) for zero skew.
     """
@@ -396,13 +396,13 @@ def singular_values(system: ct.StateSpace, omega: Array) -> Array:
 
 
 def duration(systems: list[ct.StateSpace]) -> float:
-    """How long a step is worth looking at: some of the slowest time constants, s."""
+    """Duration of a step response: a few of the slowest time constants, s."""
     reals = [abs(m.rate.real) for s in systems for m in modes(s) if 1e-6 < abs(m.rate.real) < inf]
     return float(min(SETTINGS.time_constants / min(reals, default=1.0), SETTINGS.longest))
 
 
 def step(name: str, system: ct.StateSpace, seconds: float) -> Line:
-    """The answer of a system with one input and one output to a step of one."""
+    """The unit step response of a system with one input and one output."""
     dt = period(system)
     times = np.arange(ceil(seconds / dt) + 1) * dt if dt else np.linspace(0.0, seconds, SETTINGS.points)
     t, y = ct.step_response(system, times, squeeze=True)

@@ -46,7 +46,7 @@ Verdict = Callable[[GainSet], bool]
 
 @dataclass(frozen=True)
 class Design:
-    """Gains that come out of a quadratic design."""
+    """Gains from a quadratic design."""
 
     gains: GainSet
     loop: LinearLoop  # that they close
@@ -102,8 +102,8 @@ def lqr(
 
     The weights are Bryson's: an error as large as `error` counts as much as a force as large as `force`. The
     law of a gain file is diagonal, so of the full optimal gain the diagonal is taken, in x and y the larger
-    one for both. Thrust counts as ideal in the design; the loop that it closes is checked with the lag of
-    thrusters and the like. Where conditions are given and fail, the integral is slowed down until they hold.
+    one for both. Thrust is taken as ideal in the design; the resulting loop is checked with thruster lag and
+    the like. If conditions are given and fail, the integral is slowed down until they hold.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class _Channels:
         return [self.vehicle.velocity_names[i] for i in self.rows]
 
     def gains(self, law: str, integral_time: float, name: str) -> tuple[GainSet, float]:
-        """The diagonal of the optimal gain as a gain set, and the share of what is left out."""
+        """The diagonal of the optimal gain as a gain set, and the neglected share."""
         optimal = self._optimal(1 / integral_time if law == "pid" else None)
         n = len(self.rows)
         parts = [optimal[:, i * n : (i + 1) * n] for i in range(optimal.shape[1] // n)]
@@ -256,16 +256,16 @@ def lqg(
     disturbance: Mapping[str, float],
     noise: Mapping[str, float],
 ) -> ct.StateSpace:
-    """An observer and an optimal feedback in one: what the sensors of `noise` report to commands.
+    """An observer and an optimal feedback in one: from reports of the sensors in `noise` to commands.
 
-    States that no command moves are left to themselves, and what no sensor shows is left out.
+    Uncontrollable states are left to themselves, and unobservable ones are left out.
 
     Parameters
     ----------
     vehicle, trim
         As for `linearize`.
     weights : mapping
-        Acceptable deviation by state, SI; states that are not named may be as large as they like.
+        Acceptable deviation by state, SI; states that are not named are not weighted.
     force : mapping
         Available command by name, in units of the command.
     disturbance : mapping
@@ -311,7 +311,7 @@ def _place(labels: list[str], name: str) -> int:
 
 
 def _kept(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
-    """States that commands move and sensors show; others must settle by themselves."""
+    """Controllable and observable states; all others must be stable."""
     named_shown = named(
         shown, plant.state_labels, plant.input_labels, [str(i) for i in range(shown.noutputs)], ""
     )

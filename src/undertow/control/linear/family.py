@@ -1,4 +1,4 @@
-"""A vehicle whose parameters are known only so far: a family of linear systems."""
+"""A vehicle with uncertain parameters: a family of linear systems."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STEP = 1e-3  # of finite differences, standard deviations
 
 @dataclass(frozen=True)
 class Spread:
-    """How far parameters are known."""
+    """Uncertainty of parameters."""
 
     names: tuple[str, ...]  # parameters, in the order of the covariance
     covariance: Array  # SI and SNAME signs, shape (k, k)
@@ -56,7 +56,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Family:
-    """The systems that an identification leaves open."""
+    """The linear systems within the uncertainty of an identification."""
 
     spread: Spread  # what they are drawn from
     members: tuple[Member, ...]  # the stated one, then corners, then draws
@@ -69,7 +69,7 @@ class Family:
 
 
 def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
-    """How far the parameters of a vehicle are known.
+    """Uncertainty of the parameters of a vehicle.
 
     Its stated standard deviations (sigma) count as independent. The covariance of the last fit in the history
     of its file, `source`, replaces them for what was fitted.
@@ -109,7 +109,7 @@ def family(
     source: str | Path | None = None,
     seed: int = 0,
 ) -> Family:
-    """Linear systems for parameters as uncertain as they are.
+    """Linear systems over the uncertainty of the parameters.
 
     First the stated vehicle, then corners (each parameter by itself, and all together in the way that slows
     the slowest mode down most, `CORNER` standard deviations away but within physical bounds), then seeded
@@ -196,7 +196,7 @@ def _slowest(member: Member) -> float:
 
 
 class _MemberFactory:
-    """Makes members of a family around a trim: what it holds by name is held for every member.
+    """Makes members of a family around a trim, with the same values held for every member.
 
     The law, if there is one, knows the stated vehicle.
     """
@@ -215,7 +215,7 @@ class _MemberFactory:
     def member(self, name: str, shift: Array, names: tuple[str, ...], *, clip: bool = True) -> Member | None:
         """A member with shifted parameters, or None where they are no vehicle or it has no such trim.
 
-        What is beyond its physical bounds is no vehicle, unless it is clipped to them.
+        Parameters beyond their physical bounds give no vehicle, unless they are clipped.
         """
         values = {n: self.vehicle.value_of(n).value + float(d) for n, d in zip(names, shift, strict=True)}
         inside = {n: self._inside(n, v) for n, v in values.items()}
@@ -264,7 +264,7 @@ class _MemberFactory:
 
 
 def _both_ways(vehicle: Vehicle, name: str, way: int) -> list[str]:
-    """What a parameter of one direction stands for when `way` is the direction taken for both."""
+    """Parameters replaced by one of direction `way` if that is taken for both."""
     parameter, own = vehicle.sides[name]
     chosen = own == ("forward" if way > 0 else "backward")
     return [n for n, (p, _) in vehicle.sides.items() if p is parameter] if chosen else []

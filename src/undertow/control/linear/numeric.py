@@ -1,4 +1,4 @@
-"""A vehicle in numbers: functions of its model, and what fails in them."""
+"""A vehicle evaluated numerically: functions of its model, and their failures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WAYS = {1: "forward", -1: "backward"}
 
 
 class Numeric:
-    """The functions of a vehicle and their slopes at a point."""
+    """The functions of a vehicle and their derivatives at a point."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle, self.functions = vehicle, Functions(vehicle)
@@ -42,7 +42,7 @@ class Numeric:
 
     @cached_property
     def varies(self) -> bool:
-        """Whether the forces change with time by themselves."""
+        """Whether the forces depend explicitly on time."""
         f = self.functions
         return bool(ca.jacobian(ca.vertcat(f.x_dot, f.reported), f.t).nnz())
 
@@ -135,7 +135,7 @@ def motion_of(vehicle: Vehicle, name: str) -> str | None:
 
 
 def with_ideal_thrust(vehicle: Vehicle) -> Vehicle:
-    """The vehicle whose thrusters give at once, and in proportion, what is commanded."""
+    """The vehicle with ideal thrusters: instantaneous and proportional to the command."""
     return replace(vehicle, effects=tuple(e for e in vehicle.effects if not isinstance(e, Actuation)))
 
 

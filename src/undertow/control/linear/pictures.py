@@ -1,4 +1,4 @@
-"""Pictures of a linear analysis: frequency responses, step responses, poles and root loci."""
+"""Plots of a linear analysis: frequency responses, step responses, poles and root loci."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ def _stretch(axis: Any, poles: Any) -> None:
 
 
 def _plane(axis: Any, dt: float = 0.0) -> None:
-    """The border of stability: the imaginary axis, or the unit circle of z."""
+    """The stability limit: the imaginary axis, or the unit circle of z."""
     if dt:
         turn = np.linspace(0.0, 2 * np.pi, 400)
         axis.plot(np.cos(turn), np.sin(turn), color=INK, linewidth=0.8, zorder=0)
@@ -300,7 +300,7 @@ def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
 
 
 def _frame(axis: Any, points: Any) -> None:
-    """A window around what matters: branches run away without end."""
+    """A window around the relevant part: branches go to infinity."""
     wide = max(1.8 * float(np.max(np.abs(points), initial=0.0)), 1e-3)
     right = max(0.3 * wide, 1.5 * float(np.max(points.real, initial=0.0)))
     axis.set(xlim=(-wide, right), ylim=(-wide, wide))

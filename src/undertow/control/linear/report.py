@@ -1,4 +1,4 @@
-"""What a linear analysis says, as plain data, and what changed since the last one."""
+"""The result of a linear analysis, as plain data, and changes since the last one."""
 
 from __future__ import annotations
 
@@ -334,7 +334,7 @@ Verdicts = Callable[[GainSet], Mapping[str, tuple[str, float | None]]]
 
 @dataclass
 class Snapshot:
-    """What is watched of a vehicle and its gain sets, by name, as it is printed."""
+    """The tracked results of a vehicle and its gain sets, by name, as printed."""
 
     vehicle: str  # its name
     gains: list[str] = field(default_factory=list)  # gain files that were asked for
@@ -392,7 +392,7 @@ def snapshot(
     at: Sequence[str] = (),
     conditions: Verdicts | None = None,
 ) -> Snapshot:
-    """Everything that is to be compared.
+    """All tracked results.
 
     `motion` is what a trim besides hovering holds, `at` the same in words. `conditions` gives verdicts of the
     conditions on gains and, where it is of interest, their margins, by condition.
@@ -435,7 +435,7 @@ def _hovering(vehicle: Vehicle) -> dict[str, Trim]:
 
 @dataclass(frozen=True)
 class Change:
-    """One thing that is not as it was, in words; empty where it was not, or is no more."""
+    """One change, in words; empty if the item is new, or has gone."""
 
     what: str
     old: str
@@ -463,7 +463,7 @@ def _changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
 
 
 def _moved(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
-    """Poles that are elsewhere; of those in which other states take part, each is put beside the next."""
+    """Poles that moved; each is paired with the nearest one that involves the same states."""
     gone, come = ([n for n in a if n not in b] for a, b in ((old, new), (new, old)))
     pairs = [*((n, n) for n in old if n in new), *zip_longest(gone, come, fillvalue="")]
     return [

@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class DelaySettings:
-    """Up to where dead times are approximated, and filters settle."""
+    """Limits for approximating dead times, and for filters to converge."""
 
     # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
     pade: int = 8
@@ -80,7 +80,7 @@ def linearize(
     Raises
     ------
     UndertowError
-        If there is no such steady motion, the trim is of another vehicle, or dt is no time.
+        If there is no such steady motion, the trim is of another vehicle, or dt is negative.
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     numeric = Numeric(in_direction(vehicle, found.direction))
@@ -211,7 +211,7 @@ def as_nlsys(
 ) -> ct.NonlinearIOSystem:
     """The vehicle as a nonlinear system that calls the equations of motion.
 
-    States, inputs and outputs are those of `linearize`, but the values themselves and not deviations. The
+    States, inputs and outputs are those of `linearize`, but absolute values instead of deviations. The
     parameter ``p`` of the system replaces the values of the vehicle's parameters. A dead time is left out.
 
     Parameters
@@ -267,7 +267,7 @@ _GATE_PASSED = 1.0
 
 
 class LawSystem:
-    """A gain set as it is in continuous time, its gate passed.
+    """A gain set in continuous time, with its gate open.
 
     `references`, `measured`, `states` and `forces` name set-points, pose and velocity, the law's own states
     and the forces it asks for; `acting` are the places of the degrees of freedom that commands push in;
@@ -344,7 +344,7 @@ class LawSystem:
     def keeping(self, trim: Trim) -> tuple[Array, Array, Array]:
         """Reference, reported motion and law states for which the law asks for the forces of a trim.
 
-        Integrals carry what the trim needs; a law without them keeps it with an error that stays.
+        Integrals supply what the trim needs; a law without them keeps a steady-state error.
         """
         self._check(trim)
         n = len(self.references)
@@ -379,7 +379,7 @@ def as_controller(gains: GainSet) -> ct.NonlinearIOSystem:
 
     Its signals are named so that ``control.interconnect([as_nlsys(vehicle), as_controller(gains)], ...)``
     closes the loop by itself. It is the law in continuous time with its allocation and limits; a gate in its
-    schedule counts as passed.
+    schedule counts as open.
     """
     return LawSystem(gains).nonlinear()
 
@@ -420,12 +420,12 @@ def close_loop(
     dt : float
         Sampling time, s: the law runs as its C code does, its commands are held; 0 is continuous time.
     observer : Design, optional
-        Gives the law an estimate in place of the reports: the Kalman filter that it settles to at this trim.
+        Gives the law an estimate in place of the reports: its steady-state Kalman filter at this trim.
 
     Raises
     ------
     UndertowError
-        If there is no such trim, or the law has no linear form there, or a filter is to be sampled.
+        If there is no such trim, or the law is not linearisable there, or a filter is to be sampled.
     """
     if dt and observer is not None:
         raise UndertowError(
@@ -477,7 +477,7 @@ class LinearLoop:
 
     @property
     def offset(self) -> dict[str, float]:
-        """Set-point less reported pose at the trim, m and rad: what a law without integrals leaves."""
+        """Steady-state error at the trim, set-point minus reported pose, m and rad: zero with integrals."""
         return self._by_coordinate(self._reference - self.trim.y[: len(self._reference)])
 
     @property
@@ -510,7 +510,7 @@ class LinearLoop:
 
     @cached_property
     def opened(self) -> ct.StateSpace:
-        """The loop cut at the forces: forces to minus the forces that the law answers with."""
+        """The loop cut at the forces: forces to minus the forces of the law."""
         n = len(self._system.references)
         plant, by_force, names = self.plant, self._system.share, self._system.forces
         pushed = like(plant, plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
@@ -542,12 +542,12 @@ class LinearLoop:
 
 
 class SettledObserver:
-    """The Kalman filter that an observer settles to at a trim, in continuous time.
+    """The steady-state Kalman filter of an observer at a trim, in continuous time.
 
-    Reports every T s with variance r say as much as a continuous report with spectral density r T (Simon
+    Reports every T s with variance r are equivalent to a continuous report with spectral density r T (Simon
     2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`. Deviations from
     the trim follow dx/dt = a x + b u, with reports c x; `gain`, shape (nx, k), is that of the innovations.
-    Where reports are late, what Padé's approximation of their delay keeps is among the states.
+    With late reports, the states of Padé's approximation of their delay are included.
     """
 
     def __init__(self, observer: Design, trim: Trim, pade: int = 0) -> None:
@@ -602,7 +602,7 @@ class SettledObserver:
 
 @np.errstate(all="ignore")  # what does not converge is no filter
 def _settled(a: Array, c: Array, noise: Array, r: Array) -> Array:
-    """Covariance of a filter that has settled, by the sign of its Hamiltonian matrix (Roberts 1980).
+    """Steady-state covariance of a filter, by the sign of its Hamiltonian matrix (Roberts 1980).
 
     Ordered Schur forms fail where eigenvalues are as close to one another as those of delays are.
     """

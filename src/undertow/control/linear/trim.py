@@ -33,7 +33,7 @@ class Request:
 
 
 def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection[str]) -> Request:
-    """A checked request; what neither is held nor may be free by itself is zero."""
+    """A checked request; values neither held nor free are zero."""
     hover = {n: v for n, v in _HOVER.items() if n in vehicle.velocity_names and n not in free}
     given = hover if held is None else dict(held)
     known = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
@@ -67,7 +67,7 @@ def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) ->
 
 @dataclass(frozen=True)
 class TrimSettings:
-    """What a trim prefers, and how exactly it is found."""
+    """Preferences of a trim, and tolerances."""
 
     # Price of the square of a velocity that is not held, (m/s)^-2: drift is avoided before tilt.
     drift: float = 1e2
@@ -266,7 +266,7 @@ def _remedy(held: Collection[str]) -> str:
 
 
 def _beyond(balance: Balance, y: Array) -> str:
-    """What a command would have to be, if that is more than it can."""
+    """Required command, if beyond its limit."""
     for i, value, (_, most) in zip(balance.unknown, y, balance.bounds(), strict=True):
         if most is not None and abs(value) > most * (1 + 1e-9):
             return (
@@ -325,8 +325,8 @@ def find_trim(
 ) -> Trim:
     """The steady motion with these values.
 
-    What is not held is found: as little drift and tilt as can be, then as little command. A turning rate that
-    is not stated is none, and depth does not change.
+    Values not held are found: minimum drift and tilt, then minimum command. A turning rate that is not stated
+    is zero, and depth is constant.
 
     Parameters
     ----------
@@ -340,8 +340,8 @@ def find_trim(
         "u", "v": without `held`, the vehicle need not hover; "r": it may turn as it likes; "w": it may rise
         or sink; "z": depth is found.
     direction : mapping
-        1 or -1 by velocity: whose set of parameters holds where forward and backward ones differ and the
-        motion does not tell; forward unless stated.
+        1 or -1 by velocity: direction whose parameters are used if forward and backward ones differ and the
+        motion does not decide; forward unless stated.
     numeric : Numeric, optional
         The equations of the vehicle in this direction, if they are at hand.
 
@@ -392,7 +392,7 @@ def _search(
 
 
 def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:
-    """State and commands; where a dead band hides the way, from the commands that ideal thrusters need."""
+    """State and commands; with a dead band, from the commands that ideal thrusters need."""
     balance, vehicle = Balance(numeric, wanted), numeric.vehicle
     try:
         return solve(balance)
