@@ -321,8 +321,8 @@ def test_what_could_not_be_said_has_the_reason_and_what_would_tell() -> None:
     assert "Random steps of surge." in text
     old = record("baseline", Answer("unexplained")) | {"vehicle": "tanker", "source": "a page at abc"}
     text = unsaid_page([said, lost], [old, old | {"vehicle": "box-step"}])
-    assert "1 more were not run anew" in text
-    assert "Not run anew. Earlier (a page at abc): **unexplained**: It is so." in text
+    assert "1 more were not rerun" in text
+    assert "Not rerun. Earlier (a page at abc): **unexplained**: It is so." in text
     beginnings = [known["logs"] for known in tomllib.loads(KNOWN.read_text()).values()]
     owned = [logs for logs in log_sets(Path()) for start in beginnings if logs.startswith(start)]
     assert sorted(owned) == sorted(log_sets(Path()))

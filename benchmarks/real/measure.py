@@ -121,7 +121,7 @@ def measured(given: Material, horizons: Sequence[float]) -> tuple[Record, Diagno
 
 
 def said_of(found: Diagnosis, *, whole: bool) -> Record:
-    """Answer and reasons; where the whole is wanted, also what remains and what would tell more."""
+    """Answer and reasons; where the whole is wanted, also what remains and which data would help."""
     said = {
         "answer": answer_of(found).as_dict(),
         "headline": found.headline,

@@ -27,11 +27,11 @@ from .tally import (
 )
 
 _GOALS = ("", "measured (95 % interval)", "goal", "")
-_CASE = ("case", "right answers", "size", "error before → with the truth", "place", "verdict", "named", "s")
+_CASE = ("case", "right answers", "size", "error before → with the truth", "rank", "verdict", "named", "s")
 
 
 def page(records: Iterable[Record], earlier: Iterable[Record] = (), planned: Sequence[Case] = ()) -> str:
-    """The whole page, Markdown; answers for logs as they are stand beside those of an earlier run.
+    """The whole page, Markdown; answers for unmodified logs are shown with those of an earlier run.
 
     Of cases that are planned, and have no record, it says how many there are.
     """
@@ -43,12 +43,12 @@ def page(records: Iterable[Record], earlier: Iterable[Record] = (), planned: Seq
         _how_much(kept, planned),
         "## Goals\n",
         table(_GOALS, [g.row for g in [*goals(cases), prediction_goal(ahead)]]),
-        "## Every log as it is\n",
+        "## Unmodified logs\n",
         _as_logged(kept, earlier),
-        "## Terms taken out\n",
+        "## Terms removed\n",
         REMOVAL,
         _table([c for c in cases if c.record["kind"] == "removal"]),
-        "## Effects put in\n",
+        "## Effects injected\n",
         INJECTION,
         _by_change(cases),
         _by_logs(cases),
@@ -73,8 +73,8 @@ def _counts(records: Sequence[Record], cases: Sequence[Graded]) -> str:
     logs = len({r["vehicle"] for r in records})
     commits = ", ".join(sorted({str(r.get("commit", "unknown")) for r in records}))
     return (
-        f"{logs} sets of real logs; {kinds['removal']} cases with a term taken out, {kinds['injection']} "
-        f"with an effect put in, of which {sum(c.counts for c in cases)} count. Commits: {commits}.\n"
+        f"{logs} sets of real logs; {kinds['removal']} cases with a term removed, {kinds['injection']} "
+        f"with an effect injected, of which {sum(c.counts for c in cases)} count. Commits: {commits}.\n"
     )
 
 
@@ -85,7 +85,7 @@ def _how_much(records: Sequence[Record], planned: Sequence[Case]) -> str:
     if whole == done:
         return ""
     parts = ", ".join(f"{done[kind]} of {n} ({kind})" for kind, n in whole.items())
-    return f"**Not all of the plan was run**: {parts}; the shares below are of what was run.\n"
+    return f"**Not all planned cases were run**: {parts}; the shares below are of those that were.\n"
 
 
 # --- the log as it is ---------------------------------------------------------------------------
@@ -102,7 +102,7 @@ def _as_logged(records: Sequence[Record], earlier: Iterable[Record]) -> str:
         for r in own
     ]  # fmt: skip
     said = "\n".join(f"- {r['vehicle']}: {r['headline']}{_source(r)}" for r in own)
-    return AS_LOGGED + table(head, rows, left=5) + "\nIn its own words:\n\n" + said + "\n"
+    return AS_LOGGED + table(head, rows, left=5) + "\nHeadlines of the diagnosis:\n\n" + said + "\n"
 
 
 def _source(record: Record) -> str:
@@ -147,7 +147,7 @@ def _row(case: Graded) -> list[str]:
     return [f"`{r['id']}`", right, size, change, place, verdict, _named(r), number(r["seconds"])]
 
 
-_GRADES = {"first": "ranked first", "named": "named", "wrong": "wrong cause", "new": "new beside it"}
+_GRADES = {"first": "ranked first", "named": "named", "wrong": "wrong cause", "new": "also named"}
 
 
 def _by_change(cases: Sequence[Graded]) -> str:
@@ -194,7 +194,7 @@ def _prediction(found: Sequence[Predicted]) -> str:
         for p in wins
     ]
     reported = (
-        "\nWhere a black box wins, which is what is still missing:\n\n" + "".join(lines) if wins else ""
+        "\nWhere a black box wins, which shows what is still missing:\n\n" + "".join(lines) if wins else ""
     )
     return table(("logs", *names, "ours / best grey", "ours / best black"), rows) + reported
 
@@ -215,8 +215,8 @@ def _failures(cases: Sequence[Graded]) -> str:
 
 
 def why(case: Graded) -> str:
-    """What of an answer is not as it should be."""
-    beside = f"{listed(sorted(case.new))} named, which the log as it is does not have"
+    """What is wrong with an answer."""
+    beside = f"{listed(sorted(case.new))} named, though not for the unmodified log"
     found = [beside] if case.new else []
     if case.counts and not case.named:
         found.append("not named" if not case.right & causes(case.answer) else "named among too many")
@@ -233,7 +233,7 @@ def _not_run(records: Sequence[Record]) -> str:
     refused = [r for r in records if r.get("not_added")]
     lines = "".join(f"- `{r['id']}`: {'; '.join(r['not_added'])}\n" for r in refused)
     return reported + (
-        f"\nTrue effects that could not be added, so that nothing is measured by them:\n\n{lines}"
+        f"\nTrue effects that could not be added, so that nothing could be measured with them:\n\n{lines}"
         if lines
         else ""
     )
@@ -249,43 +249,43 @@ INTRODUCTION = """\
 # Real logs
 
 What the diagnosis says about real logs, and how well its models predict. Nobody knows what is missing in a
-model of a real vehicle. So two experiments with a known answer are made: a term of the model is removed from
-its vehicle file, and a known effect is put exactly into the log, by computing what would have been logged
-with it. The answer for the original log is shown for comparison.
+model of a real vehicle. Two experiments with a known answer are therefore made: a term of the model is
+removed from its vehicle file, and a known effect is injected exactly into the log, by computing what would
+have been logged with it. The answer for the original log is shown for comparison.
 """
 AS_LOGGED = """\
 Errors here and below are of simulated velocities on the validation runs, in % of the motion (geometric mean
 over the degrees of freedom), from the measured state at regular intervals. The first third of these runs is
-not judged, so that values that belong to a run can be estimated from it. A dash: it diverged, or there is
-none. Before: answers of the previous version.
+not scored, so that values specific to a run can be estimated from it. A dash means that the simulation
+diverged, or that there is no such model. Before: answers of the previous version.
 
 """
 REMOVAL = f"""\
 The error of the refitted model before and after the true effect is added by `undertow add`. With * it counts:
-the error of the longest simulation falls by {100 * WORTH:g} % or more. Where another effect is the same
+the error of the longest simulation falls by {100 * WORTH:g} % or more. If another effect has the same
 equation for this vehicle, both names are right.
 """
 INJECTION = f"""\
-Each at three sizes, on every log whose channels can show it. A current is a moving ground: nothing in the
-water changes, so it is exact. So are the others, except for values read from noisy channels (a lever arm with
-the logged turning rate). The table counts cases (in brackets those that count: adding the right effect lowers
-the error of the longest simulation by {100 * WORTH:g} % or more); of those that count, how often the effect
-is ranked first, and named alone or in a set of two; of all, a wrong cause, and anything named that was not
-named for the original log. If velocities are derived from the pose, a wrong pose is also a wrong velocity,
-and both names are right.
+Each effect is injected at three sizes, into every log whose channels can show it. A current is equivalent to
+moving ground: nothing in the water changes, so it is exact. So are the others, except where values come from
+noisy channels (a lever arm with the logged yaw rate). The table counts cases (in brackets those that count:
+adding the right effect lowers the error of the longest simulation by {100 * WORTH:g} % or more); of those
+that count, how often the effect is ranked first, and named alone or in a set of two; of all, how often a
+wrong cause, or also an effect not named for the original log, is named. If velocities are derived from the
+pose, a wrong pose is also a wrong velocity, and both names are right.
 """
 PREDICTION = """\
-The same windows of the same runs for all, fitted to the same training runs. Ours in the last columns is the
-model with all that the diagnosis found to help predictions, named or not. Effects, and the windows that ours
-is fitted over, are chosen on the runs that judge, parameters and peers are not. Grey boxes: least squares on
-smoothed accelerations with linear thrusters, the best delay of the commands and products of two velocities;
-the polynomial of Abkowitz with products of three; STLSQ of PySINDy. Black boxes: gradient-boosted trees, and
-a linear state-space model (N4SID of nfoursid, on the longest training stretch only, for it takes one). **>**
-marks where ours is not below 0.95 of the best grey box.
+All methods are fitted to the same training runs and scored on the same windows of the same runs. In the last
+columns, ours is the model with all effects that the diagnosis found to improve predictions, named or not. The
+effects, and the windows over which ours is fitted, are chosen on the validation runs; parameters and peers
+are not. Grey boxes: least squares on smoothed accelerations with linear thrusters, the best delay of the
+commands and products of two velocities; the polynomial of Abkowitz with products of three; STLSQ of PySINDy.
+Black boxes: gradient-boosted trees, and a linear state-space model (N4SID of nfoursid, on the longest
+training segment only, since it takes one). **>** marks where ours is not below 0.95 of the best grey box.
 """
 FAILURES = """\
-Every case that counts and is not first and named, and every name that is neither right nor that of the
-original log. One command repeats a case with everything known about it:
+Every case that counts and whose effect is not both ranked first and named, and every name that is neither
+right nor given to the original log. One command repeats a case with all details:
 
     python -m benchmarks.real one CASE
 """
@@ -297,7 +297,7 @@ MAKING = """\
 
 `FOLDER` has the zigzags of the KVLCC2 tanker (HSVA, SIMMAN 2008; repository
 martinlarsalbert/System-identification-of-Vessel-Manoeuvring-Models), whose licence is not stated: they are
-not part of this project, only the numbers are here. `FREE_RUNS` is the folder data of a clone of
-NAOE-5thLab/FRT-DS-ESSO (Esso Osaka, 3 m, in a pond; CC BY-NC 4.0). Cases that ran side by side had one core
-each, and the machine had other work: seconds are upper limits.
+not part of this project; only the numbers are here. `FREE_RUNS` is the folder data of a clone of
+NAOE-5thLab/FRT-DS-ESSO (Esso Osaka, 3 m, in a pond; CC BY-NC 4.0). Cases that ran in parallel had one core
+each, and the machine was also busy with other work: times are upper limits.
 """

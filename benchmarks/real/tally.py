@@ -1,4 +1,4 @@
-"""What is right: first, named, named wrongly, and what appears beside it that was not named before."""
+"""What is right: first, named, named wrongly, and what is named in addition that was not named before."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from benchmarks.trust.measure import Record
 from benchmarks.trust.tally import Share, share
 from benchmarks.trust.verdicts import NAMING, Answer
 
-#: Fall of the error of the longest simulation from which an effect counts: less does not matter to its owner.
+#: Least fall of the error of the longest simulation for an effect to count: less does not matter to its
+#: owner.
 WORTH = 0.15
-#: Effects that a set may hold beside the right one.
+#: Effects that a set may contain in addition to the right one.
 BESIDE = 1
 #: Ours over the best grey box.
 AS_GOOD = 0.95
@@ -22,7 +23,7 @@ STAGES = {
     "stated": "as stated",
     "refitted": "refitted",
     "found": "with what was named",
-    "helped": "with all that helps to predict",
+    "helped": "with all that improves predictions",
 }
 
 

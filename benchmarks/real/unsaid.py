@@ -1,4 +1,4 @@
-"""What could not be said of real logs, and why: answers for logs as they are, and what would tell more."""
+"""What could not be said of real logs, and why: answers for logs as they are, and which data would help."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ def _tally(found: Mapping[str, Record], before: Mapping[str, Record]) -> str:
     verdicts = [r["answer"]["verdict"] for r in ran]
     counted = ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
     old = len(before.keys() - found.keys())
-    rest = f" {old} more were not run anew: their earlier answers stand here." if old else ""
+    rest = f" {old} more were not rerun: their earlier answers are given here." if old else ""
     return f"Answers to {len(ran)} sets of logs: {counted}.{rest}\n"
 
 
 def _section(text: Mapping[str, str], found: Mapping[str, Record], before: Mapping[str, Record]) -> str:
-    """One vehicle: what is known of it, each of its sets of logs, and what would tell more."""
+    """One vehicle: what is known of it, each of its sets of logs, and which data would help."""
     own = sorted(logs for logs in found.keys() | before.keys() if logs.startswith(text["logs"]))
     reported = [_answer(found[logs]) if logs in found else _earlier(before[logs]) for logs in own]
     answers = "\n".join(reported) or "Not run.\n"
     return (
         f"## {text['title']}\n\n{text['known'].strip()}\n\n{answers}\n"
-        f"**What would tell.** {text['tells'].strip()}\n"
+        f"**What data would help.** {text['tells'].strip()}\n"
     )
 
 
@@ -60,11 +60,11 @@ def _earlier(record: Record) -> str:
     """The answer of a version before this one, which kept no reasons."""
     said = f"**{record['answer']['verdict']}**: {record['headline']}"
     source = record.get("source", "an earlier run")
-    return f"### {record['vehicle']}: {record['title']}\n\nNot run anew. Earlier ({source}): {said}\n"
+    return f"### {record['vehicle']}: {record['title']}\n\nNot rerun. Earlier ({source}): {said}\n"
 
 
 def first_sentence(record: Record) -> str:
-    """The verdict and what the report begins with."""
+    """The verdict and the first sentence of the report."""
     return f"**{record['answer']['verdict']}**: {_FIRST.split(record['headline'])[0]}"
 
 
@@ -82,7 +82,7 @@ def _remains(record: Record) -> list[str]:
 
 
 def _unnamed(record: Record) -> list[str]:
-    """Why effects that were tried have no name, with those that only help to predict first."""
+    """Why effects that were tried have no name, with those that only improve predictions first."""
     if record["answer"]["verdict"] == REFUSED:
         return []
     named, reasons = causes(answer(record)), record.get("not_named", {})
@@ -103,15 +103,15 @@ def _closed(words: str) -> str:
 INTRODUCTION = """\
 # What it could not say, and why
 
-For every set of real logs, unmodified: what the diagnosis says first, what its last model leaves, why the
-effects that were tried are not named, and which data would tell. The answers and numbers are those of the
-program; what is known about a vehicle from other sources, and which data would tell, is written by hand. How
-well the models predict compared with other methods: [Real logs](real.md). Each data set in detail:
+For every set of real logs, unmodified: the first sentence of the diagnosis, the residual of its final model,
+why the effects that were tried are not named, and which data would help. The answers and numbers are those of
+the program; what is known about a vehicle from other sources, and which data would help, is written by hand.
+How well the models predict compared with other methods: [Real logs](real.md). Each data set in detail:
 [Examples](examples/README.md).
 
 Errors are those of simulated velocities on the validation runs, in % of the motion (geometric mean over the
-degrees of freedom). `helps_prediction` means that an effect lowers the error by more than chance, but
-something speaks against it as the cause; the reason is given.
+degrees of freedom). `helps_prediction` means that an effect significantly reduces the error, but is not
+established as the cause; the reason is given.
 """
 MAKING = """\
 ## How this page was made

@@ -1,4 +1,4 @@
-"""What each number of the diagnosis is good for: a fixed sample answered with each of them switched off."""
+"""The effect of each number of the diagnosis: a fixed sample diagnosed with each of them switched off."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Ablated:
 
     @property
     def label(self) -> str:
-        """What is special about the case."""
+        """Special feature of the case."""
         return self.case.label
 
     @property
@@ -88,7 +88,7 @@ def switchable() -> list[str]:
 
 
 def ablations(cases: Sequence[Job], numbers: Sequence[str] = ()) -> list[Ablated]:
-    """Every case as it is, and with each of these numbers switched off, by default all that can be."""
+    """Every case with defaults, and with each of these numbers switched off, by default all possible ones."""
     for name in numbers:
         if name not in switchable():
             raise ValueError(f"--number {name!r} cannot be switched off: choose of {', '.join(switchable())}")

@@ -68,7 +68,7 @@ class Settings:
     )
     slow_error_window: float = _number(
         1.0,
-        "length of the means in which slow errors of a simulation show",
+        "averaging time with which slow errors of a simulation are detected",
         _DEVELOPMENT,
         unit="s",
         off=_NEVER,
@@ -90,17 +90,17 @@ class Settings:
         0.01, "probability of naming an effect when nothing is missing", "option --false-alarms"
     )
     least_fall: float = _number(
-        0.05, "fall of the mean square below which an effect does not count", _DEVELOPMENT, off=0.0
+        0.05, "fall of the mean square below which an effect is ignored", _DEVELOPMENT, off=0.0
     )
     comparison_level: float = _number(
-        0.01, "p-value below which one model counts as better than another (rank test)", _LEVEL, off=1.0
+        0.01, "p-value below which one model is better than another (rank test)", _LEVEL, off=1.0
     )
     slow_blocks: float = _number(
-        12, "least number of blocks of the training data on which a slow disturbance is tried",
+        12, "least number of blocks of the training data for the test against a slow disturbance",
         "their signs resolve 1 in 2 000", off=_NEVER,
     )  # fmt: skip
     null_draws: int = _number(1000, "draws of the null distribution of the best candidate", "shows 0.1 %")
-    resamples: int = _number(200, "resamples that show how often a candidate is the best", "shows 0.5 %")
+    resamples: int = _number(200, "resamples to determine how often a candidate is the best", "shows 0.5 %")
     seed: int = _number(20150518, "seed of draws and resamples", "any")
     more_than_chance: float = _number(
         MORE_THAN_CHANCE,
@@ -117,12 +117,10 @@ class Settings:
         SURE, "|t| below which the last fit drops a parameter", "as in `estimation.fitted`", off=4.0
     )
     finer_noise_share: float = _number(
-        0.5, "remaining share of the sum of squares below which a candidate gets its own noise model",
+        0.5, "remaining fraction of the sum of squares below which a candidate gets its own noise model",
         _DEVELOPMENT, off=0.0,
     )  # fmt: skip
-    noise_rounds: int = _number(
-        3, "number of times that the noise model of a better fit is reestimated", _TIME, off=1
-    )
+    noise_rounds: int = _number(3, "number of reestimates of the noise model of a better fit", _TIME, off=1)
     rough_step: float = _number(
         1e-4,
         "predicted relative fall of the sum of squares below which a fit ends, in the search",
@@ -133,18 +131,19 @@ class Settings:
         1e-2, "the same limit before the leading candidates are known", _TIME, off=0.0
     )
     fitted_starts: int = _number(
-        4, "starting values of a candidate that are linearised in full and fitted", _TIME, off=_NO_LIMIT
+        4,
+        "number of starting values of a candidate that are fully linearised and fitted",
+        _TIME,
+        off=_NO_LIMIT,
     )
-    steps_per_start: int = _number(
-        2, "Gauss-Newton steps before several starting values are compared", _DEVELOPMENT
-    )
+    steps_per_start: int = _number(2, "Gauss-Newton steps before starting values are compared", _DEVELOPMENT)
     line_periods: float = _number(
         3.0, "periods in the longest run above which a frequency is not a trend", _DEVELOPMENT
     )
     line_grid: int = _number(4, "frequencies tried per resolution cell", "resolves a line")
     line_neighbours: int = _number(12, "cells on either side that a line is compared with", _DEVELOPMENT)
     line_half_width: float = _number(
-        1.0, "cells by which the frequency of waves may differ (Doppler shift)", _DEVELOPMENT
+        1.0, "cells by which the frequency of waves may be shifted (Doppler)", _DEVELOPMENT
     )
 
     # --- one round of the search --------------------------------------------------------------
@@ -158,7 +157,7 @@ class Settings:
     predicted_fall_share: float = _number(
         0.1,
         "predicted fall, relative to the best, above which a candidate is fitted, up to `most_fits`",
-        "if much is missing, many candidates look promising, and simulation shows what the residual does not",
+        "if much is missing, many candidates look promising, and simulation reveals more than the residual",
         off=0.0,
     )
     finalists: int = _number(
@@ -166,7 +165,7 @@ class Settings:
     )
     leader_rounds: int = _number(
         2,
-        "number of times that a new leader sets the noise model",
+        "number of times that a new leading candidate sets the noise model",
         "a disturbance estimated from a poor fit",
         off=1,
     )
@@ -179,7 +178,7 @@ class Settings:
 
     # --- the search ---------------------------------------------------------------------------
     max_effects: int = _number(3, "largest number of effects added one after the other", _TIME, off=1)
-    pair_candidates: int = _number(8, "candidates that pairs are formed from", _TIME)
+    pair_candidates: int = _number(8, "number of candidates from which pairs are formed", _TIME)
     pairs_beside: int = _number(
         2, "pairs tried in addition to a significant single effect", _DEVELOPMENT, off=0
     )
@@ -187,12 +186,17 @@ class Settings:
         6, "pairs tried if no single effect is significant", "two pairs of the trust benchmark", off=0
     )
     leading_effects: int = _number(
-        4, "significant effects among which one that leaves only noise takes precedence", _DEVELOPMENT, off=0
+        4,
+        "number of significant effects among which one that leaves only noise is preferred",
+        _DEVELOPMENT,
+        off=0,
     )
-    rivals: int = _number(5, "significant effects tried in place of one that was found", _TIME, off=_NO_LIMIT)
+    rivals: int = _number(
+        5, "number of significant effects tried in place of one that was found", _TIME, off=_NO_LIMIT
+    )
     more_parameters: int = _number(
         3,
-        "excess of parameters over the simplest equivalent for which an effect is dropped",
+        "excess of parameters over the simplest equivalent at which an effect is dropped",
         "an effect with enough parameters can imitate another",
         off=_NO_LIMIT,
         one_case="ship:trim_offset:r1.27:n3:open:plain:30413423",
@@ -205,11 +209,14 @@ class Settings:
         one_case="ship:trim_offset:r1.27:n3:open:plain:30413423",
     )
     second_look_share: float = _number(
-        0.5, "share of the excess that a search without process noise has to explain", _DEVELOPMENT, off=0.0
+        0.5,
+        "fraction of the excess that a search without process noise has to explain",
+        _DEVELOPMENT,
+        off=0.0,
     )
     second_look_limit: float = _number(
         1000.0,
-        "mean square up to which there is a search without process noise",
+        "mean square up to which a search without process noise is made",
         "small steady forces of a float",
         off=0.0,
     )
@@ -218,19 +225,22 @@ class Settings:
     short_windows: float = _number(
         5.0,
         "length of the windows in which models are compared",
-        "headings of a true model diverge in long ones",
+        "in long ones, even the headings of the true model diverge",
         unit="s",
     )
     long_windows: float = _number(
-        20.0, "length of the windows in which small forces show", _DEVELOPMENT, unit="s"
+        20.0, "length of the windows in which small forces are detected", _DEVELOPMENT, unit="s"
     )
     unknown_past: float = _number(
-        1.0, "beginning of a log that is not judged, because earlier commands are unknown",
+        1.0, "beginning of a log that is not scored, because earlier commands are unknown",
         "a lag for a dead time", unit="s", off=0.0,
     )  # fmt: skip
     unknown_share: float = _number(0.05, "largest share of the shortest run that this may take", "short logs")
     near_noise: float = _number(
-        2.0, "mean square in simulation below which a model leaves nearly noise", _DEVELOPMENT, off=0.0
+        2.0,
+        "mean square in simulation below which the residual of a model is nearly noise",
+        _DEVELOPMENT,
+        off=0.0,
     )
     output_error_reach: float = _number(
         10.0, "mean square above which output error cannot reach the noise", _TIME, off=_NEVER
@@ -245,7 +255,7 @@ class Settings:
         7, "least number of windows with which the rank test can reach that p-value", "rank test"
     )
     unanimous_windows: int = _number(
-        5, "least number of windows that may decide if all agree", "short logs", off=_NO_LIMIT
+        5, "least number of windows that can decide if all agree", "short logs", off=_NO_LIMIT
     )
     notably_worse: float = _number(
         1.025,
@@ -265,7 +275,7 @@ class Settings:
 
     # --- if the residual exceeds the noise --------------------------------------------------------
     worth: float = _number(
-        0.1, "relative fall of the error of long predictions for which an effect is worth adding",
+        0.1, "relative fall of the error of long predictions for which an effect is added",
         "option --worth", off=0.0,
     )  # fmt: skip
     simulated_candidates: int = _number(
@@ -276,27 +286,27 @@ class Settings:
     )
     best_share: float = _number(
         0.9,
-        "share of the resamples in which the named effect, or one of a set, is the best, and in which it "
-        "improves predictions",
+        "fraction of the resamples in which the named effect, or one of a set, is the best, and in which "
+        "it improves predictions",
         _LEVEL,
         off=0.0,
     )
     kept_gain: float = _number(
         0.5,
-        "share of its gain that an effect may keep with its alternative in the model",
-        "half: nearer to its whole gain, or to nothing",
+        "fraction of its gain that an effect may keep with its alternative in the model",
+        "half: closer to its whole gain, or to nothing",
         off=_NEVER,
     )
     same_force: float = _number(
         0.9,
-        "share of the force of a named effect that terms of another must reproduce for these terms to be "
-        "tried in its place",
+        "fraction of the force of a named effect that terms of another must reproduce to be tried in its "
+        "place",
         "the rest is a tenth of what the effect explains",
         off=1.0,
     )
     own_share: float = _number(
         0.5,
-        "share that an effect has to explain of what a flexible function of its variables explains",
+        "fraction that an effect has to explain of what a flexible function of its variables explains",
         "otherwise such a function does twice as well",
         off=0.0,
     )
@@ -309,8 +319,8 @@ class Settings:
     )
     sensor_share: float = _number(
         0.1,
-        "share of the excess over noise above which an effect of the sensors is not a disturbance",
-        "a tenth, as of what an effect has to be worth",
+        "fraction of the excess over noise above which a measurement effect is not a disturbance",
+        "a tenth, like the improvement required of an effect",
         off=_NEVER,
     )
     time_constant_t: float = _number(
@@ -333,8 +343,8 @@ class Settings:
     # --- verdict and warnings -----------------------------------------------------------------
     named_share: float = _number(
         0.8,
-        "share of the excess over noise that named effects have to explain",
-        "a wrong effect often takes half of a residual, seldom four fifths",
+        "fraction of the excess over noise that named effects have to explain",
+        "a wrong effect often explains half of a residual, seldom four fifths",
         off=0.0,
     )
     nearly_noise: float = _number(
@@ -353,7 +363,7 @@ class Settings:
         2.0, "standard deviations within which a parameter is at its stated value", _LEVEL, off=_NEVER
     )
     return_share: float = _number(
-        0.5, "share by which a moved parameter has to return for an effect to explain it", _DEVELOPMENT
+        0.5, "fraction by which a moved parameter has to return for an effect to explain it", _DEVELOPMENT
     )
     warning_error_ratio: float = _number(
         1.05,
@@ -375,18 +385,18 @@ class Settings:
     )
     changed_command: float = _number(
         0.05,
-        "standard deviation of a command, relative to its largest value, above which it counts as changing",
+        "standard deviation of a command, relative to its maximum, above which it counts as changing",
         "the eye",
     )
     same_length: float = _number(
-        0.5, "share of the shorter run over which commands are compared", _DEVELOPMENT
+        0.5, "fraction of the shorter run over which commands are compared", _DEVELOPMENT
     )
     manoeuvres: int = _number(20, "manoeuvres tried to separate equivalent effects", _TIME)
 
     # --- data ---------------------------------------------------------------------------------
     pieces: int = _number(6, "pieces that a run is cut into if no validation run is given", _DEVELOPMENT)
     validation_pieces: tuple[int, ...] = _number(
-        (1, 4), "pieces kept for validation, counted from 0", _DEVELOPMENT
+        (1, 4), "pieces set aside for validation, counted from 0", _DEVELOPMENT
     )
     piece_gap: float = _number(1.0, "gap between two pieces", "memory of the vehicle", unit="s")
     fewest_samples: int = _number(10, "least number of samples of a run that can be cut", "no piece is empty")
