@@ -75,7 +75,7 @@ class Loaded(NamedTuple):
     vehicle: Vehicle
     runs: list[Run]
     holdout: list[Run]
-    chosen: Chosen | None = None  # where the logs were too long, which stretches of them these are
+    chosen: Chosen | None = None  # where the logs were too long, which segments of them these are
     field_logs: Sequence[FieldLog] = ()  # those that are as a vehicle wrote them
 
     def checked(self, models: Mapping[str, Vehicle] | None = None) -> LongLogs | None:
@@ -105,7 +105,7 @@ def _refuse_rig(model: Vehicle, runs: Iterable[Run]) -> None:
 
 
 def say_long(found: LongLogs | None) -> None:
-    """Print which stretches of long logs were used, and why."""
+    """Print which segments of long logs were used, and why."""
     for line in found.sentences() if found is not None else ():
         say(line)
 
@@ -159,7 +159,7 @@ class ReadOptions:
         `to_fit` refuses more samples than a fit takes as soon as they are read; `in_any_order` drops rows
         that are out of order; `one_motion` takes logs of some of the motions and commands (towing tank),
         `on_rig` those in which a rig holds motions of the vehicle.
-        With a `budget`, the most informative stretches of logs that are too long are taken.
+        With a `budget`, the most informative segments of logs that are too long are taken.
         `out`: the vehicle file that is to be written after the work; what forbids that is refused now.
         """
         from undertow.identification.logs.reading import read_logs
@@ -244,7 +244,7 @@ class ReadOptions:
         in_any_order: bool = False,
         required: bool = False,
     ) -> list[LongLog]:
-        """Logs, each of their stretches by itself, that are read in parts, later."""
+        """Logs, each of their segments by itself, that are read in parts, later."""
         from undertow.identification.logs.chunks import long_logs
         from undertow.identification.logs.opening import dropping_disorder
 

@@ -270,7 +270,7 @@ def identify_log(path: str, mapping: str) -> tuple[Partition, str]:
 
 
 def runs_of(job: Job, path: str, commands: Sequence[str]) -> Iterator[Run]:
-    """Parts of a log as a job reads it, of one stretch after the other."""
+    """Parts of a log as a job reads it, of one segment after the other."""
     for log in long_logs(Path(path), job.log_mapping, commands, missing_commands=job.fill):
         yield from (part.run for part in log.parts(job.rows, 0))
 

@@ -40,7 +40,7 @@ class Forces:
     """Force that the motion requires and the model lacks, averaged with K test functions."""
 
     run: Index  # (K,) run that a test function belongs to
-    segment: Index  # (K,) stretch without gaps that it belongs to
+    segment: Index  # (K,) segment without gaps that it belongs to
     t: Array  # (K,) its middle, s
     missing: Array  # (K, n) force to be added to the model, body axes, N and N m
     noise: Array  # (K, n) standard deviation of `missing` from the noise of the channels alone
@@ -280,7 +280,7 @@ class ComparisonResult(ResultTable):
     worst: Cell | None
     budget: list[BudgetShare]
     seconds: float
-    # How long logs were thinned and which stretches were used; null for logs that fit as a whole.
+    # How long logs were thinned and which segments were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
 
@@ -483,14 +483,14 @@ class Comparison:
 
     result: ComparisonResult
     vehicle: Vehicle
-    ahead: Prediction  # Predictions over the horizon, and over whole stretches without gaps
+    ahead: Prediction  # Predictions over the horizon, and over whole segments without gaps
     free_run: Prediction
     forces: Forces  # Force that the model lacks, along the logs
     profiles: list[Profile]  # The same against every variable
     regimes: list[Regime]  # The parts of the logs that the error map tells apart
 
     def stretches(self, degree_of_freedom: str, regime: str) -> list[tuple[int, float, float]]:
-        """When a field of the error map applies: number of the run, begin and end in s of each stretch."""
+        """When a field of the error map applies: number of the run, begin and end in s of each segment."""
         place = self.result.degrees_of_freedom.index(degree_of_freedom)
         inside = next(r.inside[:, place] for r in self.regimes if r.name == regime)
         forces, found = self.forces, list[tuple[int, float, float]]()

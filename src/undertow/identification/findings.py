@@ -47,8 +47,8 @@ class ChosenStretch(ResultTable):
     end: float  # s
     samples: int  # after the log was thinned
     role: Role
-    information_gain: float  # Increase of the logarithm of its determinant; zero if all stretches were used
-    motion: str  # The one whose equation gained most; empty if all stretches were used
+    information_gain: float  # Increase of the logarithm of its determinant; zero if all segments were used
+    motion: str  # The one whose equation gained most; empty if all segments were used
 
 
 class ModelOnTheRest(ResultTable):
@@ -88,8 +88,8 @@ class LongLogs(ResultTable):
     rate: float  # rows per second after thinning
     fastest: float | None  # time constants of the vehicle in these logs, s
     slowest: float | None
-    stretches: int  # number of stretches
-    seconds: float  # length of a stretch, s
+    stretches: int  # number of segments
+    seconds: float  # length of a segment, s
     chosen: list[ChosenStretch]
     # Share of the information on the parameters in the chosen stretches: ratio of the determinants to the
     # power of 1 / number of parameter directions.
@@ -118,15 +118,15 @@ class LongLogs(ResultTable):
 
     @staticmethod
     def _span(chosen: list[ChosenStretch]) -> str:
-        return f"{len(chosen)} stretches, {_time(sum(s.end - s.start for s in chosen))},"
+        return f"{len(chosen)} segments, {_time(sum(s.end - s.start for s in chosen))},"
 
     def _thinned(self) -> str:
         samples = sum(log.samples for log in self.logs)
         span = sum(log.seconds for log in self.logs)
         why = f"the fastest time constant is {self.fastest:.2g} s" if self.fastest else "no motion decays"
-        done = f"thinned from {self.every} rows to one, to {self.rate:.3g} Hz, because {why}"
+        done = f"decimated by {self.every}, to {self.rate:.3g} Hz, because {why}"
         return (
-            f"{samples} samples, {_time(span)}; {done if self.every > 1 else 'not thinned, because ' + why}"
+            f"{samples} samples, {_time(span)}; {done if self.every > 1 else 'not decimated, because ' + why}"
         )
 
     def _chosen(self) -> str:
@@ -137,10 +137,10 @@ class LongLogs(ResultTable):
         tell = ", ".join(f"{motion} {count}" for motion, count in reasons.most_common())
         whole = sum(log.seconds for log in self.logs)
         return (
-            f"{len(used)} of {self.stretches} stretches of {self.seconds:.3g} s, "
-            f"{_time(sum(s.end - s.start for s in used))} of {_time(whole)}, hold "
+            f"{len(used)} of {self.stretches} segments of {self.seconds:.3g} s, "
+            f"{_time(sum(s.end - s.start for s in used))} of {_time(whole)}, contain "
             f"{self.information_share:.0%} of the information on the parameters (least in {least}: "
-            f"{shares[least]:.0%}); chosen because they add most information on {tell}"
+            f"{shares[least]:.0%}); chosen for the information that they add, on {tell}"
         )
 
 
@@ -216,7 +216,7 @@ class Examination(ResultTable):
     findings: list[Finding]  # the most serious first
     excitation: list[DofExcitation]
     seconds: float
-    # How logs were thinned that are longer than this takes, and which stretches were used; null of others.
+    # How logs were thinned that are longer than this takes, and which segments were used; null of others.
     long_logs: LongLogs | None = None
 
     @property

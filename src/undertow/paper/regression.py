@@ -264,11 +264,11 @@ class Regression:
     def take_between(
         self, triangle: Triangle, run: Run, case: Case, edges: Edges, after: float, until: float
     ) -> None:
-        """The same of a part of a log, which may have no stretch that is long enough: after < t <= until."""
+        """The same of a part of a log, which may have no segment that is long enough: after < t <= until."""
         self._take(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
 
     def signals(self, run: Run, case: Case, edges: Edges) -> tuple[Array, Array, Array]:
-        """Time, velocity and acceleration as a case smooths them, shape (n,) each; NaN between stretches."""
+        """Time, velocity and acceleration as a case smooths them, shape (n,) each; NaN between segments."""
         pieces = self._pieces(run, case, edges)
         if not pieces:
             raise UndertowError(self._short(run, case, edges))
@@ -290,13 +290,13 @@ class Regression:
     ) -> None:
         for piece in pieces:
             samples = self._samples(run, piece, case, edges)
-            # Times do not go back: what is kept is one stretch.
+            # Times do not go back: what is kept is one segment.
             first, last = np.searchsorted(run.t[piece], (after, until), side="right")
             kept = {name: column[first:last] for name, column in samples.items()}
             triangle.add(*self._fit.triangle(kept))
 
     def _samples(self, run: Run, piece: slice, case: Case, edges: Edges) -> dict[str, Array]:
-        """Columns of a stretch; NaN where a filter gives nothing."""
+        """Columns of a segment; NaN where a filter gives nothing."""
         t = run.t[piece]
         logged = run.channels[self.axis.rate][piece] if run.has(self.axis.rate) else None
         step = _step(run, piece, even=case.counts_samples(logged=logged is not None))

@@ -275,6 +275,6 @@ def read_signal(path: Path) -> tuple[Array, Array]:
 
 def motion(times: Array, speeds: Array, at: Array) -> Array:
     """Place, speed and acceleration, shape (3, n), of a speed that is given at times, at other times."""
-    # Monotone between the points: a spline would overshoot where a long even stretch begins.
+    # Monotone between the points: a spline would overshoot where a long even segment begins.
     speed = PchipInterpolator(times, speeds)
     return np.array([speed.antiderivative()(at), speed(at), speed.derivative()(at)])

@@ -213,7 +213,7 @@ class Bench:
             self.revision += 1
 
     def choose(self, log: int, role: Role, span: tuple[float, float] | None = None) -> None:
-        """Say what is done with a log, or with a stretch of it."""
+        """Say what is done with a log, or with a segment of it."""
         choice: LogChoice = self.session.logs[log]
         if span is None:
             choice.role, choice.stretches = role, []

@@ -24,7 +24,7 @@ _SEVERITY = {"mistake": "red", "warning": "amber-10", "note": "grey"}
 
 # --- Log ----------------------------------------------------------------------------------------
 def log_page(view: View) -> None:
-    """Channels on linked time axes, what is done with their stretches, and the doctor beside them."""
+    """Channels on linked time axes, what is done with their segments, and the doctor beside them."""
     bench = view.bench
     if not bench.runs:
         words = "reading the logs ..." if bench.reading else "The logs could not be read."
@@ -92,7 +92,7 @@ def _show_log(view: View, log: int) -> None:
 
 
 def _channels(view: View) -> None:
-    """The channels of one log, and buttons for the stretch that the mouse chose."""
+    """The channels of one log, and buttons for the segment that the mouse chose."""
     run = view.bench.runs[view.log]
     known = _in_order(view)
     moving = [n for n in known if np.ptp(_there(run.channels[n])) > 0]
@@ -166,7 +166,7 @@ def _choose(view: View, role: Role) -> None:
 
 
 def _zoom(event: Mapping[str, Any], then: Any) -> None:
-    """Send a zoomed stretch with as many points as the whole log had."""
+    """Send a zoomed segment with as many points as the whole log had."""
     if "xaxis.range[0]" in event:
         then((float(event["xaxis.range[0]"]), float(event["xaxis.range[1]"])))
     elif event.get("xaxis.autorange"):

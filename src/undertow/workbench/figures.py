@@ -123,7 +123,7 @@ def channels(
     doubtful: Mapping[str, str] | None = None,
     selected: tuple[float, float] | None = None,
 ) -> Figure:
-    """Channels of a run one below the other on one time axis, with what is done with its stretches.
+    """Channels of a run one below the other on one time axis, with what is done with its segments.
 
     `marks` are times to be pointed out, `before` the run as it was read before; `doubtful` has colours for
     the names of channels that something is wrong with; `selected` is the box that was drawn over the plot.
@@ -136,7 +136,7 @@ def channels(
             own = row + len(names) * (name in apart)
             data.append(_channel(before, name, own, (low, high), _BEFORE, "before"))
         data.append(_channel(run, name, row, (low, high), _MEASURED, name))
-    # Plotly offers its box for choosing a stretch only where some trace has markers.
+    # Plotly offers its box for choosing a segment only where some trace has markers.
     data.append({"type": "scatter", "mode": "markers", "x": [None], "y": [None], "hoverinfo": "skip"})
     rows = len(names)
     height = SETTINGS.row * rows + 80
@@ -181,7 +181,7 @@ def _nth(row: int) -> str:
 
 
 def _box(begin: float, end: float) -> Figure:
-    """The stretch that was chosen with the mouse: what Plotly draws itself is gone when the page is drawn."""
+    """The segment that was chosen with the mouse: what Plotly draws itself is gone when the page is drawn."""
     return {
         **_band(begin, end, _MEASURED, 0.25),
         "fillcolor": "rgba(0,0,0,0.15)",

@@ -47,7 +47,7 @@ class Stretch(ResultTable):
 
 
 class LogChoice(ResultTable):
-    """A log and what is done with it and with stretches of it; of stretches that overlap the last counts.
+    """A log and what is done with it and with segments of it; of segments that overlap the last counts.
 
     `part` numbers the runs of a file that holds several.
     """
@@ -87,13 +87,13 @@ class LogChoice(ResultTable):
         return next((s.role for s in reversed(self.stretches) if s.start <= t < s.end), self.role)
 
     def parts(self, run: Run) -> Iterator[tuple[Role, Run]]:
-        """The run, or its stretches as runs of their own, with what is done with them."""
+        """The run, or its segments as runs of their own, with what is done with them."""
         spans = self.spans(float(run.t[0]), float(run.t[-1]))
         if len(spans) == 1:
             yield spans[0].role, run
             return
         for i, span in enumerate(spans):
-            # The sample on an edge belongs to the stretch that begins there.
+            # The sample on an edge belongs to the segment that begins there.
             end = span.end if i == len(spans) - 1 else float(np.nextafter(span.end, -np.inf))
             yield span.role, _part(run.slice(span.start, end), run, span)
 
@@ -334,7 +334,7 @@ class Workspace:
 
     @property
     def in_pieces(self) -> bool:
-        """Whether stretches of logs were chosen, which command lines can name as files of their own only."""
+        """Whether segments of logs were chosen, which command lines can name as files of their own only."""
         roles = {log.path: log.role for log in self.session.logs}
         used = ((log.path, role) for log in self.session.logs for role in log.roles)
         return any(role != roles[path] for path, role in used)

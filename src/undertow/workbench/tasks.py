@@ -94,18 +94,18 @@ class Job:
 
     @cached_property
     def chosen(self) -> list[tuple[str, Run]]:
-        """All stretches of all logs, with what is done with each."""
+        """All segments of all logs, with what is done with each."""
         runs = read_all(self.place, self.vehicle)
         pairs = zip(self.place.session.chosen(runs), runs, strict=True)
         return [part for choice, run in pairs for part in choice.parts(run)]
 
     def runs(self, role: str) -> list[Run]:
-        """The stretches to fit to ("train") or to judge by ("judge")."""
+        """The segments to fit to ("train") or to judge by ("judge")."""
         return [run for own, run in self.chosen if own == role]
 
     @cached_property
     def to_fit(self) -> tuple[list[Run], list[Run]]:
-        """The stretches to fit to and to judge by, where there is something to fit to."""
+        """The segments to fit to and to judge by, where there is something to fit to."""
         if not self.runs("train"):
             raise UndertowError("no segment of any log is chosen for training: choose one on the page Log")
         return self.runs("train"), self.runs("judge")
@@ -397,7 +397,7 @@ def write_code(job: Job) -> Result:
 
 
 def write_logs(job: Job) -> Result:
-    """Write the chosen stretches as logs, for command lines to name."""
+    """Write the chosen segments as logs, for command lines to name."""
     written = []
     for role in ("train", "judge"):
         for i, run in enumerate(job.runs(role), start=1):

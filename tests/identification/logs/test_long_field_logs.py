@@ -108,7 +108,7 @@ def test_a_log_too_long_for_a_fit_is_fitted_in_stretches(
     assert main(["fit", "rov.toml", "dive.bin", "--method", "weak"]) == 0
     out = capsys.readouterr().out
     assert "dive.bin: read as ArduPilot DataFlash" in out
-    assert "stretches of" in out
+    assert "segments of" in out
 
 
 def test_what_is_too_large_is_refused_with_the_remedy(

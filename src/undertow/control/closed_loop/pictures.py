@@ -36,10 +36,10 @@ class BandSettings:
     """When a command is drawn as a band instead of unresolvable lines."""
 
     stretches: int = 300  # parts of the picture's width, each a few pixels wide
-    # Way to and fro in a stretch, in heights of it, from which it is a band; a smooth motion turns once.
+    # Way to and fro in a segment, in heights of it, from which it is a band; a smooth motion turns once.
     travel: float = 3.0
     height: float = 0.02  # least height of a band, as a part of the range of the command
-    gap: int = 7  # stretches over which a band is closed and its edges are taken: six are 2 % of the width
+    gap: int = 7  # segments over which a band is closed and its edges are taken: six are 2 % of the width
 
 
 BAND = BandSettings()

@@ -189,7 +189,7 @@ def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -
     r: (m,), whitened residual. None if the runs are too short for three periods.
     """
     cell = 2 * np.pi / max(float(s.t[-1] - s.t[0]) for s in data.segments)
-    # A stretch between two gaps may hold a single test function.
+    # A segment between two gaps may hold a single test function.
     spacings = [float(np.median(np.diff(s.functions.centre))) for s in data.segments if s.functions.count > 1]
     if not spacings:
         return None

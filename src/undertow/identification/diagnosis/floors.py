@@ -28,7 +28,7 @@ class FloorSettings:
     """Numbers of the estimate of a disturbance from its autocorrelation."""
 
     most_lags: int = 240  # test functions up to which it is looked at
-    share_of_log: float = 0.25  # of the longest stretch, up to which pairs are many enough
+    share_of_log: float = 0.25  # of the longest segment, up to which pairs are many enough
     shortest: float = 0.2  # correlation times tried, from this many distances of test functions
     noise_uncertainty: float = 0.1  # relative uncertainty of the variance of sensor noise
     steps: int = 60  # up to as many as there are lags, evenly on a logarithmic scale

@@ -44,7 +44,7 @@ class ReferenceSettings:
     # Time constants of the lags through which commands are seen as well, in distances of test functions. What
     # the velocities were before, beside what they are, would show the acceleration, and so any disturbance.
     lags: tuple[float, ...] = (1.0, 4.0, 16.0)
-    folds: int = 5  # stretches of the training data, each of which is predicted from the others
+    folds: int = 5  # segments of the training data, each of which is predicted from the others
     # Weights of the squared coefficients of standardised columns, per row of data.
     penalties: tuple[float, ...] = tuple(np.logspace(-4, 3, 11))
     bins: int = 63  # that a signal is divided into for the trees
@@ -438,7 +438,7 @@ class Learner:
             return lambda signals: np.full(len(signals), mean)
         folds = [*self._folds(len(y), -(-self._gap // step))]
         found = [self._ridge(X[:, columns], y, folds) for columns in self._choices]
-        # By stretch that is held out, what the regressions without it say of all rows.
+        # By segment that is held out, what the regressions without it say of all rows.
         said = np.array([each for _, each in found])
         held_out = np.column_stack([said[:, i, out] for i, (_, out) in enumerate(folds)]).T
         weights = nnls(held_out, y)[0]

@@ -159,7 +159,7 @@ class Kinematics:
         return Rates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def samples(self, run: Run, s: Stretch) -> Samples:
-        """Pose, velocity and J(eta) at the samples of a stretch."""
+        """Pose, velocity and J(eta) at the samples of a segment."""
         pose = self._table(run, POSE, s.piece)
         return Samples(pose, self._table(run, VELOCITY, s.piece), jacobian(pose))
 

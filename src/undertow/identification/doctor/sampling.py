@@ -47,7 +47,7 @@ class SamplingSettings:
     # Noise that no sensor is below, in the unit of its channel: a tenth of that of the best tracking systems
     # (10^-4 m, 10^-5 rad), Doppler logs (10^-4 m/s) and fibre-optic gyros (10^-6 rad/s).
     least_noise: tuple[tuple[str, float], ...] = (("m", 1e-5), ("rad", 1e-6), ("m/s", 1e-5), ("rad/s", 1e-7))
-    stretch: int = 256  # samples of a stretch whose spectrum is taken
+    stretch: int = 256  # samples of a segment whose spectrum is taken
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
     steep: float = 0.7
     names: int = 5  # runs that are named where many show the same

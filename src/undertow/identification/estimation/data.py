@@ -40,8 +40,8 @@ class ClusterSettings:
 
     forgotten: float = 0.3  # autocorrelation below which a series has forgotten its past
     spreads: float = 2.0  # the same for short series, in standard deviations of that of white noise
-    memories: float = 3.0  # length of an independent stretch in units of that time
-    fewest: int = 6  # stretches that there have to be, however long the memory
+    memories: float = 3.0  # length of an independent segment in units of that time
+    fewest: int = 6  # segments that there have to be, however long the memory
 
 
 CLUSTERS = ClusterSettings()
@@ -416,7 +416,7 @@ Family = Callable[[Array, float], TestFunctions | None]
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of a run without gaps."""
+    """A segment of a run without gaps."""
 
     run: int  # Place of the run among the runs
     first: int  # Index of the first sample in the run
@@ -456,7 +456,7 @@ class WeakData:
     """Runs prepared for a vehicle's degrees of freedom and commands."""
 
     runs: tuple[Run, ...]
-    segments: tuple[Segment, ...]  # Their usable stretches
+    segments: tuple[Segment, ...]  # Their usable segments
     sigma: Array  # (2n,) noise of the channels, in their units
     rows: tuple[int, ...]  # Equations in use, among the 2n: forces (0 to n-1), then pose rates (n to 2n-1)
     names: tuple[str, ...]  # Names of the 2n channels

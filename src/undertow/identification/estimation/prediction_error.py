@@ -165,7 +165,7 @@ class Noise:
     # strength of the white disturbance of an acceleration for a velocity, the wander of its slow part
     # at last
     intensity: Array
-    # (3n,) standard deviation of the state at the start of a stretch before anything is measured
+    # (3n,) standard deviation of the state at the start of a segment before anything is measured
     vague: Array
 
 
@@ -285,7 +285,7 @@ class PredictionErrorSettings:
     least_fall: float = 0.02
     converged: float = 0.2
     shares: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in turn until the cost falls
-    # How vague the motion at the start of a stretch is, in sizes of the motion that is measured.
+    # How vague the motion at the start of a segment is, in sizes of the motion that is measured.
     vague: float = 30.0
     # No channel counts as better known than this share of its rms: covariances would lose their digits.
     least_noise: float = 1e-4
@@ -297,7 +297,7 @@ class PredictionErrorSettings:
     leap: tuple[float, float] = (0.05, 20.0)
     # Time over which slow and white process noise do the same before anything is known of them, s.
     slow: float = 3.0
-    block: float = 5.0  # length of stretches of innovations that count as independent, s
+    block: float = 5.0  # length of segments of innovations that count as independent, s
 
 
 SETTINGS = PredictionErrorSettings()

@@ -74,7 +74,7 @@ class OwnStates:
     def at_starts(
         self, windows: Windows, motion: Array, delay: float, p: Array, near: Origin | None = None
     ) -> tuple[Array, Origin | None]:
-        """Memory and actuator states at the start of every window, (b, size), and where the stretches begin.
+        """Memory and actuator states at the start of every window, (b, size), and where the segments begin.
 
         `motion` (b, 2n) is the true one at the starts; commands arrive `delay` s late. From what was found at
         parameters close by, `near`, it is a step or two.
@@ -120,12 +120,12 @@ class OwnStates:
     def _along(
         self, windows: Windows, stretches: list[Index], drives: list[Array], p: Array, start: Array
     ) -> list[Array]:
-        """States from the first to the last start in every stretch, shape (N, size) each."""
+        """States from the first to the last start in every segment, shape (N, size) each."""
         inside = [self._between(windows, rows, drives, p) for rows in stretches]
         return self._propagated.side_by_side(start, inside, p)
 
     def _between(self, windows: Windows, rows: Index, drives: list[Array], p: Array) -> tuple[Array, ...]:
-        """Motion before and after every interval between the starts of a stretch, commands, time, length."""
+        """Motion before and after every interval between the starts of a segment, commands, time, length."""
         run, first = int(windows.run[rows[0]]), int(windows.first[rows[0]])
         piece = slice(first, int(windows.first[rows[-1]]) + 1)
         t, u = windows.runs[run].t[piece], drives[run][piece]
@@ -410,7 +410,7 @@ def predict(
     """Predict logs, or windows that were cut already, window by window.
 
     A `Predictor` as the model keeps its compiled code from one call to the next. `horizon` is the length of a
-    window in s, or None: each stretch without gaps from its first sample to its end; that of windows holds.
+    window in s, or None: each segment without gaps from its first sample to its end; that of windows holds.
     """
     predictor = model if isinstance(model, Predictor) else Predictor(model, compiled=compiled)
     windows = runs if isinstance(runs, Windows) else cut(runs, predictor.functions.vehicle, horizon)

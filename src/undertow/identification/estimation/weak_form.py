@@ -319,7 +319,7 @@ def fit_instrumental(
 ) -> WeakFit:
     """Fit the free parameters of a vehicle by the weak form with simulated regressors as instruments.
 
-    The parameters are those of `fit_output_error`; with `horizon` None each stretch without gaps is simulated
+    The parameters are those of `fit_output_error`; with `horizon` None each segment without gaps is simulated
     as a whole from its measured start.
     """
     model = constraints.model(vehicle, free_parameters(vehicle) if free is None else free)

@@ -59,7 +59,7 @@ class Windows:
     sigma: Array  # (2n,) noise of the channels, in their units
     run: Index  # (b,) run of every window
     first: Index  # (b,) sample of the run at which a window starts
-    # (b,) sample of the run at which the stretch without gaps starts that a window lies in
+    # (b,) sample of the run at which the segment without gaps starts that a window lies in
     segment: Index
     count: Index  # (b,) samples of every window
     t: Array  # (b, k) time, s; the padding repeats the last
@@ -114,7 +114,7 @@ class Windows:
         return rows, self.take(rows, self.t.shape[1])
 
     def start_after(self, seconds: Array) -> Array:
-        """`start` (b, 2n), but each channel as reported some seconds (2n,) later, within its stretch."""
+        """`start` (b, 2n), but each channel as reported some seconds (2n,) later, within its segment."""
         found = self.start.copy()
         places = {(s.run, s.first): s for s in self.stretches}
         for pair in np.unique(np.column_stack([self.run, self.segment]), axis=0):
@@ -284,7 +284,7 @@ def _windows_of(
 def start_values(
     t: Array, measured: Array, names: Sequence[str], sigma: Array, at: Index, reported: Array | None = None
 ) -> Array:
-    """Pose and velocity (k, 2n) at some samples of a stretch without gaps; zero for a channel not measured.
+    """Pose and velocity (k, 2n) at some samples of a segment without gaps; zero for a channel not measured.
 
     Velocities and positions are smoothed over a few samples. Angles are smoothed over more, as what differs
     from the integral of the measured angular rates: that is kinematics and holds for every model. If some
@@ -315,7 +315,7 @@ def _in_between(t: Array, own: Index, smooth: Callable[[Index], Array], at: Inde
 
 
 def _angles_turned(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
-    """Integral of the measured Euler rates along a stretch, for the angles whose rates are measured."""
+    """Integral of the measured Euler rates along a segment, for the angles whose rates are measured."""
     zero = np.zeros(len(t))
     phi, theta, p, q, r = (np.nan_to_num(channels.get(n, zero)) for n in ("phi", "theta", "p", "q", "r"))
     around = np.sin(phi) * q + np.cos(phi) * r
@@ -552,7 +552,7 @@ class HorizonSettings:
     fewest_samples: int = 20  # of the shortest windows: fewer show noise only
     apart: float = 2.0  # least ratio of one length to the next
     fewest_windows: int = 4  # that the logs together make of the longest
-    longest: float = 0.9  # share of a usual stretch without gaps that a window may have
+    longest: float = 0.9  # share of a usual segment without gaps that a window may have
     samples: int = 400  # of each run that the damping is averaged over
     # Time constants beyond this many records are as good as infinite: their damping is not seen.
     unseen: float = 10.0
@@ -594,7 +594,7 @@ def longest_stretch(vehicle: Vehicle, run: Run) -> float:
 
 
 def possible_horizon(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> float:
-    """The horizon, s, or half of the longest stretch without gaps; three samples at least."""
+    """The horizon, s, or half of the longest segment without gaps; three samples at least."""
     longest = max(longest_stretch(vehicle, run) for run in runs)
     return max(min(horizon, longest / 2), shortest_horizon(runs))
 

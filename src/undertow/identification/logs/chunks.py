@@ -72,7 +72,7 @@ class LogPart(NamedTuple):
 
 @dataclass(frozen=True)
 class LongLog:
-    """A log, or one of its stretches, that is read in parts."""
+    """A log, or one of its segments, that is read in parts."""
 
     path: Path  # the file
     mapping: LogMapping
@@ -80,9 +80,9 @@ class LongLog:
     window: Window = (None, None)  # part that is used, s; None: no limit
     missing_commands: CommandPolicy | None = None  # what to do where a command has no sample
     required: bool = False  # whether a log without one of the commands is refused
-    # Its rows, where they are not those of the file: a stretch, or what a vehicle's own log was turned into.
+    # Its rows, where they are not those of the file: a segment, or what a vehicle's own log was turned into.
     table: pl.LazyFrame | None = None
-    stretch: int = 0  # which stretch it is, counted from one; 0 for a whole log
+    stretch: int = 0  # which segment it is, counted from one; 0 for a whole log
     reader_notes: tuple[str, ...] = ()  # as of a run: empty for a table
 
     @property
@@ -150,7 +150,7 @@ class LongLog:
         return int(whole / length), columns_of(header_of(text, self.mapping), self.mapping)
 
     def stretches(self, column: str) -> list[pl.LazyFrame]:
-        """The stretches of its file: of a Parquet file where they are in it, of a text their rows."""
+        """The segments of its file: of a Parquet file where they are in it, of a text their rows."""
         if not is_parquet(self._begin):
             parts = stretches_of(opened_table(self.path, self.mapping).table, column, self._where)
             return [part.lazy() for part in parts]
@@ -282,9 +282,9 @@ def long_logs(
     required: bool = False,
     field_logs: FieldLogs | None = None,
 ) -> list[LongLog]:
-    """A log of any format to be read in parts: one `LongLog` for each of its stretches.
+    """A log of any format to be read in parts: one `LongLog` for each of its segments.
 
-    Tables stay on the disk, except for texts of several stretches; of a vehicle's own log the columns that
+    Tables stay on the disk, except for texts of several segments; of a vehicle's own log the columns that
     are read are held. `field_logs` has those that are open already; others are added.
     """
     names = tuple(commands)

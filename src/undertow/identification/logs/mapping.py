@@ -107,7 +107,7 @@ class Time(_Strict):
     # Use only every n-th row (n up to 10^6), for pose logged much faster than the vehicle moves; of columns
     # that report more rarely than that, all reports.
     every: int = Field(default=1, ge=1, le=1_000_000)
-    # Column that numbers the stretches to use: each number is a separate run, rows without a number are left
+    # Column that numbers the segments to use: each number is a separate run, rows without a number are left
     # out (vehicle on deck, estimator reset).
     stretch: str | None = Field(default=None, min_length=1)
 

@@ -172,7 +172,7 @@ def refuse_twins(runs: Iterable[Run]) -> None:
     """Refuse the same data twice: they would be judged by what they were fitted to, or weigh double."""
     seen: dict[tuple[str, float], str] = {}
     for run in runs:
-        what = run.sha256, float(run.t[0])  # several stretches of a log are not the same data
+        what = run.sha256, float(run.t[0])  # several segments of a log are not the same data
         if run.sha256 and what in seen:
             raise UndertowError(
                 f"logs {seen[what]} and {run.source} have the same content: give each only once, for "
@@ -351,7 +351,7 @@ def stretches_of(table: pl.DataFrame, column: str | None, where: str) -> list[pl
 
 
 def nothing_numbered(column: str, where: str) -> str:
-    """What to say of a log none of whose rows is in a stretch."""
+    """What to say of a log none of whose rows is in a segment."""
     return (
         f"{where}: no row has a number in column {column!r}, so nothing is left: remove `stretch` "
         "from [time] in the mapping file to use all of it"

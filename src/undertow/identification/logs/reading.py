@@ -94,7 +94,7 @@ def read_log(
     `channels` are commands that must be in the log, `also` those that are read where it has them. Without a
     mapping a vehicle's own log means what its format says, and the columns of a table must have the channel
     names and SI units of undertow. The window, in s, is on the clock of the run (None: no limit). What is
-    larger than the limits is refused before it is held in memory. Of a log of several stretches the longest
+    larger than the limits is refused before it is held in memory. Of a log of several segments the longest
     is taken, and its notes say so.
     """
     asked = _Asked(mapping, tuple(channels), window, missing_commands, tuple(also), limits)
@@ -120,7 +120,7 @@ class _Asked:
 
 
 def _runs_of(path: Path, asked: _Asked) -> list[Run]:
-    """The stretches of a log, each as a run."""
+    """The segments of a log, each as a run."""
     log = field_log(path, asked.mapping, asked.field_logs)
     if log is None:
         found = opened_table(path, asked.mapping, asked.limits)
@@ -174,7 +174,7 @@ def read_logs(
     Returns
     -------
     list of Run
-        In the order of the paths; of a log of several stretches, each as a run. `Run.source` is the path.
+        In the order of the paths; of a log of several segments, each as a run. `Run.source` is the path.
     """
     runs: list[Run] = []
     for done, path in enumerate(paths):

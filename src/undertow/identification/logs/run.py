@@ -1,4 +1,4 @@
-"""A run: one stretch of measurement on one clock, in SI, with its gaps left open; series of other clocks."""
+"""A run: one segment of measurement on one clock, in SI, with its gaps left open; series of other clocks."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Run:
     held : tuple of str
         Motions held at rest, or moved as logged, by a rig.
     part_of : str
-        Name of the run that this is a stretch of; empty for a whole run.
+        Name of the run that this is a segment of; empty for a whole run.
     outliers : dict of int
         Samples of the pose that were taken out because the others contradict them.
     dropped : int
@@ -138,7 +138,7 @@ class Run:
 
     @property
     def origin(self) -> str:
-        """Name of the run that this is, or is a stretch of: what differs between runs is the same in it."""
+        """Name of the run that this is, or is a segment of: what differs between runs is the same in it."""
         return self.part_of or self.name
 
     def has(self, name: str) -> bool:

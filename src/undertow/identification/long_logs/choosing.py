@@ -1,4 +1,4 @@
-"""Long logs: read in parts, thinned, the stretches of them that tell most, and errors over the rest."""
+"""Long logs: read in parts, thinned, the segments of them that tell most, and errors over the rest."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class CuttingSettings:
     """Numbers by which long logs are read, cut and divided."""
 
     rows: int = 100_000  # that are in memory at a time, when a log is read
-    fewest: int = 24  # stretches that logs are cut into, however slow the vehicle
-    # Stretches that are looked at; of longer logs, some that are spread evenly.
+    fewest: int = 24  # segments that logs are cut into, however slow the vehicle
+    # Segments that are looked at; of longer logs, some that are spread evenly.
     most: int = 5_000
-    of_budget: int = 4  # stretches that the budget has room for, at least
-    samples: int = 50  # of a stretch, at least: else the weak form has hardly a row
+    of_budget: int = 4  # segments that the budget has room for, at least
+    samples: int = 50  # of a segment, at least: else the weak form has hardly a row
     # Of several logs, one in so many is kept for validation, the last first.
     kept_logs: int = 4
-    # A single log is divided into so many parts; every third judges, but for a stretch at either end.
+    # A single log is divided into so many parts; every third judges, but for a segment at either end.
     parts: int = 24
     kept_parts: int = 3
     # Share of the number of lines by which that of the samples can be off: lines differ in length.
@@ -124,7 +124,7 @@ def short_parts(vehicle: Vehicle, logs: Sequence[LongLog]) -> list[Run]:
 
 
 def at_full_rate(chosen: Chosen, logs: Sequence[LongLog]) -> list[Run]:
-    """The stretches that were chosen, with every row of the log; the logs are read once more."""
+    """The segments that were chosen, with every row of the log; the logs are read once more."""
     found = []
     for i, log in enumerate(logs):
         spool = chosen.spools[i]
@@ -150,8 +150,8 @@ class Chosen:
     """What a command works on of long logs."""
 
     vehicle: Vehicle
-    runs: list[Run]  # stretches to work on, thinned
-    validation: list[Run]  # stretches for validation
+    runs: list[Run]  # segments to work on, thinned
+    validation: list[Run]  # segments for validation
     result: LongLogs
     spools: list[Spool]  # all of the logs, thinned
     used: list[Stretch]  # what `runs` and `validation` are of them
@@ -164,10 +164,10 @@ def choose(
     budget: Budget = FIT,
     progress: Progress = lambda done, words: None,
 ) -> Chosen:
-    """Choose the stretches of long logs that tell most of a vehicle's estimated (or else all) parameters.
+    """Choose the segments of long logs that tell most of a vehicle's estimated (or else all) parameters.
 
     The logs are read once, in parts. They are thinned to the rate that the vehicle's fastest time constant
-    asks for and cut into stretches long enough for its slowest one. The stretches that make the determinant
+    asks for and cut into segments long enough for its slowest one. The segments that make the determinant
     of the information largest, equation by equation, are taken until the budget is used up. Without
     `holdout`, and where the budget has room for validation, one log in four is kept for validation, the last
     first; of a single one every third part.
@@ -217,7 +217,7 @@ def _cut(spools: Sequence[Spool], found: Band, budget: int) -> list[Stretch]:
 
 
 def _kept(files: Sequence[Path], holdout: int, budget: Budget) -> set[int]:
-    """Places of the logs that are kept for validation as a whole; stretches of one file stay together."""
+    """Places of the logs that are kept for validation as a whole; segments of one file stay together."""
     if not budget.judge:
         return set()
     if holdout:
@@ -238,7 +238,7 @@ def _pools(
     judging = [(k // size) % CUTTING.kept_parts == 1 for k in range(len(cut))]
     inside = [
         own and all(judging[max(k - 1, 0) : k + 2]) for k, own in enumerate(judging)
-    ]  # a stretch beside one to work on would be known to it
+    ]  # a segment beside one to work on would be known to it
     chosen = [s for s, own in zip(cut, judging, strict=True) if not own]
     return chosen, [s for s, own in zip(cut, inside, strict=True) if own]
 
@@ -320,17 +320,17 @@ def _stretch(spool: Spool, s: Stretch, gain: Array, role: Role, motions: Sequenc
     )
 
 
-# --- what stretches tell -------------------------------------------------------------------------------
+# --- what segments tell -------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class InformationSettings:
     """Numbers by which information is counted."""
 
-    together: int = 20  # stretches whose regressor is computed in one call
-    bytes: int = 200_000_000  # that the information of all stretches may take
-    # Directions of which all stretches together know less than this share of what they know of the best one
+    together: int = 20  # segments whose regressor is computed in one call
+    bytes: int = 200_000_000  # that the information of all segments may take
+    # Directions of which all segments together know less than this share of what they know of the best one
     # (columns scaled to alike size) are not determined by the logs, and do not count.
     known: float = 1e-9
-    # Information that is there before any stretch is chosen, as a share of that of all: the logarithm has to
+    # Information that is there before any segment is chosen, as a share of that of all: the logarithm has to
     # begin somewhere.
     before: float = 1e-6
 
@@ -354,7 +354,7 @@ class Regressor:
     def information(self, runs: Iterator[Run]) -> Array:
         """A^T A of every run by equation of motion, shape (runs, equations, parameters, parameters).
 
-        A stretch in which nothing can be computed tells nothing.
+        A segment in which nothing can be computed tells nothing.
         """
         found = []
         while group := list(islice(runs, SETTINGS.together)):
@@ -393,11 +393,11 @@ class Choice:
 
 
 def most_informative(information: Array, samples: Sequence[int], budget: int) -> Choice:
-    """Choose stretches so that the determinant of the information grows most, equation by equation.
+    """Choose segments so that the determinant of the information grows most, equation by equation.
 
     The sum over the equations of log det(A^T A) is submodular: taking what adds most for a sample, again and
-    again, comes close to the best choice there is, and what a stretch adds only falls as others are taken, so
-    that most need not be looked at again. `information` is of every stretch and equation, shape (S, E, n, n);
+    again, comes close to the best choice there is, and what a segment adds only falls as others are taken, so
+    that most need not be looked at again. `information` is of every segment and equation, shape (S, E, n, n);
     `budget` is how many samples all those chosen may have.
     """
     parts = [_as_shares(information[:, e]) for e in range(information.shape[1])]
@@ -435,7 +435,7 @@ def _choice(order: list[int], gain: Array, state: list[Array]) -> Choice:
 
 
 def _as_shares(information: Array) -> Array:
-    """Information (S, n, n) in directions (S, d, d) in which that of all stretches is one."""
+    """Information (S, n, n) in directions (S, d, d) in which that of all segments is one."""
     total = information.sum(axis=0)
     size = np.sqrt(np.diag(total))
     used = np.flatnonzero(size > 0)

@@ -255,7 +255,7 @@ class Spool:
         self.rows += len(run.t)
 
     def run(self, first: int, stop: int) -> Run:
-        """Some rows as a run that is a stretch of the log."""
+        """Some rows as a run that is a segment of the log."""
         table = self._table(first, stop)
         channels = dict(zip(self._names, table[:, 1:].T, strict=True))
         name = f"{self.like.name} [{table[0, 0]:.0f}-{table[-1, 0]:.0f} s]"
@@ -297,7 +297,7 @@ class Stretch:
 
 
 def stretches(spools: Sequence[Spool], rows: int) -> list[Stretch]:
-    """All stretches of so many rows, in order."""
+    """All segments of so many rows, in order."""
     return [Stretch(i, a, b) for i, spool in enumerate(spools) for a, b in spool.ranges(rows)]
 
 

@@ -93,7 +93,7 @@ def _reversal(share: Array, length: float, q: Array) -> Array:
 
 
 def _coast(share: Array, length: float, q: Array) -> Array:
-    """Pulses of thrust, each followed by a stretch without, in which the vehicle coasts down."""
+    """Pulses of thrust, each followed by a segment without, in which the vehicle coasts down."""
     pulse = (share * SETTINGS.pulses).astype(int)
     on = (share * SETTINGS.pulses) % 1.0 < 0.2 + 0.5 * q[-1]
     return np.where(on, (2 * q - 1)[pulse], 0.0)

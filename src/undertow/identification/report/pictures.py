@@ -430,7 +430,7 @@ def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog]
 
 
 def _used_panel(axis: Any, log: FieldLog) -> None:
-    """The largest command of any motor over time, and the stretches that are used."""
+    """The largest command of any motor over time, and the segments that are used."""
     drive = log.drive()
     if drive is not None:
         axis.plot(drive[0], np.abs(drive[1]).max(axis=1), color=AFTER, linewidth=0.8)

@@ -186,7 +186,7 @@ def _heads(data: Bytes, lengths: NDArray[np.int64]) -> Index:
 
 
 def _chained(data: Bytes, lengths: NDArray[np.int64]) -> tuple[Index, int]:
-    """Begins of messages after which another begins, or the file ends, and how many stretches are damaged.
+    """Begins of messages after which another begins, or the file ends, and how many segments are damaged.
 
     Bytes that look like a head inside a message are none: the message before leads past them.
     """

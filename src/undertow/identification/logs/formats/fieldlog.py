@@ -134,7 +134,7 @@ class FieldLog:
     def table(self, columns: Iterable[str], window: Window = (None, None)) -> pl.DataFrame:
         """The series of some columns side by side: a row for every time, blank where a series has no sample.
 
-        It has `TIME`, `STRETCH` where the log has stretches, and columns ``series.column``. Only the part in
+        It has `TIME`, `STRETCH` where the log has segments, and columns ``series.column``. Only the part in
         the window, s, is used: of a table too large for memory no other is held.
         """
         asked: dict[str, list[str]] = {}
@@ -180,7 +180,7 @@ class FieldLog:
         return inside, t, places
 
     def _numbers(self, rows: int, times: Sequence[Array], places: Sequence[Places]) -> dict[str, Array]:
-        """The stretch of each row: that of the latest of its samples which is in one."""
+        """The segment of each row: that of the latest of its samples which is in one."""
         number = np.full(rows, np.nan)
         for k, (first, last) in enumerate(self.stretches):
             for t, place in zip(times, places, strict=True):
@@ -326,7 +326,7 @@ def union(times: Sequence[Array]) -> tuple[Array, list[Places]]:
     return every[np.unique(row, return_index=True)[1]], [row[place] for place in own]
 
 
-# --- the stretches that are used: armed and moving, cut where the estimator was reset ----------------------
+# --- the segments that are used: armed and moving, cut where the estimator was reset ----------------------
 @dataclass(frozen=True)
 class MotionSettings:
     """When a vehicle counts as moving by itself."""
@@ -335,7 +335,7 @@ class MotionSettings:
     # reaches to 0.07 at 16 V and 0.09 at 12 V, and pilots' sticks rest within half of that.
     off_rest: float = 0.04
     coast: float = 5.0  # s that are kept after the last motor stopped: drag without thrust is worth having
-    shortest: float = 2.0  # s; a shorter stretch has nothing to tell
+    shortest: float = 2.0  # s; a shorter segment has nothing to tell
     reported: float = 0.1  # s; a shorter part that is left out is not worth a word
 
 
@@ -433,7 +433,7 @@ def runs_of(t: Array, flags: Flags) -> list[Stretch]:
 
 
 def cut_at(stretches: Iterable[Stretch], resets: Iterable[float]) -> tuple[Stretch, ...]:
-    """Cut stretches where an estimator was reset; the sample of the reset begins a new one."""
+    """Cut segments where an estimator was reset; the sample of the reset begins a new one."""
     cuts = sorted(set(resets))
     pieces: list[Stretch] = []
     for first, last in stretches:
