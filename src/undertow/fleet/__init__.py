@@ -1,1 +1,1 @@
-"""Many vehicles, years of logs: partitions reduced side by side, then put together for each vehicle."""
+"""Many vehicles, years of logs: partitions reduced in parallel, then combined for each vehicle."""

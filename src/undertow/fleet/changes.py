@@ -1,4 +1,4 @@
-"""Partitions put together, which effect grew from day to day, and the verdicts on that, as plain data."""
+"""Partitions combined, effects that grew over time, and the verdicts on them, as plain data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .reduction import Panel, Reduced
 
 @dataclass(frozen=True)
 class RankLimits:
-    """From where on days do not determine a parameter."""
+    """Thresholds for undetermined parameters."""
 
     singular: float = 1e-7  # singular value of the scaled factor, relative to the greatest
     eigen: float = 1e-13  # eigenvalue of products of columns: their rounding is that much coarser
@@ -72,7 +72,7 @@ def days_of(parts: Iterable[tuple[date, Reduced]]) -> list[Day]:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of unknowns beforehand: rows of weight (unknown - centre)."""
+    """Prior on the unknowns: rows of weight (unknown - centre)."""
 
     centre: Array = field(default_factory=lambda: np.zeros(0))
     weight: Array = field(default_factory=lambda: np.zeros(0))
@@ -187,7 +187,7 @@ class Direction:
 
 @dataclass(frozen=True)
 class Change:
-    """How much something changed."""
+    """Size of a change."""
 
     direction: Direction
     # relative change over the whole span: 0.1 is ten per cent more. Drag and thrust are free side by side,
@@ -295,8 +295,8 @@ class ChangeTests:
         return [d for d in self.directions if d.kind in kinds]
 
     def explains_all(self, span: Span, moving: Sequence[Direction], effect: str, limit: float) -> bool:
-        """Whether changes of these directions, or of an effect of the catalogue, explain all: the effect
-        stands out, and nothing else does beside them, one direction or one kind at a time.
+        """Whether changes of these directions, or of an effect of the catalogue, explain all: the effect is
+        significant, and given them nothing else is, one direction or one kind at a time.
         """
         own = self.panel.own.get(effect, ())
         if own and self._p_value_of(span, own) > limit:
@@ -383,7 +383,7 @@ Answer = Literal["grew", "none seen", "cannot tell"]
 
 @dataclass(frozen=True)
 class Statement:
-    """What the days say."""
+    """Conclusion from the days."""
 
     answer: Answer  # "grew" (something changed, and it is known what), "none seen" or "cannot tell"
     # what changed, by name: "fouling", "thruster wear", "drag", "thrust", "added mass"; where it cannot be
@@ -404,8 +404,8 @@ class SpanTest:
 def statements(asked: Sequence[SpanTest]) -> list[Statement]:
     """A statement for every span; all of them together are wrong in one report of a hundred.
 
-    Chances are held against each other by Holm's rule over all that was looked for in all spans, beside
-    other directions and alone: twice as many as there are changes.
+    p-values are corrected by Holm's rule over all tests in all spans, jointly with other directions and
+    alone: twice as many as there are changes.
     """
     every = [c.p_value for a in asked for c in a.changes] + [c.alone for a in asked for c in a.changes]
     limit = holm(every, CRITERIA.alpha)
@@ -413,7 +413,7 @@ def statements(asked: Sequence[SpanTest]) -> list[Statement]:
 
 
 def holm(chances: Sequence[float], alpha: float) -> float:
-    """Largest chance that is still significant when all of these were looked at; less than any if none is.
+    """Largest p-value that is still significant after correction for all; less than any if none is.
 
     Step-down: the k-th smallest of m is held against alpha / (m - k + 1), until one fails.
     """
@@ -459,8 +459,8 @@ def _listed(causes: Sequence[tuple[str, ...]]) -> str:
 def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
     """The fewest kinds, or the effects of the catalogue, whose change explains all; all that do so.
 
-    A single cause that explains all goes before two that happened to come together. A cause is out when
-    something stands out beside it that would do so in one of a hundred cases were it the true one.
+    A single cause that explains all is preferred to two. A cause is excluded if, given it, something else is
+    significant at 1 %.
     """
     of, span, out = asked.of, asked.span, CRITERIA.alpha / max(len(asked.changes), 1)
     kinds = [k for k in KINDS if any(c.alone <= limit for c in asked.changes if c.direction.kind == k)]
@@ -479,7 +479,7 @@ def _lacking(span: Span) -> str:
 
 
 def _nothing(asked: SpanTest, limit: float) -> Statement:
-    """Nothing stands out: because nothing changed, or because it would not have shown."""
+    """Nothing significant: because nothing changed, or because it would not have been detected."""
     kinds = [k for k in KINDS if k != "inertia" and any(c.direction.kind == k for c in asked.changes)]
     halves = {k: _half_widths(asked, k, limit) for k in kinds}
     seen = {n: v for own in halves.values() for n, v in own.items() if v <= CRITERIA.worth}
@@ -496,7 +496,7 @@ def _nothing(asked: SpanTest, limit: float) -> Statement:
 
 
 def _possible(likely: Sequence[Change]) -> list[str]:
-    """What may have changed: what stands out beside the other kinds, else what would if it were alone."""
+    """Possible changes: those significant given the other kinds, else those significant alone."""
     beside = [c for c in likely if c.p_value <= CRITERIA.alpha]
     if beside or not likely:
         return [f"{_with_error(c)} may be a change, but is not significant" for c in beside]
@@ -505,7 +505,7 @@ def _possible(likely: Sequence[Change]) -> list[str]:
 
 
 def _half_widths(asked: SpanTest, kind: str, limit: float) -> dict[str, float]:
-    """From which size a change of each direction of a kind would have been seen."""
+    """Smallest detectable change of each direction of a kind."""
     return {c.direction.name: _half_width(c, limit) for c in asked.changes if c.direction.kind == kind}
 
 
@@ -573,7 +573,7 @@ _WORDING = {"drag": _drag, "thrust": _thrust, "inertia": _inertia}
 
 
 def _half_width(change: Change, limit: float) -> float:
-    """Half the width of the interval that goes with a chance."""
+    """Half-width of the confidence interval at a level."""
     if not (np.isfinite(change.error) and change.freedom > 0):
         return np.inf
     return float(-stdtrit(change.freedom, max(limit, 1e-300) / 2) * change.error)
@@ -593,7 +593,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Shift:
-    """How much something changed against the first month, or over all days."""
+    """Change relative to the first month, or over all days."""
 
     of: str  # "drag in surge", "thrust of f1"
     # percent, error: change and standard error, %; None where the days do not determine it
@@ -620,7 +620,7 @@ class Period:
 
 @dataclass(frozen=True)
 class Score:
-    """What one linear step of an effect that the model lacks would take off what the model leaves."""
+    """Reduction of the residual by one linear step of an effect that the model lacks."""
 
     effect: str
     share: float  # share of the squares

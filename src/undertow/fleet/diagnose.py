@@ -1,4 +1,4 @@
-"""A fleet's logs: found, reduced where that is not done yet, summarised for each vehicle and month."""
+"""A fleet's logs: found, reduced unless already done, summarised for each vehicle and month."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _SCORES = 5
 
 @dataclass(frozen=True)
 class _Draft:
-    """A vehicle with all that is asked of it, before the verdicts."""
+    """A vehicle with its results, before the verdicts."""
 
     name: str
     changes: ChangeTests
@@ -142,7 +142,7 @@ def _shift(change: Change) -> Shift:
 
 
 def _scores(changes: ChangeTests, days: Sequence[Day]) -> tuple[Score, ...]:
-    """What effects that the model lacks would take off, one by one."""
+    """Reduction of the residual by effects that the model lacks, one by one."""
     panel = changes.panel
     plain = _fitted(changes, days)
     left = sum(float(d.gram[-1, -1]) for d in days) - plain.fall

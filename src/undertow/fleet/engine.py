@@ -1,4 +1,4 @@
-"""Doing one thing to many items: in this process, or by Dask on a cluster; it always comes to an end."""
+"""Applying a function to many items: in this process, or by Dask on a cluster; it always terminates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LISTEN = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Waiting:
-    """How long a cluster is waited for, s, and how much it is given at a time."""
+    """Time limits for a cluster, s, and its batch size."""
 
     patience: float = 900.0  # without any answer; then what is left is given up
     scheduler: float = 10.0  # for an answer of the scheduler
@@ -117,7 +117,7 @@ class DaskEngine:
             return Failure(_in_one_line(error))
 
     def _lost(self, silent: float) -> str:
-        """Why nothing more is to be expected; empty while there is hope."""
+        """Why no more results can arrive; empty while they can."""
         if self.client.status not in ("running", "connecting"):
             return "the scheduler was lost"
         if silent > WAITING.workerless and not self._workers():

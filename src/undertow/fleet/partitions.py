@@ -1,4 +1,4 @@
-"""Which files there are, whose and which day's log each is, and their fingerprints."""
+"""Log files, their vehicle and day, and their fingerprints."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _pattern(given: str) -> str:
 
 
 def partition_of(path: Path, mapping: LogMapping) -> Partition:
-    """Whose and which day's log a file is.
+    """Vehicle and day of a log file.
 
     The path says so (`vehicle=V/day=D/part.parquet`), or columns `vehicle` and `day` do, or the folder (the
     vehicle) with a date in the file's name or a time that counts from 1970 (the day). Of a vehicle's own log

@@ -42,7 +42,7 @@ DAILY = ("ocean_current", "net_buoyancy", "constant_force")
 
 
 class Panel:
-    """What is worked out of every log of a vehicle.
+    """The columns computed from every log of a vehicle.
 
     The model is linearised where its file has it, with every effect of the catalogue at the value at which
     it changes nothing. The columns are those of the effects that differ from day to day, then the free
@@ -141,9 +141,9 @@ def _names(candidate: Candidate) -> tuple[str, ...]:
 
 
 def _has_a_score(effect: type[Effect]) -> bool:
-    """Whether one step from where an effect vanishes says what it is worth.
+    """Whether one linear step from its neutral value determines an effect.
 
-    Not so for what has to be looked for (a delay, a dead band), and for states of its own.
+    Not for effects that need a search (a delay, a dead band), or that have states.
     """
     own = effect.specimen()
     sought = [p for p in own.parameters if not p.assumed]

@@ -1,4 +1,4 @@
-"""Logs simulated many times with parameters drawn from what a fit left open: bands of the trajectories."""
+"""Logs simulated many times with parameters drawn from their uncertainty: bands of trajectories."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Band:
 
 
 def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[Array, str]:
-    """Parameters of vehicles that a fit does not rule out, shape (count, n_parameters), and where from."""
+    """Parameters drawn from the uncertainty of a fit, shape (count, n_parameters), and its source."""
     from undertow.codegen.functions import Functions
     from undertow.control.linear.family import spread_of
 

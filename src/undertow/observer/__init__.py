@@ -1,1 +1,1 @@
-"""State estimation: Kalman filters and smoothers that follow from a vehicle, and tests of their honesty."""
+"""State estimation: Kalman filters and smoothers derived from a vehicle, and tests of their consistency."""

@@ -1,4 +1,4 @@
-"""Whether a filter is as good as it says: NEES, NIS and the whiteness of innovations."""
+"""Consistency of a filter: NEES, NIS and whiteness of innovations."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SETTINGS = ConsistencySettings()
 
 @dataclass(frozen=True)
 class Normalised:
-    """A mean of normalised squared errors, which is one for an honest filter."""
+    """A mean of normalised squared errors, which is one for a consistent filter."""
 
     name: str  # the channel, or "all"
     # mean of the squares for each degree of freedom: above the bounds the filter thinks itself better than it

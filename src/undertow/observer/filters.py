@@ -58,7 +58,7 @@ SETTINGS = FilterSettings()
 
 @dataclass(frozen=True)
 class Reports:
-    """What a filter is given; row k has what was true at t[k]."""
+    """Input of a filter; row k has the values measured at t[k]."""
 
     t: Array  # (n,): times, s, rising
     u: Array  # (n, nu): commands, held from their row to the next
@@ -465,7 +465,7 @@ def most_likely(
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How process noise is looked for."""
+    """Settings of the search for process noise."""
 
     decades: float = 6.0  # to either side of the first guess
     factors: int = 9  # of all densities at once, in these decades, that are tried first

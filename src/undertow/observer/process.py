@@ -1,4 +1,4 @@
-"""What an observer takes the motion for: the vehicle's equations, or kinematics alone."""
+"""Process models of an observer: the vehicle's equations, or kinematics alone."""
 
 from __future__ import annotations
 

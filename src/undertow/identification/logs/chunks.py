@@ -58,7 +58,7 @@ _MOST_SKIPPED = 100
 
 
 class NeedsWhole(UndertowError):
-    """What is asked of a log cannot be done in parts."""
+    """The requested operation cannot be done in parts."""
 
 
 class LogPart(NamedTuple):
@@ -97,7 +97,7 @@ class LongLog:
 
     @property
     def in_memory(self) -> bool:
-        """Whether its rows are held already: a vehicle's own log is read as a whole."""
+        """Whether its rows are in memory: a native vehicle log is read as a whole."""
         return bool(self.reader_notes)
 
     @property
@@ -130,7 +130,7 @@ class LongLog:
     def size(self) -> tuple[int, int]:
         """Rows, before `every`, and columns: known of a Parquet file, estimated from the lines of a text.
 
-        No more of the log is read than its first lines or last bytes.
+        Only the first lines or last bytes of the log are read.
         """
         self._refuse()
         if self.table is not None:
@@ -357,10 +357,10 @@ def _lines(file: IO[bytes], where: str) -> Iterator[bytes]:
 
 
 def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
-    """Two samples that stand for a long log where it is asked what moves in it, and which way.
+    """Two samples that represent a long log when checking which channels change, and in which direction.
 
-    Of every channel they have the sum of what is positive and the sum of what is negative; a channel that
-    never changes has its value.
+    They hold the sums of the positive and of the negative values of every channel; a constant channel keeps
+    its value.
     """
     found: dict[str, list[float]] = {}
     there: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""A first mapping file for a log: guesses from names, units and ranges of its columns, and what to ask."""
+"""A draft mapping file for a log: guesses from names, units and ranges of its columns, and questions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from .table import file_bytes, is_dates, numbers, read_table, texts_in, unit_of_
 
 @dataclass(frozen=True)
 class GuessSettings:
-    """Numbers that decide a guess."""
+    """Settings for guesses."""
 
     lines: int = 50  # lines by which the sign between cells is known
     rows: int = 20_000  # rows that are looked at; more change no guess
@@ -165,7 +165,7 @@ def without_motion(vehicle: Vehicle | None, channels: Container[str]) -> list[st
 
 
 def no_column(lacking: Sequence[str]) -> list[str]:
-    """Ask for what a vehicle has and no column looks like."""
+    """Ask for channels of a vehicle that no column resembles."""
     which = "which one is it" if len(lacking) == 1 else "which ones are they"
     asked = f"no column looks like {', '.join(lacking)} of the vehicle: {which}, in what unit?"
     return [asked] if lacking else []
@@ -397,7 +397,7 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
 
 
 def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
-    """The column that announces new values of a sensor slower than its log; the column itself without one."""
+    """The column that flags new values of a sensor slower than its log; the column itself without one."""
     new = np.concatenate([[False], np.diff(values) != 0]) & np.isfinite(values)
     if len(values) < 2 or not 0 < np.mean(new) < 1.0 - SETTINGS.repeated:
         return ""
@@ -447,7 +447,7 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
 def _alike(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
     """The guesses with one unit for the angles of a vector, and one for its rates: degrees if any is.
 
-    A small roll alone may be in either unit; beside a heading in degrees from the same sensor it is in these.
+    A small roll alone may be in either unit; with a heading in degrees from the same sensor it is in degrees.
     """
     unstated = {n.column: n.stem for n in names if not n.unit}
     kinds = {c: 0 for c in POSE[3:]} | {c: 1 for c in VELOCITY[3:]}

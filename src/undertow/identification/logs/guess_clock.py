@@ -20,7 +20,7 @@ from .table import has_dates, seconds
 
 @dataclass(frozen=True)
 class ClockSettings:
-    """Numbers that decide which column is a clock."""
+    """Settings for choosing the clock column."""
 
     # Share of rows that may be no later than one before, of a clock that rises all the same.
     late: float = 0.05

@@ -1,4 +1,4 @@
-"""Which axes a log may have, as far as its motion says, which columns are a quaternion; a guessed mapping."""
+"""Possible axes of a log judging by its motion, quaternion columns, and a guessed mapping."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .mapping import SCHEMA, LogMapping, metres_per_degree
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """Numbers that decide about axes."""
+    """Settings for guessing axes."""
 
     # Times over which motions are compared, s: long against noise, short against drift.
     over: tuple[float, ...] = (1.0, 5.0, 20.0)
@@ -253,7 +253,7 @@ class GuessedMapping:
     """A mapping file in the making.
 
     time: column, unit, and what was seen of the rate.
-    questions: what nobody but those who made the log can say.
+    questions: what only those who made the log can answer.
     ignored: columns that are left out, by the reason.
     reading: how the text of the table is written.
     """

@@ -1,4 +1,4 @@
-"""What the name of a log's column may mean: its unit, the motion or the command that it stands for."""
+"""Possible meaning of a column name: its unit, and the motion or command that it denotes."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class Name:
 
     @property
     def rank(self) -> tuple[int, int]:
-        """How far the name is from that of a plain measurement; the least wins."""
+        """Distance of the name from that of a plain measurement; the least wins."""
         known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN, *_EARTH_SPEEDS}
         return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
 

@@ -1,4 +1,4 @@
-"""The mapping file: how columns of a log become channels of a run, and its frames ours; changes of it."""
+"""The mapping file: how columns of a log become channels of a run in undertow's frames; changes of it."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 
 def mapping_beside(log: Path) -> LogMapping | None:
-    """The mapping of a log that has a mapping file of its name beside it, run1.toml of run1.csv."""
+    """The mapping of a log from a mapping file of the same name next to it, run1.toml for run1.csv."""
     path = place_beside(log)
     if not path.is_file() or read_toml(path, "file").get("schema") != SCHEMA:
         return None
@@ -197,7 +197,7 @@ def mapping_beside(log: Path) -> LogMapping | None:
 
 
 def place_beside(log: Path) -> Path:
-    """Where the mapping file of a log would be that is not given."""
+    """Default location of the mapping file of a log."""
     return log.parent / f"{log.name.split('.')[0]}.toml"
 
 
@@ -331,7 +331,7 @@ def _negated(channels: Mapping[str, NDArray[np.float64]], names: tuple[str, ...]
 # --- formulas ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class FormulaLimits:
-    """What a formula can be: more is a program, or a mistake."""
+    """Limits of a formula: anything longer is a program, or a mistake."""
 
     characters: int = 500
     parts: int = 200  # numbers, names and operations
@@ -493,7 +493,7 @@ PRESSURE = PressureSettings()
 
 
 def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, str]:
-    """What makes depth of a pressure, and what is to be said of it.
+    """Conversion of pressure to depth, and a note on it.
 
     `pascal` is Pa in one of its unit, `absolute` whether it has the air above the water in it, `down` 1 where
     z counts downwards in the log and -1 where it counts upwards.

@@ -1,4 +1,4 @@
-"""A log as it lies on the disk: its table and what the columns mean, and what it must be to be used."""
+"""A log file: its table, the meaning of its columns, and checks before use."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def refuse_constant(run: Run, names: Iterable[str]) -> None:
 
 
 def refuse_twins(runs: Iterable[Run]) -> None:
-    """Refuse the same data twice: they would be judged by what they were fitted to, or weigh double."""
+    """Refuse duplicate data: they would be validated on training data, or count twice."""
     seen: dict[tuple[str, float], str] = {}
     for run in runs:
         what = run.sha256, float(run.t[0])  # several segments of a log are not the same data
@@ -208,9 +208,9 @@ def refuse_other_speeds(run: Run, vehicle: Vehicle) -> None:
 
 
 def check_fit(runs: Sequence[Run], validation: Sequence[Run], vehicle: Vehicle) -> None:
-    """Refuse logs that nothing can be fitted to: given twice, too long, with a velocity that never changes.
+    """Refuse logs that cannot be fitted: given twice, too long, with a velocity that never changes.
 
-    Such a velocity would be explained by parameters that make the vehicle heavy or stiff.
+    Such a velocity would drive parameters to a heavy or stiff vehicle.
     """
     total = 0
     for run in (*runs, *validation):
@@ -404,7 +404,7 @@ def save_log(run: Run, out: Path) -> Path | None:
 
     Of a channel that does not report in every row only the reports are written, and nothing that was derived
     from other channels: whoever reads the file derives it again. Noise of sensors and disturbance that were
-    stated go into a mapping file beside it, called the same but for its ending.
+    stated go into a mapping file of the same name next to it.
     """
     measured = {name: run.reports(name) for name in run.channels if name not in run.derived}
     table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)

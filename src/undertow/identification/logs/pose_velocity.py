@@ -134,7 +134,7 @@ def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
 
 
 def smooth(lanes: Lanes, ratio: Array) -> tuple[States, Array]:
-    """Return the states given all samples of their lane, and how badly a jump is missed at each, (n, lanes).
+    """Return the states given all samples of their lane, and the evidence for a jump at each, (n, lanes).
 
     The latter is what a jump since the sample before would be, in its standard deviations, times that of the
     noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806). `ratio` (lanes,) is jerk intensity *
@@ -351,7 +351,7 @@ def _peaks(size: Array, limit: float, apart: int) -> Flags:
 
 
 def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]:
-    """Take out what cannot be motion, the worst of each neighbourhood first, until nothing stands out."""
+    """Remove samples that cannot be motion, the worst of each neighbourhood first, until none stands out."""
     # A wild sample or a shift bends the smoother on both sides, as far as its memory reaches.
     apart = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), SETTINGS.apart, 20 * SETTINGS.apart))
     changed = False

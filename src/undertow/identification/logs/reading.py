@@ -1,4 +1,4 @@
-"""From a file to a run: columns to channels, units and frames to the inside conventions, checks."""
+"""From a file to a run: columns to channels, units and frames to internal conventions, checks."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def read_logs(
     ----------
     paths, vehicle, mapping, window, missing_commands
         As for `read_log`, tables or logs as vehicles write them, with the commands of the vehicle; without a
-        mapping, a mapping file of the name of a log beside it counts.
+        mapping, a mapping file of the same name next to a log is used.
     held
         Motions that a rig holds in all of the logs, whatever their mappings say; a log with such motions
         needs no column for them, nor for commands.
@@ -169,7 +169,7 @@ def read_logs(
     in_any_order : bool
         Leave out rows of a table whose time is not later than that of all before.
     field_logs : dict of FieldLog, optional
-        Vehicles' own logs that are open already; others are added.
+        Native vehicle logs that are open already; others are added.
 
     Returns
     -------
@@ -236,7 +236,7 @@ def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
 
 
 def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
-    """The run, with a word on commands from -1 to 1 that a vehicle takes for newtons.
+    """The run, with a note on commands from -1 to 1 that a vehicle expects in newtons.
 
     Those of a table are said to be so where they end at 1 and its mapping file states no unit of theirs.
     """

@@ -42,7 +42,7 @@ MEASURED = frozenset(POSE + VELOCITY + ACCELERATION)
 
 @dataclass(frozen=True)
 class GapSettings:
-    """How long nothing may be known for."""
+    """Limits on gaps."""
 
     steps: float = 5.0  # times the usual step: a longer step ends a segment
     # s that a simulation goes on across: the shortest time constants of vehicles that carry a computer are
@@ -69,11 +69,11 @@ class Run:
         NED and forward-starboard-down axes; NaN where a sample is missing. Arrays are read-only.
     reported : dict of (n,) bool arrays
         Rows in which a channel was measured, for channels that do not report in all of them. In the other
-        rows `channels` has interpolated values: regressors may use them, errors are never judged by them.
+        rows `channels` has interpolated values: regressors may use them, errors are never computed from them.
     source, sha256 : str
         The file the run was read from, and the hash of its bytes.
     notes : tuple of str
-        What was converted, dropped or looked odd, one line each.
+        Conversions, dropped data and anomalies, one line each.
     reader_notes : tuple of str
         Notes of the reader of a vehicle log, beginning with the name of the format; empty for a table.
     sigma : dict of float
@@ -91,7 +91,7 @@ class Run:
     part_of : str
         Name of the run that this is a segment of; empty for a whole run.
     outliers : dict of int
-        Samples of the pose that were taken out because the others contradict them.
+        Samples of the pose that were removed because the others contradict them.
     dropped : int
         Rows of the file that were left out because their time was not later than that of an earlier row.
     """
@@ -425,7 +425,7 @@ def _taken(rows: Array, t: Array, reach: float) -> Array:
 
 
 def between(t: Array, known: Array, reports: Array) -> Array:
-    """What a curve through reports says at times t (n,); NaN outside of them and where reports are lost.
+    """Interpolation of reports at times t (n,); NaN outside of them and where reports are lost.
 
     The curve is monotone from one report to the next (Fritsch and Butland, 1984): it never goes beyond them,
     also where a burst of reports came at once, and misses far less of a smooth motion than a straight line.

@@ -390,7 +390,7 @@ def _limit(
 
 
 def exceeded(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:
-    """The limit that a motion strains most, and how many times over (at most 1 is allowed); y is (n, 2n)."""
+    """The limit that a motion uses most, and by what factor (at most 1 is allowed); y is (n, 2n)."""
     if not np.isfinite(y).all():
         return "speed", float("inf")
     bounds = limits.as_dict()

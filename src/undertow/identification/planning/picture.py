@@ -1,4 +1,4 @@
-"""A plan as a picture and as the table of commands that is flown."""
+"""A plan as a figure and as the table of commands to be run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is to be planned: what is known before, models, actuators and limits; and what a plan says."""
+"""The planning problem: prior knowledge, models, actuators and limits; and the result of a plan."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from .manoeuvres import (
 
 @dataclass(frozen=True)
 class PlanningSettings:
-    """Numbers that planning decides by."""
+    """Settings of planning."""
 
     vague: float = 100.0  # a parameter of which nothing is known may be off by this many times its size
     unknown: float = 0.3  # it counts as unknown as long as its standard error is this share of that
@@ -77,7 +77,7 @@ SETTINGS = PlanningSettings()
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known of the free parameters before a manoeuvre."""
+    """Knowledge of the free parameters before a manoeuvre."""
 
     vehicle: Vehicle  # the model at the values that are planned with
     free: tuple[str, ...]  # parameters to be determined
@@ -113,10 +113,10 @@ class Knowledge:
 
 
 def knowledge(vehicle: Vehicle, free: Sequence[str], runs: Sequence[Run]) -> Knowledge:
-    """What the vehicle file and logs say.
+    """Knowledge from the vehicle file and logs.
 
-    With logs, the model is fitted to them and planned with at the fitted values, unless these make up for
-    something that the model lacks.
+    With logs, the model is fitted to them and planned with at the fitted values, unless these compensate for
+    a missing effect.
     """
     if not runs:
         return stated(vehicle, free)
@@ -131,7 +131,7 @@ def stated(vehicle: Vehicle, free: Sequence[str]) -> Knowledge:
 
 
 def knowledge_of(fit: WeakFit, runs: Sequence[Run]) -> Knowledge:
-    """What a fit to logs says, with the priors of the vehicle file as far as these are no such fit."""
+    """Knowledge from a fit to logs, with the priors of the vehicle file unless they come from that fit."""
     logs, spread = _information_of_logs(fit)
     before = fit.model.functions.vehicle
     new = [n if not _fitted_to(before, n, runs) else None for n in fit.model.free]
@@ -144,7 +144,7 @@ def _prior(vehicle: Vehicle, names: Sequence[str | None]) -> Array:
 
 
 def remarks_on(known: Knowledge, runs: Sequence[Run]) -> list[str]:
-    """What to know about the numbers before a manoeuvre."""
+    """Remarks on the numbers before a manoeuvre."""
     if not runs:
         return ["no logs are given: present knowledge is what the vehicle file states"]
     remarks = []
@@ -173,7 +173,7 @@ def _fitted_to(vehicle: Vehicle, name: str, runs: Sequence[Run]) -> bool:
 
 
 def _information_of_logs(fit: WeakFit) -> tuple[Array, Array]:
-    """Information of logs, and how much wider than by noise alone the errors are."""
+    """Information of logs, and the factor by which errors exceed those due to noise alone."""
     weak_prior = np.diag(prior_of(fit.model)[1] ** 2)
     robust = np.sqrt(np.diag(fit.covariance) / np.maximum(np.diag(inverse_of(fit.information)), 1e-300))
     logs = fit.gram / np.outer(robust, robust)
@@ -253,7 +253,7 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What is asked of a plan."""
+    """The request for a plan."""
 
     duration: float = 60.0  # length, s
     rate: float = 20.0  # samples per second, of the commands and of the log to come
@@ -439,7 +439,7 @@ class PlanningProblem:
 
 
 def _drives(axis: str, limit: str) -> bool:
-    """Whether an axis is to blame for a motion; a single actuator drives everything."""
+    """Whether an axis causes a motion; a single actuator drives everything."""
     return axis not in DOFS or axis in _CAUSES[limit]
 
 
@@ -641,7 +641,7 @@ def _planned(
 
 
 def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float | None) -> list[str]:
-    """What to mind before the manoeuvre is carried out."""
+    """Precautions before the manoeuvre is carried out."""
     lines = [
         f"the actuators cannot balance {value:.3g} {'N' if dof == 'heave' else 'N m'} in {dof} at rest: the "
         "vehicle does not hold its depth and attitude"

@@ -27,7 +27,7 @@ from .problem import Knowledge, Manoeuvre, PlanningProblem, Plant, knowledge_of,
 
 @dataclass(frozen=True)
 class RivalSettings:
-    """How sizes of effects are chosen where nothing is known of them."""
+    """How sizes of effects are chosen if nothing is known of them."""
 
     typical: float = 0.1  # share of the force of the actuators, or of the velocities
     without_response: float = 0.1  # value, in its unit, of a parameter that changes nothing
@@ -44,7 +44,7 @@ SETTINGS = RivalSettings()
 
 
 def typical_values(candidate: Candidate, problem: PlanningProblem) -> dict[str, float]:
-    """Values with which each parameter of an effect would be felt, SNAME signs.
+    """Values with which each parameter of an effect would be noticeable, SNAME signs.
 
     A force is 10 % of what the actuators give in a multisine, at speeds that are alike in all directions.
     What acts otherwise (sensors, delays, dead bands) changes the velocities of that multisine by 10 %; what
@@ -216,7 +216,7 @@ class RivalSpec:
 
 
 def neutral_values(candidate: Candidate) -> dict[str, float]:
-    """Values with which an effect does nothing yet, as far as its parameters can be such."""
+    """Neutral values of an effect, as far as its parameters have them."""
     return {
         p.name: p.neutral if p.neutral is not None else (p.starts[0] if p.starts else 1.0)
         for p in candidate.parameters
@@ -305,7 +305,7 @@ class _Set(BaseModel):
 
 
 class Diagnosed(BaseModel):
-    """What a plan needs of a diagnosis; all else in the file is passed over."""
+    """The parts of a diagnosis used for a plan; all else in the file is ignored."""
 
     schema_id: str
     vehicle: str
@@ -330,7 +330,7 @@ class Diagnosed(BaseModel):
 
     @property
     def in_every_rival(self) -> list[str]:
-        """Effects that were named beside those in question, and so are in all of the rivals."""
+        """Effects that were named in addition to those in question, and so are in all of the rivals."""
         if not self.indistinguishable:
             return []
         return [e for e in self.effects if all(e not in s.effects for s in self.indistinguishable)]

@@ -92,7 +92,7 @@ class PlanSearch(ABC):
 
     @abstractmethod
     def worth(self, manoeuvre: Manoeuvre) -> float:
-        """What a safe manoeuvre is worth; -inf where that cannot be computed."""
+        """Objective of a safe manoeuvre; -inf if it cannot be computed."""
 
     @abstractmethod
     def outcome(self, manoeuvre: Manoeuvre) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def _refuse(vehicle: Vehicle, free: Sequence[str], only: Sequence[str]) -> None:
 
 
 class _ParameterSearch(PlanSearch):
-    """Worth is the mean factor by which standard errors of the wanted parameters fall, as a logarithm."""
+    """The objective is the log of the mean factor by which standard errors of wanted parameters fall."""
 
     def __init__(self, problem: PlanningProblem, plant: Plant, known: Knowledge, wanted: list[int]) -> None:
         columns = len(known.free) + 2 * len(problem.vehicle.dof_indices)
@@ -298,7 +298,7 @@ class Refit:
         return self._model.functions.vehicle
 
     def distance(self, data: WeakData, start: Array | None = None, rounds: int = 1) -> tuple[float, Array]:
-        """Sum of squares that no refit of the rival takes away, in units of the noise, and the refit.
+        """Sum of squares that no refit of the rival removes, in units of the noise, and the refit.
 
         The residual that the true model leaves itself (quadrature, and noise in a real log) does not count.
         """
@@ -404,7 +404,7 @@ def plan_separation(
 ) -> Planned:
     """Find the manoeuvre that best tells models apart.
 
-    What counts is the difference between the predictions of two models after the parameters of the one have
+    The criterion is the difference between the predictions of two models after the parameters of the one have
     been refitted to the other, in units of the noise (T-optimality; Atkinson and Fedorov, 1975, Biometrika
     62), in the weak form, by which `undertow diagnose` judges. While searching, refits are linearised. The
     rivals are fitted to the logs, and have to keep fitting them; `vehicle` is the model without the effects.

@@ -1,1 +1,1 @@
-"""The report of a diagnosis: one HTML page, the pictures in it, and effect files to begin with."""
+"""The report of a diagnosis: one HTML page, its figures, and template effect files."""

@@ -1,4 +1,4 @@
-"""The report: what it shows of a model on its logs, and the HTML file that needs nothing else."""
+"""The report: results of a model on its logs, in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _without_correction(starts: int) -> str:
 def simulated(vehicle: Vehicle, runs: Sequence[Run], horizon: float | None) -> list[RunTraces]:
     """Measured and simulated channels of runs over windows of a length in s (None: up to the next gap).
 
-    What belongs to each run is estimated from its first third, which is then left out, as `compare` does.
+    Values of each run are estimated from its first third, which is then left out, as in `compare`.
     """
     vehicles, rest = zip(*(adapted(vehicle, run) for run in runs), strict=True)
     found = predict_each(vehicles, cut(rest, vehicle, horizon), Predictor(vehicles[0], compiled=False))
@@ -146,7 +146,7 @@ def _like(simulated: Array, measured: Array, name: str) -> Array:
 
 
 def curves(before: Comparison, after: Comparison | None = None) -> list[ResidualCurve]:
-    """Residual force against every variable, the most telling variables of each degree of freedom first."""
+    """Residual force against every variable, the most informative of each degree of freedom first."""
     other = {(p.degree_of_freedom, p.variable): p for p in (after.profiles if after else ())}
     found = []
     for i, dof in enumerate(before.result.degrees_of_freedom):
@@ -176,7 +176,7 @@ def budgets(comparison: Comparison) -> list[Budget]:
 
 
 def leading(found: Sequence[ResidualCurve], dof: str, most: int = _CURVES) -> list[ResidualCurve]:
-    """The most telling variables of one degree of freedom."""
+    """The most informative variables of one degree of freedom."""
     return [c for c in found if c.before.degree_of_freedom == dof][:most]
 
 
@@ -234,7 +234,7 @@ def report_data(
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the libraries that work out the numbers."""
+    """Versions of Python and of the numerical libraries."""
     found = {"Python": f"{platform.python_version()} on {platform.system()} {platform.machine()}"}
     for name in _PROGRAMS:
         try:
@@ -264,7 +264,7 @@ def _fits(before: Comparison, after: Comparison | None) -> Listing:
 # --- the page, in words for somebody who has to decide something ----------------------------------
 @dataclass(frozen=True)
 class Meaning:
-    """A verdict explained: its title, what it says, and what it does not."""
+    """A verdict explained: its title, what it means, and what it does not."""
 
     title: str
     says: str
@@ -284,7 +284,7 @@ def meanings() -> dict[str, Meaning]:
 
 
 def meaning(diagnosis: Diagnosis) -> Meaning:
-    """What the verdict of a diagnosis says, and what it does not."""
+    """What the verdict of a diagnosis means, and what it does not."""
     changed = diagnosis.verdict == "adequate" and diagnosis.freed
     found = meanings()["other_values" if changed else diagnosis.verdict]
     if not any(run.role == "blocks" for run in diagnosis.runs):
@@ -368,7 +368,7 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
 
 
 def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
-    """Whether a candidate does anything, in the search or in the verdict; the others are folded away."""
+    """Whether a candidate has an influence, in the search or in the verdict; the others are collapsed."""
     named = {*diagnosis.effects, *(e for s in diagnosis.indistinguishable for e in s.effects)}
     return bool(candidate.parameters) or candidate.significant or candidate.effect in named
 

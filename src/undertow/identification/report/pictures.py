@@ -1,4 +1,4 @@
-"""What a report shows beside the diagnosis, as plain arrays and words, and the pictures of it."""
+"""Report contents other than the diagnosis, as plain arrays and words, and their figures."""
 
 from __future__ import annotations
 
@@ -314,7 +314,7 @@ def _reports(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _limits(axis: Any, trace: Trace) -> None:
-    """A simulation that runs away, of the model as given above all, must not flatten everything else."""
+    """A diverging simulation, above all of the given model, must not flatten everything else."""
     finite = trace.measured[np.isfinite(trace.measured)]
     if not len(finite):
         return
@@ -328,7 +328,7 @@ def _limits(axis: Any, trace: Trace) -> None:
 
 
 def thinned(t: Array, values: Array, buckets: int = _BUCKETS) -> tuple[Array, Array]:
-    """Two points a bucket that look the same: its least and largest value at their own times, gaps kept."""
+    """Two points per bucket for plotting: its least and largest value at their own times, gaps kept."""
     if len(t) <= 2 * buckets:
         return t, values
     kept = []
@@ -397,7 +397,7 @@ _SCATTERED, _OUTLIERS = 1500, 0.002
 
 
 def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog] = ()) -> Figure:
-    """One row for each pose coordinate: rate of the pose against what the velocities make of it.
+    """One row for each pose coordinate: rate of the pose against the rate from the velocities.
 
     Above them, a row for each of the vehicle's own logs: when its motors drove, and which parts are used.
     """

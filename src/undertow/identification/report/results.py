@@ -1,4 +1,4 @@
-"""What `undertow fit` and `undertow add` found, as it is written to JSON."""
+"""Results of `undertow fit` and `undertow add`, as written to JSON."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class FitResult(ResultTable):
         return seen and (before < after - log1p(NO_WORSE) or (isfinite(before) and not isfinite(after)))
 
     def sentence(self) -> str:
-        """What the fit does to the error, in words that follow from the numbers."""
+        """How the fit changes the error, worded by the numbers."""
         before, after = (
             {h: e for h, e in ahead.items() if e is not None}
             for ahead in (self.ahead_before, self.ahead_after)
@@ -140,7 +140,7 @@ def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) ->
 
 
 def addition_sentence(addition: Addition) -> str:
-    """What an effect does to the error, what the file's own values do, and if the model is any good."""
+    """How an effect and the file's own values change the error, and whether the model is useful."""
     stated = as_stated(addition.given, addition.after, f"refitted with {addition.effect}")
     return f"{_what_it_does(addition)} {stated} {useless(addition.after.channels)}".strip()
 

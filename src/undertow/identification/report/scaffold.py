@@ -1,4 +1,4 @@
-"""Effect files to begin with: written from what a diagnosis left unexplained, or with one example term."""
+"""Template effect files: written from the unexplained residual of a diagnosis, or with one example term."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, sig
 
 @dataclass(frozen=True)
 class InTime:
-    """A parameter by which a force depends on the time: an angular frequency, or the time of a step.
+    """A parameter of a time-dependent force: an angular frequency, or the time of a step.
 
     `near` is how far from `value` a fit begins as well: half of what the logs can tell apart. `sharpness` is
     the time of a step over how long it takes.
@@ -92,10 +92,10 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """What an effect file is written from.
+    """The content of an effect file.
 
     `about` is the first line of its docstring, `origin` paragraphs on where the terms come from, `signature`
-    what in a log gives the effect away.
+    the sign of the effect in a log.
     """
 
     about: str
@@ -106,7 +106,7 @@ class Suggestion:
 
 
 def example() -> Suggestion:
-    """One term to begin with."""
+    """One example term."""
     column: Column = ("|r|", "u")
     unit = coefficient_unit("N", column)
     return Suggestion(

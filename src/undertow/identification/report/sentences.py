@@ -1,4 +1,4 @@
-"""What was found in one sentence, whose words follow from the numbers that it shows, and what to run next."""
+"""The result in one sentence, worded by the numbers that it shows, and what to run next."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from undertow.model.symbols import DOFS, VELOCITY
 
 @dataclass(frozen=True)
 class CommandLine:
-    """What the words of a command line named, for a command that goes on from there.
+    """The arguments of a command line, for the command that follows.
 
     vehicle: vehicle file, or the name of a bundled one.
     logs, holdout: logs that were fitted to, and those for validation.
@@ -89,7 +89,7 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
 def step_changes(before: Step, after: Step) -> str:
     """How the errors of predictions change from one model to another.
 
-    Of the position it is said where that gains most: what is wrong about a sensor may show in nothing else.
+    The position error is mentioned if it improves most: a sensor error may show in nothing else.
     """
     said = [changes(before.ahead, after.ahead)]
     of_velocities, _ = _longest_fall(before.ahead, after.ahead)
@@ -107,7 +107,7 @@ def _longest_fall(before: Mapping[str, float], after: Mapping[str, float]) -> tu
 
 
 def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = ()) -> str:
-    """A sentence on velocities that are predicted worse than by no model at all; none where all are better.
+    """A sentence on velocities predicted worse than by no model at all; empty if there are none.
 
     `relative`: errors of predicted velocities as shares of their rms, None or infinite where they diverge. A
     model of a vehicle that never moves has 1. `examined`: what the doctor has said of the logs already.
@@ -129,7 +129,7 @@ def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = 
 
 
 def sure_in_words(candidate: Ranked, false_alarms: float) -> str:
-    """Whether a candidate helps by more than chance, and what says so where its mean fall does not.
+    """Whether a candidate is significant, and by which criterion if not by its mean improvement.
 
     Chance is judged by the signs of the fall in blocks of data, and by simulation; the interval beside it is
     of the mean, which a few blocks may dominate. `false_alarms`: the chance below which the blocks decide.
@@ -210,7 +210,7 @@ def _said(verb: str, parts: Sequence[str]) -> str:
 
 # --- a diagnosis ------------------------------------------------------------------------------------
 def summarised(diagnosis: Diagnosis) -> Diagnosis:
-    """A diagnosis whose headline begins with what was found in errors of prediction."""
+    """A diagnosis whose headline begins with the result in terms of prediction errors."""
     if not diagnosis.steps:
         return diagnosis
     parts = (
@@ -222,7 +222,7 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
 
 
 def _beside_the_first(headline: str) -> str:
-    """What a verdict says that the first sentence does not."""
+    """The part of a verdict that the first sentence does not contain."""
     if headline == NO_EVIDENCE:
         return ""
     text = headline.removeprefix("Unexplained: ")
@@ -231,7 +231,7 @@ def _beside_the_first(headline: str) -> str:
 
 
 def first_sentence(diagnosis: Diagnosis) -> str:
-    """What was found, in errors of prediction on the validation data, and what can be done about it."""
+    """The result in terms of prediction errors on the validation data, and what can be done about it."""
     judged = f"on {_judged_on(diagnosis)}"
     errors_now = errors(diagnosis.last_step.ahead)
     left = f"the refitted model has {errors_now} {judged}" if errors_now else "the refitted model fails"
@@ -308,7 +308,7 @@ def _judged_on(diagnosis: Diagnosis) -> str:
 
 
 def _taken(diagnosis: Diagnosis) -> list[str]:
-    """The effects that the first sentence is about: those that are named, else those that help to predict."""
+    """The effects of the first sentence: those named, else those that improve predictions."""
     return diagnosis.effects or diagnosis.helps
 
 
@@ -320,7 +320,7 @@ def _adding(diagnosis: Diagnosis) -> str:
 
 
 def _change(diagnosis: Diagnosis) -> str:
-    """What the effects, and the values found to be others, do to the error."""
+    """How the effects, and changed values, affect the error."""
     taken = set(_taken(diagnosis))
     before, after = _without(diagnosis), [s for s in diagnosis.steps if set(s.added) <= taken][-1]
     by_horizon = step_changes(before, after)

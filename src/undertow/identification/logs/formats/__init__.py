@@ -1,1 +1,1 @@
-"""Formats that vehicles write: one format is one module with a `FORMAT`; `fieldlog` finds them."""
+"""Native vehicle formats: one module with a `FORMAT` each; `fieldlog` discovers them."""

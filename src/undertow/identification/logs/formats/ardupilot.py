@@ -1,4 +1,4 @@
-"""What logs of ArduPilot have in common: motors and frame by its parameters."""
+"""Common parts of ArduPilot logs: motors and frame from parameters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Parameters = Mapping[str, float | str]
 
 @dataclass(frozen=True)
 class AutopilotSettings:
-    """How pulses become commands, and what an estimator says of itself."""
+    """Conversion of pulses to commands, and status flags of the estimator."""
 
     travel: float = 400.0  # microseconds from rest to full output; ArduSub has 1100 to 1900
     rest: float = 1500.0  # microseconds
@@ -46,7 +46,7 @@ def by_name(names: Sequence[str], values: Array) -> Parameters:
 
 
 def shorter_by_pymavlink(suffix: str) -> str:
-    """How a log is made smaller by a program that comes with pymavlink."""
+    """How to reduce a log with a program that comes with pymavlink."""
     return f"mavlogdump.py -q -p --nottypes KIND,KIND -o LESS{suffix} LOG (of pymavlink) leaves messages out"
 
 
@@ -107,7 +107,7 @@ def actuators(
 
 
 def _rest(trim: float | str | None, pulses: Array) -> float:
-    """The pulse at which a motor stands: the trim, unless the output rests in the middle all the same."""
+    """The neutral pulse of a motor: the trim, unless the output rests in the middle."""
     if not isinstance(trim, float) or abs(trim - SETTINGS.rest) > SETTINGS.trim:
         return SETTINGS.rest
     at_trim, at_middle = (int(np.sum(pulses == value)) for value in (trim, SETTINGS.rest))
@@ -182,7 +182,7 @@ Vector = tuple[float, float, float]
 
 
 class Factors(NamedTuple):
-    """What a motor does for a demand of each motion."""
+    """Contribution of a motor to each motion."""
 
     roll: float
     pitch: float
@@ -193,13 +193,13 @@ class Factors(NamedTuple):
 
     @property
     def direction(self) -> Vector:
-        """Which way it pushes at a positive command: forward, starboard, down."""
+        """Thrust direction at a positive command: forward, starboard, down."""
         pushed = np.array([self.forward, self.lateral, -self.throttle])
         x, y, z = (pushed / np.linalg.norm(pushed)).tolist()
         return x, y, z
 
     def place(self, arms: Vector) -> Vector:
-        """Where it has to sit for the signs of its moments, with arms of these lengths (r x F)."""
+        """Position that gives the signs of its moments, with arms of these lengths (r x F)."""
         x_push, y_push, z_push = np.sign(self.direction).tolist()
         ahead = self.yaw * y_push - self.pitch * z_push
         aside = self.roll * z_push - self.yaw * x_push

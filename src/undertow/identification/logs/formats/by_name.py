@@ -1,4 +1,4 @@
-"""What series mean whose format does not say so: guesses from the names of their columns."""
+"""Meaning of series not defined by their format: guesses from column names."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
 
 
 def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMapping:
-    """A mapping file of a vehicle's own log: what its format says, and guesses and questions on the rest.
+    """A mapping file of a native vehicle log: what its format defines, and guesses and questions on the rest.
 
     Commands that the log is not known to hold are looked for by name among its columns. If no motion is
     known, everything is guessed.
@@ -88,7 +88,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
 
 
 def _motors(log: FieldLog, unknown: Sequence[str]) -> list[str]:
-    """What to ask where the log is known to have motors, though not as many as the vehicle."""
+    """Questions if the log is known to have motors, but not as many as the vehicle."""
     asked = (
         f"the log has {len(log.actuators)} motors, the vehicle has {len(unknown)} commands without a column "
         f"({', '.join(unknown)}): is it the vehicle of this log? If so, which motor is which command?"

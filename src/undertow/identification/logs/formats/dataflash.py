@@ -188,7 +188,7 @@ def _heads(data: Bytes, lengths: NDArray[np.int64]) -> Index:
 def _chained(data: Bytes, lengths: NDArray[np.int64]) -> tuple[Index, int]:
     """Begins of messages after which another begins, or the file ends, and how many segments are damaged.
 
-    Bytes that look like a head inside a message are none: the message before leads past them.
+    Bytes inside a message that look like a header are skipped: the message before leads past them.
     """
     heads = _heads(data, lengths)
     ends = heads + lengths[data[heads + 2]]
@@ -386,7 +386,7 @@ _OUTPUTS = ("RCOU", "RCO2", "RCO3")
 
 
 class _Navigation:
-    """Which estimator, of which core, says where the vehicle is, and what of it can be believed."""
+    """Which estimator, of which core, gives the position, and which of its channels are valid."""
 
     def __init__(self, file: Records, parameters: Mapping[str, float | str]) -> None:
         self._file, self._parameters = file, parameters
@@ -423,7 +423,7 @@ class _Navigation:
         return cores[0]
 
     def _held(self) -> list[tuple[float, float]]:
-        """When the estimator held its place for want of aid."""
+        """When the estimator held its position for lack of aiding."""
         rows = self._rows(f"{self.family}4", "SS") if self.family else None
         return [] if rows is None else runs_of(rows[0], rows[1].astype(np.int64) & SETTINGS.held != 0)
 

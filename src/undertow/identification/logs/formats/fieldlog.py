@@ -1,4 +1,4 @@
-"""A vehicle's own log: series, each on a clock of its own, what they mean, and which format it is of."""
+"""A native vehicle log: series with their own clocks, their meaning, and its format."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TIME, STRETCH = "t", "stretch"
 
 @dataclass(frozen=True)
 class UnionSettings:
-    """How clocks are read, and how those of several series become the rows of one table."""
+    """How clocks are read, and how several series are merged into the rows of one table."""
 
     # Samples closer than this share of the shortest usual step of a series stand in one row: drivers stamp
     # what they take together a few microseconds apart.
@@ -97,7 +97,7 @@ class FieldLog:
     remarks: tuple[str, ...] = ()
 
     def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
-        """What is understood, with the commands of a vehicle as its columns.
+        """The known mapping, with the commands of a vehicle as its columns.
 
         A column that has the name of a command is that command. Where none has, the motors of the log are the
         commands in their order, if there are as many of one as of the other.
@@ -204,7 +204,7 @@ class FieldLog:
 
 
 def in_order(log: FieldLog) -> FieldLog:
-    """A log with a word on clocks that go back, cut where one does so for good."""
+    """A log with notes on clocks that jump back, cut where one does so permanently."""
     columns = [*log.mapping.columns, *(name for name, _ in log.actuators)]
     clocks = {name.rpartition(".")[0] for name in columns} & {*log.series}
     counts, seams = list[str](), list[float]()
@@ -225,7 +225,7 @@ def in_order(log: FieldLog) -> FieldLog:
 def _lost(t: Array) -> tuple[int, list[float]]:
     """How many samples are not later than all before, and times, s, from which clocks go on that went back.
 
-    Messages that arrive in another order are no such clock, nor are a few damaged times.
+    Messages that arrive out of order are not such a clock, nor are a few damaged times.
     """
     kept = rising(t)
     lost = np.setdiff1d(np.flatnonzero(np.isfinite(t)), kept)
@@ -254,7 +254,7 @@ OFF = 0.0  # width of the pulse of an output that is switched off, microseconds
 
 
 def switched_off(pulses: Iterable[Array]) -> list[str]:
-    """What is said of outputs that give no pulse at times."""
+    """Note on outputs that give no pulse at times."""
     most = max((float(np.mean(p == OFF)) for p in pulses), default=0.0)
     return [f"motor outputs give no pulse (0 µs) in up to {most:.1%} of their samples: no thrust"] * (
         most > 0
@@ -294,7 +294,7 @@ def rising(t: Array) -> Places:
 
 
 def steady(times: Array) -> Flags:
-    """Which times lie between those beside them in the file: a damaged one would hide all that follow.
+    """Which times lie between their neighbours in the file: a damaged one would hide all that follow.
 
     Those of messages without a time, NaN, are sound.
     """
@@ -329,7 +329,7 @@ def union(times: Sequence[Array]) -> tuple[Array, list[Places]]:
 # --- the segments that are used: armed and moving, cut where the estimator was reset ----------------------
 @dataclass(frozen=True)
 class MotionSettings:
-    """When a vehicle counts as moving by itself."""
+    """Settings for when a vehicle moves under its own power."""
 
     # Share of full output by which a motor leaves its rest: the dead band of a T200 with its speed controller
     # reaches to 0.07 at 16 V and 0.09 at 12 V, and pilots' sticks rest within half of that.
@@ -367,10 +367,10 @@ def used_stretches(
     resets: Iterable[float],
     held: Sequence[Stretch] = (),
 ) -> tuple[tuple[Stretch, ...], list[str]]:
-    """The parts of a log to be used, cut where the estimator was reset, and what is said of the others.
+    """The parts of a log to be used, cut where the estimator was reset, and notes on the others.
 
     All times in s; `outputs` are times and commands of motors from -1 to 1; `held` is when the estimator held
-    its place for want of aid.
+    its position for lack of aiding.
     """
     moving = [part for stretch in armed for part in _moving(stretch, outputs)]
     notes = []
@@ -392,7 +392,7 @@ def used_stretches(
 
 
 def long_enough(stretches: Iterable[Stretch]) -> list[Stretch]:
-    """Those that have something to tell."""
+    """Those long enough to be useful."""
     return [s for s in stretches if s[1] - s[0] >= MOTION.shortest]
 
 
@@ -451,7 +451,7 @@ TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """How long reading a file may take that could hang its reader, s of a processor."""
+    """Limit on CPU time, s, for reading a file that could hang its reader."""
 
     # Importing the libraries takes two, and unpacking a megabyte of numbers 0.05.
     least: float = 20.0
@@ -510,7 +510,7 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
 
 
 def answer_whether_files_can_be_read() -> None:
-    """Read one file after the other, as a process of its own that may break down or be ended."""
+    """Read files one after the other, in a separate process that may crash or be killed."""
     for line in sys.stdin:
         path, seconds = json.loads(line)
         if hasattr(signal, "setitimer"):  # it ends a process that hangs in a library, too
@@ -532,7 +532,7 @@ _TRIES = Helper(f"from {__name__} import answer_whether_files_can_be_read as ans
 
 
 def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
-    """The same, of what has to be such a log."""
+    """The same for a file that has to be such a log."""
     found = open_field_log(path, messages)
     if found is None:
         refuse_no_file(path)

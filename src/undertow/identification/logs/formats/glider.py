@@ -1,9 +1,9 @@
 """Files of Slocum gliders: .dbd, .ebd, .sbd, .tbd and their like, by dbdreader.
 
-dbdreader is under the GPL. It is therefore no part of undertow and not imported: where it is installed, it is
-run as a program of its own. All sensors of a file are one series, blank where a sensor has no new value.
-Files whose list of sensors is kept apart need it (.cac): from the folder of the log, one called cac or cache
-in it, or the one that is named by --messages. Added columns: ``north`` and ``east`` of the fixes, m.
+dbdreader is under the GPL. It is therefore not part of undertow and not imported: if installed, it is run as
+a separate program. All sensors of a file are one series, blank where a sensor has no new value. Files whose
+list of sensors is kept apart need it (.cac): from the folder of the log, one called cac or cache in it, or
+the one that is named by --messages. Added columns: ``north`` and ``east`` of the fixes, m.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """MATLAB: .mat of all versions, with tables and timetables, by mat-io.
 
 The workspace and every struct in it are series: vectors as long as a vector of time are their columns. A
-struct without a time of its own takes that of the struct it is in. Columns of matrices are numbered from one
-as in MATLAB (``u1``), or named by axis where they are three or six (``pos_x``, ``eta_psi``). What they mean
-is guessed from their names.
+struct without its own time uses that of its parent. Columns of matrices are numbered from one as in MATLAB
+(``u1``), or named by axis where they are three or six (``pos_x``, ``eta_psi``). What they mean is guessed
+from their names.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""MAVLink telemetry: .tlog, what a ground station received, each message after the time of its arrival.
+"""MAVLink telemetry: .tlog, as received by a ground station, each message preceded by its time of arrival.
 
 The definitions of messages and their checksums are those of pymavlink. Messages that carry the clock of the
 vehicle are timed by it: they arrive in bursts. Read is what the autopilot of the vehicle said, not its

@@ -1,8 +1,8 @@
 """PX4: .ulg, by pyulog.
 
 Every message is a series, one of several instances with its number in brackets (``battery_status[1]``).
-Times are those at which a sensor or the estimator was true (timestamp_sample) where PX4 says so. What the
-estimator does not vouch for (xy_valid and the like) is blank. Besides the columns of the file,
+Times are those at which a sensor or the estimator was true (timestamp_sample) where PX4 says so. Values that
+the estimator flags as invalid (xy_valid and the like) are blank. Besides the columns of the file,
 vehicle_attitude has phi, theta, psi of its quaternion, rad.
 """
 
@@ -122,7 +122,7 @@ def _series(name: str, data: Mapping[str, Array], begin: int) -> Series:
 
 
 def _vouched(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Position and velocity, blank where the estimator does not vouch for them."""
+    """Position and velocity, blank where the estimator flags them as invalid."""
     return {
         name: np.where(columns[flag] > 0, columns[name], np.nan)
         for flag, names in _VOUCHED.items()
