@@ -394,7 +394,7 @@ def test_a_law_that_jumps_is_not_linearised_on_legs(law: str) -> None:
     """Sampled it has no steady motion, which says nothing against it."""
     rows = check_mission(ship(law), mission("legs", SQUARE, guidance={"lookahead": 3, "acceptance": 1})).rows
     assert [(r.condition, r.verdict) for r in rows] == [("current", "holds"), ("legs", "not proved")]
-    assert f"law '{law}' jumps" in rows[-1].where
+    assert f"law '{law}' is discontinuous" in rows[-1].where
 
 
 def test_the_track_is_drawn_up_to_the_end_of_the_legs() -> None:

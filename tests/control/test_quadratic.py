@@ -195,7 +195,7 @@ def test_sums_are_positive_only_where_each_of_them_is(counts: tuple[int, ...]) -
 
 @pytest.mark.parametrize(
     ("start", "reported"),
-    [("x:1", "write NAME=VALUE"), ("q=1", "has no q"), ("x=-1", "no size"), ("x=0", "zero")],
+    [("x:1", "write NAME=VALUE"), ("q=1", "has no q"), ("x=-1", "not the size of an error"), ("x=0", "zero")],
 )
 def test_a_start_that_is_none_is_bad_input(
     start: str, reported: str, capsys: pytest.CaptureFixture[str]

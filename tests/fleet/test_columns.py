@@ -117,7 +117,7 @@ def test_thinned_rows_dates_and_reports_now_and_then_count_as_in_any_log(
 def test_a_vehicle_with_nothing_to_estimate_is_refused(fleet: Path, tmp_path: Path) -> None:
     known = tmp_path / "known.toml"
     known.write_text((fleet / "craft.toml").read_text().replace("estimate = true", "estimate = false"))
-    with pytest.raises(UndertowError, match="no parameter of 'craft' is to be estimated"):
+    with pytest.raises(UndertowError, match="no parameter of 'craft' is marked for estimation"):
         with_fingerprint(Job(str(known)))
     with pytest.raises(UndertowError, match="'currant' is not an effect"):
         with_fingerprint(Job(str(fleet / "craft.toml"), daily=("currant",)))

@@ -547,7 +547,7 @@ def test_more_than_chance_agrees_with_the_interval_beside_it(
 ) -> None:
     lift = _ranked("lift", 1.0, interval=interval, p_value=chance)
     page = render_report(_diagnosis().model_copy(update={"ranking": [lift]}))
-    assert f'<td data-head="more than chance">{words}<br>' in page
+    assert f'<td data-head="significant">{words}<br>' in page
     assert f"chance {'20.0 %' if chance == 0.2 else '&lt; 0.2 %'}<" in page
 
 
@@ -559,7 +559,7 @@ def test_what_does_nothing_is_folded_away_and_what_to_run_stands_on_top() -> Non
     page = render_report(found)
     assert page.index("undertow add lift rov.toml") < page.index("What this does not show")
     folded = page[page.index("<details>") : page.index("</details>")]
-    assert "1 effect that does not help" in folded
+    assert "1 effect that does not improve the model" in folded
     assert "<code>wind</code>" in folded
     assert "<code>lift</code>" not in folded
 

@@ -185,7 +185,7 @@ def _falls_and_is_saved(user: Browser, folder: Path) -> None:
     user.picture("added")
     user.turn_to("Where it fails")
     user.click("Compare the model with the logs")
-    user.sees("Nothing exceeds the noise clearly")
+    user.sees("No residual clearly exceeds the noise")
     user.turn_to("Out")
     user.sees("undertow add ocean_current vehicle.toml")
     user.driver.find_element(By.XPATH, "(//button[.//*[text()='Write']])[1]").click()

@@ -195,7 +195,7 @@ def test_velocities_in_plain_vectors_are_asked_about(tmp_path: Path) -> None:
             out.write("/magnetic_field", t, out.vector(0.2, 0.1 * k, 0.4))
     found = first_mapping(read_field_log(out.path))
     (asked,) = found.questions
-    assert asked.startswith("/local_vel.x, /local_vel.y: by the name velocities, which no other column is")
+    assert asked.startswith("/local_vel.x, /local_vel.y: judging by their names, velocities")
     assert found.meaning.ignore == ("/local_vel.x", "/local_vel.y"), "an import writes them, too"
 
 
