@@ -10,7 +10,7 @@ import numpy as np
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.logs.run import Run
-from undertow.identification.long_logs.thinning import joined, thinned
+from undertow.identification.long_logs.decimation import decimated, joined
 from undertow.model.loading import load_vehicle
 
 from .made import VEHICLE, Dive, columns, truth
@@ -26,7 +26,7 @@ def biases() -> Iterator[tuple[int, float, str, float]]:
     run = Run("dive", table.pop("t")[:-_SHIFT], {n: a[_SHIFT:] for n, a in table.items()})
     true = {n: v for n, v in truth(dive, 0).items() if not n.startswith("V_")}
     for by in BY:
-        thin = reduce(joined, thinned([run], by, 1 / dive.rate, vehicle.command_names))
+        thin = reduce(joined, decimated([run], by, 1 / dive.rate, vehicle.command_names))
         values = fit_weak(vehicle, prepare([thin], vehicle)).values
         errors = {n: 100 * (values[n] / v - 1) for n, v in true.items()}
         worst = max(errors, key=lambda n: abs(errors[n]))

@@ -326,7 +326,7 @@ def test_of_more_samples_than_a_search_can_take_those_that_tell_most_are_used(
     assert {s["role"] for s in long["chosen"]} == {"train", "holdout"}
     used = sum(s["samples"] for s in long["chosen"])
     assert used + long["rest"]["samples"] == pytest.approx(10**6 / long["every"], rel=0.01)
-    assert "stretches" in capsys.readouterr().out
+    assert "segments" in capsys.readouterr().out
     out.unlink()
 
 

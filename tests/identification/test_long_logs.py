@@ -1,4 +1,4 @@
-"""Long logs: thinned without delay or alias, the stretches that tell most, and memory that does not grow."""
+"""Long logs: decimated without delay or alias, the segments that tell most, and memory that does not grow."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from undertow.identification.long_logs.choosing import (
     read_in_parts,
     too_long,
 )
-from undertow.identification.long_logs.thinning import Spool, band, thinned
+from undertow.identification.long_logs.decimation import Spool, band, decimated
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
@@ -81,12 +81,12 @@ def in_parts(run: Run, rows: int) -> list[Run]:
     return [run.slice(run.t[i], run.t[min(i + rows, len(run.t)) - 1]) for i in range(0, len(run.t), rows)]
 
 
-# --- thinning -------------------------------------------------------------------------------------
+# --- decimation -------------------------------------------------------------------------------------
 
 
 def test_a_thinned_ramp_has_no_delay() -> None:
     t = np.arange(1000) / 100
-    thin = joined(list(thinned(in_parts(Run("ramp", t, {"u": 3.0 * t}), 130), 5, 0.01, [])))
+    thin = joined(list(decimated(in_parts(Run("ramp", t, {"u": 3.0 * t}), 130), 5, 0.01, [])))
     np.testing.assert_allclose(thin.channels["u"], 3.0 * thin.t, atol=1e-12)
     assert np.diff(thin.t) == pytest.approx(0.05)
 
@@ -98,7 +98,9 @@ def test_a_thinned_command_moves_a_mass_as_the_log_says(by: int, jitter: float) 
     t = (np.arange(1000) + jitter * random.uniform(-1, 1, 1000)) / 100
     force = np.repeat(random.uniform(-1, 1, 100), 10)  # steps anywhere in the blocks
     u = np.append(0.0, np.cumsum(force[:-1] * np.diff(t))) / M
-    thin = joined(list(thinned(in_parts(Run("mass", t, {"u": u, "tau_X": force}), 130), by, 0.01, ["tau_X"])))
+    thin = joined(
+        list(decimated(in_parts(Run("mass", t, {"u": u, "tau_X": force}), 130), by, 0.01, ["tau_X"]))
+    )
     push = thin.channels["tau_X"][:-1] * np.diff(thin.t)
     np.testing.assert_allclose(M * np.diff(thin.channels["u"]), push, atol=1e-13)
 
@@ -107,7 +109,7 @@ def test_of_a_hull_that_is_thinned_no_more_than_noise_is_left(vehicle: Vehicle) 
     random = np.random.default_rng(5)
     table = surge(np.repeat(random.uniform(-50, 50, 700), 57), noise=0.002)
     run = Run("log", table["t"].to_numpy(), {n: table[n].to_numpy() for n in ("u", "tau_X")})
-    thin = joined(list(thinned([run], 9, 1 / RATE, ["tau_X"])))
+    thin = joined(list(decimated([run], 9, 1 / RATE, ["tau_X"])))
     decay = np.exp(X_U / M * np.diff(thin.t))
     u, force = thin.channels["u"], thin.channels["tau_X"][:-1]
     error = u[1:] - decay * u[:-1] + (1 - decay) * force / X_U
@@ -121,9 +123,9 @@ def test_thinning_in_parts_is_thinning_of_the_whole() -> None:
     run = Run(
         "log", t, {"psi": np.unwrap(heading), "u": rng.standard_normal(2000), "f": rng.standard_normal(2000)}
     )
-    whole = joined(list(thinned([run], 7, 0.01, ["f"])))
+    whole = joined(list(decimated([run], 7, 0.01, ["f"])))
     for rows in (50, 333, 1000):
-        parts = joined(list(thinned(in_parts(run, rows), 7, 0.01, ["f"])))
+        parts = joined(list(decimated(in_parts(run, rows), 7, 0.01, ["f"])))
         for name in ("psi", "u", "f"):
             np.testing.assert_allclose(parts.channels[name], whole.channels[name], atol=1e-10)
     step = np.diff(whole.t)
@@ -133,7 +135,7 @@ def test_thinning_in_parts_is_thinning_of_the_whole() -> None:
 
 def test_thinning_averages_noise_away_and_leaves_it_white() -> None:
     noise = np.random.default_rng(4).standard_normal(100_000)
-    thin = joined(list(thinned([Run("noise", np.arange(100_000) / 100, {"u": noise})], 9, 0.01, [])))
+    thin = joined(list(decimated([Run("noise", np.arange(100_000) / 100, {"u": noise})], 9, 0.01, [])))
     u = thin.channels["u"]
     assert np.std(u) == pytest.approx(1 / 3, rel=0.02)
     assert abs(np.corrcoef(u[1:], u[:-1])[0, 1]) < 0.03
@@ -142,7 +144,7 @@ def test_thinning_averages_noise_away_and_leaves_it_white() -> None:
 def test_reports_now_and_then_are_moved_along_their_slope_not_invented() -> None:
     t = np.arange(3000) / 100
     sparse = np.where(np.arange(3000) % 23 == 0, 0.7 * t, np.nan)
-    thin = joined(list(thinned([Run("dvl", t, {"u": sparse})], 5, 0.01, [])))
+    thin = joined(list(decimated([Run("dvl", t, {"u": sparse})], 5, 0.01, [])))
     there = np.isfinite(thin.channels["u"])
     assert there.sum() == np.isfinite(sparse).sum()
     np.testing.assert_allclose(thin.channels["u"][there], 0.7 * thin.t[there], atol=1e-9)
@@ -150,7 +152,7 @@ def test_reports_now_and_then_are_moved_along_their_slope_not_invented() -> None
 
 def test_what_never_changes_still_does_not() -> None:
     run = Run("still", np.arange(1000) / 100, {"u": np.full(1000, 0.1), "f": np.full(1000, 0.3)})
-    thin = joined(list(thinned([run], 7, 0.01, ["f"])))
+    thin = joined(list(decimated([run], 7, 0.01, ["f"])))
     assert set(thin.channels["u"]) == {0.1}
     assert set(thin.channels["f"]) == {0.3}
 
@@ -167,7 +169,7 @@ def test_the_band_is_that_of_the_fastest_time_constant(vehicle: Vehicle, tmp_pat
 
 
 def information(seed: int, count: int = 9) -> np.ndarray:
-    """A^T A of stretches with one to four good directions, for two equations."""
+    """A^T A of segments with one to four good directions, for two equations."""
     random = np.random.default_rng(seed)
     rows = random.standard_normal((count, 2, 12, 3)) * random.uniform(0.02, 1.0, (count, 2, 1, 3)) ** 2
     return np.einsum("kemi,kemj->keij", rows, rows)
@@ -311,7 +313,7 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, size: int) -> 
 
 
 def test_a_sensor_slower_than_its_log_keeps_its_reports_when_it_is_thinned(tmp_path: Path) -> None:
-    """Every sixth row has a report: what is thinned and kept knows these, and curves between them only."""
+    """Every sixth row has a report: what is decimated and kept knows these, and curves between them only."""
     t = np.arange(40_000) * 0.01
     u = np.where(np.arange(len(t)) % 6 == 0, np.sin(t), np.nan)
     table = {"t": t, "u": u, "r": np.cos(t), "tau_X": np.cos(t)}
@@ -320,7 +322,7 @@ def test_a_sensor_slower_than_its_log_keeps_its_reports_when_it_is_thinned(tmp_p
     whole = read_in_parts(log)
     assert np.count_nonzero(whole.reported["u"]) == np.count_nonzero(np.isfinite(u))
     spool = Spool(
-        (part.run for part in log.parts(7_000, 0)), partial(thinned, by=5, step=0.01, commands=["tau_X"])
+        (part.run for part in log.parts(7_000, 0)), partial(decimated, by=5, step=0.01, commands=["tau_X"])
     )
     kept = spool.run(100, 4_100)
     there = kept.reported["u"]

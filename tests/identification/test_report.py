@@ -50,13 +50,13 @@ from undertow.identification.report.pictures import (
     ResidualCurve,
     RunTraces,
     Trace,
+    decimated,
     error_map,
     falling_error,
     force_budget,
     measured_vs_simulated,
     ranking,
     residual_against,
-    thinned,
 )
 
 EVIL = "<script>alert('1')</script>\"&$x_1$\n日本"
@@ -418,14 +418,14 @@ def test_thinning_keeps_extremes_and_gaps() -> None:
     t = np.arange(100_000.0)
     values = np.sin(t / 3000)
     values[54_321], values[70_000:80_000] = 40.0, np.nan
-    thin_t, thin = thinned(t, values)
+    thin_t, thin = decimated(t, values)
     assert len(thin) <= 500
     assert np.nanmax(thin) == 40.0
     assert thin_t[np.nanargmax(thin)] == 54_321
     assert np.isnan(thin[(thin_t > 71_000) & (thin_t < 79_000)]).all()
     assert np.all(np.diff(thin_t) > 0)
     short = np.array([1.0, np.nan])
-    assert thinned(np.arange(2.0), short)[1] is short
+    assert decimated(np.arange(2.0), short)[1] is short
 
 
 def test_drawing_leaves_the_settings_of_matplotlib_alone() -> None:

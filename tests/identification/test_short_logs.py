@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.identification.api import Estimator, Method, fit
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import channel_noise
-from undertow.identification.estimation.windows import cut, longest_stretch, possible_horizon
+from undertow.identification.estimation.windows import cut, longest_segment, possible_horizon
 from undertow.identification.logs.run import Run
 
 VEHICLE = surge_vehicle()
@@ -74,7 +74,7 @@ def test_validation_logs_full_of_gaps_are_predicted_as_far_as_they_go() -> None:
     run = surge_run(0.01)
     u = np.where(np.arange(len(run.t)) % 15 == 14, np.nan, run.channels["u"])
     gappy = replace(surge_run(0.01, 1), channels={**run.channels, "u": u})
-    stretch = longest_stretch(VEHICLE, gappy)
+    stretch = longest_segment(VEHICLE, gappy)
     assert stretch == pytest.approx(13 * INTERVAL)
     done = fit(VEHICLE, [run], [gappy], method="weak")
     assert done.before.windows.horizon == pytest.approx(0.5 * stretch)
@@ -101,6 +101,6 @@ def test_short_holes_of_a_fast_log_end_no_window() -> None:
     t = np.arange(0.0, 20.0, 0.005)
     t = t[t % 2.0 >= 0.06]
     run = Run("fast", t, {"u": np.sin(t), "tau_X": np.cos(t)})
-    assert longest_stretch(VEHICLE, run) == pytest.approx(20.0, abs=0.1)
+    assert longest_segment(VEHICLE, run) == pytest.approx(20.0, abs=0.1)
     assert len(run.segments(["u"])) == 10
     assert len(cut([run], VEHICLE, 5.0)) == 4

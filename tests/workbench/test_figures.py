@@ -10,7 +10,7 @@ import pytest
 from matplotlib.mathtext import MathTextParser
 
 from undertow.identification.logs.run import Run
-from undertow.identification.report.pictures import thinned
+from undertow.identification.report.pictures import decimated
 from undertow.model.catalogue import catalogue
 from undertow.model.describe import describe
 from undertow.workbench.figures import SETTINGS, channels, escaped, typeset, waterfall
@@ -21,7 +21,7 @@ def test_a_million_samples_keep_every_peak_in_two_points_a_pixel() -> None:
     t = np.arange(1_000_000) / 100.0
     y = rng.normal(size=len(t))
     y[[123_456, 777_777]] = 40.0, -50.0
-    short, values = thinned(t, y, SETTINGS.pixels)
+    short, values = decimated(t, y, SETTINGS.pixels)
     assert len(short) <= 2 * SETTINGS.pixels
     assert (values.max(), values.min()) == (40.0, -50.0)
     assert short[values.argmax()] == t[123_456]
@@ -32,7 +32,7 @@ def test_a_million_samples_keep_every_peak_in_two_points_a_pixel() -> None:
 def test_each_pixel_keeps_its_own_range() -> None:
     t = np.arange(10_000.0)
     y = np.where(t % 2 == 0, t, -t)
-    short, values = thinned(t, y, 100)
+    short, values = decimated(t, y, 100)
     for k in range(100):
         own, drawn = y[100 * k : 100 * (k + 1)], values[2 * k : 2 * k + 2]
         assert {own.min(), own.max()} == set(drawn)
@@ -42,8 +42,8 @@ def test_each_pixel_keeps_its_own_range() -> None:
 def test_gaps_stay_gaps_and_short_series_stay_whole() -> None:
     t, y = np.arange(1000.0), np.ones(1000)
     y[300:500] = np.nan
-    assert thinned(t, y, 500)[0] is t
-    short, values = thinned(t, y, 50)
+    assert decimated(t, y, 500)[0] is t
+    short, values = decimated(t, y, 50)
     gap = (short >= 300) & (short < 500)
     assert np.isnan(values[gap]).all()
     assert np.isfinite(values[~gap]).all()

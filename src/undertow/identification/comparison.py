@@ -280,7 +280,7 @@ class ComparisonResult(ResultTable):
     worst: Cell | None
     budget: list[BudgetShare]
     seconds: float
-    # How long logs were thinned and which segments were used; null for logs that fit as a whole.
+    # How long logs were decimated and which segments were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
 

@@ -39,13 +39,13 @@ class WholeLog(ResultTable):
     holdout: bool
 
 
-class ChosenStretch(ResultTable):
+class ChosenSegment(ResultTable):
     """A segment that was used; listed in the order of choice."""
 
     log: str
     start: float  # s
     end: float  # s
-    samples: int  # after the log was thinned
+    samples: int  # after the log was decimated
     role: Role
     information_gain: float  # Increase of the logarithm of its determinant; zero if all segments were used
     motion: str  # The one whose equation gained most; empty if all segments were used
@@ -85,13 +85,13 @@ class LongLogs(ResultTable):
 
     logs: list[WholeLog]
     every: int  # number of rows averaged into one
-    rate: float  # rows per second after thinning
+    rate: float  # rows per second after decimation
     fastest: float | None  # time constants of the vehicle in these logs, s
     slowest: float | None
     stretches: int  # number of segments
     seconds: float  # length of a segment, s
-    chosen: list[ChosenStretch]
-    # Share of the information on the parameters in the chosen stretches: ratio of the determinants to the
+    chosen: list[ChosenSegment]
+    # Share of the information on the parameters in the chosen segments: ratio of the determinants to the
     # power of 1 / number of parameter directions.
     information_share: float
     information_share_by_motion: dict[str, float]
@@ -104,7 +104,7 @@ class LongLogs(ResultTable):
 
     def sentences(self) -> list[str]:
         """What was done, in words."""
-        lines = [self._thinned(), *([] if self.everything else [self._chosen()])]
+        lines = [self._decimated(), *([] if self.everything else [self._chosen()])]
         validation = [log.name for log in self.logs if log.holdout]
         own = self._of("holdout")
         if validation:
@@ -113,14 +113,14 @@ class LongLogs(ResultTable):
             lines.append(f"{self._span(own)} in addition, for validation")
         return lines + ([self.rest.sentence()] if self.rest else [])
 
-    def _of(self, role: Role) -> list[ChosenStretch]:
+    def _of(self, role: Role) -> list[ChosenSegment]:
         return [s for s in self.chosen if s.role == role]
 
     @staticmethod
-    def _span(chosen: list[ChosenStretch]) -> str:
+    def _span(chosen: list[ChosenSegment]) -> str:
         return f"{len(chosen)} segments, {_time(sum(s.end - s.start for s in chosen))},"
 
-    def _thinned(self) -> str:
+    def _decimated(self) -> str:
         samples = sum(log.samples for log in self.logs)
         span = sum(log.seconds for log in self.logs)
         why = f"the fastest time constant is {self.fastest:.2g} s" if self.fastest else "no motion decays"
@@ -216,7 +216,7 @@ class Examination(ResultTable):
     findings: list[Finding]  # the most serious first
     excitation: list[DofExcitation]
     seconds: float
-    # How logs were thinned that are longer than this takes, and which segments were used; null of others.
+    # How logs were decimated that are longer than this takes, and which segments were used; null of others.
     long_logs: LongLogs | None = None
 
     @property

@@ -191,7 +191,7 @@ class ResultBuilder:
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
         doubts += self._repeated_commands() if self.judgement.effects else []
-        doubts += self._nowhere_alone(self._left)
+        doubts += self._nowhere_above_noise(self._left)
         return Diagnosis(
             undertow=__version__,
             vehicle=self.vehicle.name,
@@ -239,7 +239,7 @@ class ResultBuilder:
         runs = origins(bench.train.runs)
         return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived, runs=runs))
 
-    def _nowhere_alone(self, left: Sequence[Remaining]) -> list[str]:
+    def _nowhere_above_noise(self, left: Sequence[Remaining]) -> list[str]:
         nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners
         if not nothing_found or any(r.excess_rms > 0.0 for r in left):
             return []
@@ -471,7 +471,7 @@ def contradiction(
     without, with_it = (bench.judge(f) for f in fits)
     if share_explained((without, with_it), bench.noise_level, bench) <= 0.0:
         return ONLY_SIMULATIONS
-    return _hardly_there(effect, validator.final(fits[0])[0], bench, validator)
+    return _is_proxy(effect, validator.final(fits[0])[0], bench, validator)
 
 
 def _unknown_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
@@ -482,7 +482,7 @@ def _unknown_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) ->
     return unknown_to(own, left, vehicle, periodic=states_time(vehicle, grown))
 
 
-def _hardly_there(effect: FoundEffect, before: Fitted, bench: Bench, validator: SimulationValidator) -> str:
+def _is_proxy(effect: FoundEffect, before: Fitted, bench: Bench, validator: SimulationValidator) -> str:
     """Whether an effect loses size or benefit to a force built from the residual; empty if not.
 
     It is the force that `undertow effects new` would write, from variables that the effect does not have,

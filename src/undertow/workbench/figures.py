@@ -16,7 +16,7 @@ import numpy as np
 from undertow.figures import unit_text
 from undertow.identification.logs.run import UNITS, Run
 from undertow.identification.report.page import parameter_text
-from undertow.identification.report.pictures import thinned
+from undertow.identification.report.pictures import decimated
 
 Figure = dict[str, Any]
 Line = list[float | None]
@@ -200,7 +200,7 @@ def _of_another_size(before: Run, run: Run, name: str) -> bool:
 def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour: str, said: str) -> Figure:
     first, last = np.searchsorted(run.t, window)
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
-    t, y = thinned(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
+    t, y = decimated(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
     return _curve(plain(t, 9), plain(y), escaped(said), colour, 1, yaxis=f"y{_nth(row)}")
 
 

@@ -26,7 +26,7 @@ from undertow.identification.estimation.fitted import Fitted, base_parameters, c
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
 from undertow.identification.report.page import estimate_text, render_report, report_data, simulated, telling
-from undertow.identification.report.pictures import RunTraces, thinned
+from undertow.identification.report.pictures import RunTraces, decimated
 from undertow.identification.report.results import addition_sentence
 from undertow.identification.report.scaffold import check_id, effect_file, suggested
 from undertow.model.catalogue import catalogue, load_effects, merge
@@ -272,7 +272,7 @@ def _run_traces(run: RunTraces) -> Result:
     for trace in run.traces:
         if trace.channel in VELOCITY:
             lines = {"measured": trace.measured, "simulated": trace.before}
-            drawn = {k: [*map(_plain, thinned(trace.t, y, SETTINGS.pixels))] for k, y in lines.items()}
+            drawn = {k: [*map(_plain, decimated(trace.t, y, SETTINGS.pixels))] for k, y in lines.items()}
             channels.append({"name": trace.channel, "unit": trace.unit, **drawn})
     return {"run": run.run, "channels": channels}
 

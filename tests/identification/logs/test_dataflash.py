@@ -133,7 +133,7 @@ def test_battery_and_range_finder_are_read(run: Run) -> None:
 
 
 def test_what_is_left_out_is_said(log: FieldLog) -> None:
-    ((first, last),) = log.stretches
+    ((first, last),) = log.intervals
     assert (first, last) == (pytest.approx(DIVES), pytest.approx(DISARMED))
     assert log.notes == (
         "ArduSub V4.1.0 (89639005)",
@@ -163,9 +163,9 @@ def test_a_reset_of_the_estimator_cuts_the_log(tmp_path: Path) -> None:
 
     said = [("MSG", 60.0, ["EKF3 IMU0 MAG0 in-flight yaw alignment complete"])]
     log = read_field_log(write_bin(tmp_path / "reset.bin", {"XKF4": moved}, said))
-    starts = [first for first, _ in log.stretches]
+    starts = [first for first, _ in log.intervals]
     assert starts == pytest.approx([DIVES, 40.0, 60.0])
-    assert [last for _, last in log.stretches] == pytest.approx([40.0, 60.0, DISARMED], abs=1e-6)
+    assert [last for _, last in log.intervals] == pytest.approx([40.0, 60.0, DISARMED], abs=1e-6)
     assert "cut at 40.0, 60.0 s, where the estimator was reset" in log.notes
 
 
@@ -177,7 +177,7 @@ def test_an_estimator_without_aid_knows_depth_and_attitude_only(tmp_path: Path) 
     found = {column.channel for column in log.mapping.columns.values()}
     assert found == {"z", "phi", "theta", "psi", "p", "q", "r", "voltage", "altitude"}
     assert any("no horizontal aid" in note for note in log.notes)
-    assert len(log.stretches) == 1
+    assert len(log.intervals) == 1
 
 
 def test_a_spell_without_aid_is_left_out(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_spell_without_aid_is_left_out(tmp_path: Path) -> None:
         return [*cells[:11], 831 + 128 * (30.0 <= now < 50.0), *cells[12:]]
 
     log = read_field_log(write_bin(tmp_path / "spell.bin", {"XKF4": held}))
-    (a, b), (c, e) = log.stretches
+    (a, b), (c, e) = log.intervals
     assert (a, b, c, e) == pytest.approx((DIVES, 30.0, 50.0, DISARMED), abs=1e-6)
     assert "left out where the estimator held its position without an aid" in log.notes
 
@@ -198,7 +198,7 @@ def test_without_parameters_it_is_said_that_the_motors_are_not_known(tmp_path: P
 
 def test_a_log_that_never_moves_is_used_where_it_is_armed(tmp_path: Path) -> None:
     log = read_field_log(write_bin(tmp_path / "still.bin", {"RCOU": lambda t, cells: [1500] * 8 + [0] * 6}))
-    assert log.stretches == (pytest.approx((ARMED, DISARMED)),)
+    assert log.intervals == (pytest.approx((ARMED, DISARMED)),)
     assert "armed, but no motor leaves neutral: all of the armed time is used" in log.notes
 
 

@@ -66,7 +66,7 @@ def test_a_clock_that_goes_back_for_good_cuts_the_log() -> None:
     """By 20 s at 60 s; before and after it the vehicle is at different places."""
     t = np.concatenate([np.arange(0.0, 60.0, 0.5), np.arange(40.0, 90.0, 0.5)])
     log = in_order(_nav(t))
-    (first, last), (after, end) = log.stretches
+    (first, last), (after, end) = log.intervals
     assert (first, after, end) == (0.0, 60.0, 89.5)
     assert 59.5 <= last < 60.0
     assert log.notes == (
@@ -78,7 +78,7 @@ def test_a_clock_that_goes_back_for_good_cuts_the_log() -> None:
 def test_a_time_twice_and_one_too_early_are_left_out_with_a_word() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     log = in_order(_nav(np.insert(t, [20, 50], [9.5, 3.0])))
-    assert log.stretches == ()
+    assert log.intervals == ()
     assert log.notes == ("samples that are not later than earlier ones are left out: 2 of nav",)
     sound = _nav(t)
     assert in_order(sound) is sound

@@ -58,7 +58,7 @@ def test_what_the_columns_mean_is_known(log: FieldLog, tmp_path: Path) -> None:
     assert found == {*"xyzuvwpqr", "phi", "theta", "psi", "voltage", *vehicle.command_names}
     assert meaning.frames.velocity == "NED"
     t, commands = log.drive() or (np.zeros(0), np.zeros((0, 0)))
-    inside = (t >= log.stretches[0][0]) & (t < DISARMED - 0.01)
+    inside = (t >= log.intervals[0][0]) & (t < DISARMED - 0.01)
     np.testing.assert_allclose(commands[inside] * FULL, dive().thrust[: inside.sum()], atol=1e-9)
 
 
@@ -68,7 +68,7 @@ def test_only_the_autopilot_is_heard(log: FieldLog) -> None:
 
 
 def test_armed_and_moving_is_the_stretch(log: FieldLog) -> None:
-    ((first, last),) = log.stretches
+    ((first, last),) = log.intervals
     assert (first, last) == (pytest.approx(DIVES, abs=0.2), pytest.approx(DISARMED, abs=0.2))
     assert f"({ARMED:g}" not in log.notes[-1]
     assert log.notes[-1].startswith("left out: 0.0 to 10.")
@@ -119,7 +119,7 @@ def test_a_time_of_arrival_that_cannot_be_costs_its_message_only(log_path: Path,
     path.write_bytes(data)
     found = read_field_log(path)
     assert "1 messages with a bad checksum or time, or cut off, are left out" in found.notes
-    assert found.stretches == log.stretches
+    assert found.intervals == log.intervals
 
 
 def test_a_log_that_is_cut_off_loses_its_last_message(log_path: Path, log: FieldLog) -> None:
@@ -139,7 +139,7 @@ def test_a_vehicle_that_boots_anew_goes_on_in_time(tmp_path: Path, log_path: Pat
     assert len(rising(series.t)) == len(series.t)
     half = len(series.t) // 2
     np.testing.assert_allclose(series.t[half:] - series.t[:half], 120.0, atol=0.06)
-    assert len(found.stretches) == 2
+    assert len(found.intervals) == 2
 
 
 def _later(data: bytes, seconds: float) -> bytes:

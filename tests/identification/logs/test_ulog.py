@@ -50,7 +50,7 @@ def test_only_what_was_armed_is_used_and_a_reset_cuts_it(tmp_path: Path) -> None
     log = read_field_log(path)
     mapping = in_newtons(log.mapping_for(_COMMANDS))
     before, after = read_logs([path], load_vehicle("bluerov2"), mapping)
-    assert log.stretches[0][0] == pytest.approx(10.0)
+    assert log.intervals[0][0] == pytest.approx(10.0)
     assert before.t[-1] - before.t[0] == pytest.approx(19.95, abs=1e-6)
     assert after.t[-1] - after.t[0] == pytest.approx(20.0, abs=1e-6)
     assert "cut at 30.0 s, where the estimator was reset" in log.notes
@@ -99,4 +99,4 @@ def test_the_sample_of_pyulog_is_read() -> None:
         "r",
     }
     assert len(log.parameters) == 980
-    assert log.stretches[0][1] == pytest.approx(25.829736 - 20.309082, abs=1e-5)
+    assert log.intervals[0][1] == pytest.approx(25.829736 - 20.309082, abs=1e-5)

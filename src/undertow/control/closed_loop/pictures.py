@@ -35,7 +35,7 @@ _PAPERS_VEHICLE = "mini-auv"
 class BandSettings:
     """When a command is drawn as a band instead of unresolvable lines."""
 
-    stretches: int = 300  # parts of the picture's width, each a few pixels wide
+    bins: int = 300  # parts of the picture's width, each a few pixels wide
     # Way to and fro in a segment, in heights of it, from which it is a band; a smooth motion turns once.
     travel: float = 3.0
     height: float = 0.02  # least height of a band, as a part of the range of the command
@@ -158,9 +158,9 @@ def band(t: Array, values: Array, swing: Swing) -> tuple[Array, ...] | None:
 
     Where it does not chatter the edges are the mean.
     """
-    if len(t) < BAND.stretches:
+    if len(t) < BAND.bins:
         return None
-    parts = np.array_split(np.arange(len(t)), BAND.stretches)
+    parts = np.array_split(np.arange(len(t)), BAND.bins)
     given: list[tuple[Callable[[Array], Any], Array]] = [
         (np.mean, t),
         (np.mean, values),

@@ -17,7 +17,7 @@ from undertow.model.tables import FileTable, Quantity, is_file, read_table
 from undertow.model.units import si_of
 
 from .line_of_sight import Guidance, LineOfSight
-from .reference import Limits, Profile, Reference, TimedReference, spline, stretches, times_of, within
+from .reference import Limits, Profile, Reference, TimedReference, spline, straight_legs, times_of, within
 
 
 class WaypointTable(FileTable):
@@ -156,7 +156,7 @@ class Mission:
             points += [begin, end]
             headings += [headings[-1] if given is not None else way, way]
         every = self._poses(names, np.array(points), np.array(headings, dtype=float))
-        return stretches(names, list(every), self.limits, self.hold)
+        return straight_legs(names, list(every), self.limits, self.hold)
 
     def _spline(self, names: tuple[str, ...]) -> Profile:
         first = times_of(self.points, np.zeros(len(self.points)), self.limits)

@@ -199,7 +199,9 @@ def _peak(square: Polynomial, length: float) -> float:
 
 
 # --- making them ---------------------------------------------------------------------------------
-def stretches(names: tuple[str, ...], poses: Sequence[np.ndarray], limits: Limits, hold: float) -> Profile:
+def straight_legs(
+    names: tuple[str, ...], poses: Sequence[np.ndarray], limits: Limits, hold: float
+) -> Profile:
     """From pose to pose on straight lines, at rest at each for `hold` s, as fast as the limits allow.
 
     Speed grows by a cubic of time, so that the acceleration is continuous.

@@ -332,7 +332,7 @@ class Diagnosis(ResultTable):
     floors: Floors | None = None
     predictable: list[Predictability] = Field(default_factory=list)
     seconds: float  # time that the diagnosis took
-    # How long logs were thinned and which segments were used; null for logs that fit as a whole.
+    # How long logs were decimated and which segments were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
     @property

@@ -36,7 +36,7 @@ from undertow.identification.estimation.windows import (
     Windows,
     cut,
     horizons,
-    longest_stretch,
+    longest_segment,
     position_error,
     prediction_error,
     shortest_horizon,
@@ -216,7 +216,7 @@ class SimulationValidator:
     def shortest(self) -> float:
         """A little less than the shortest validation run, s; no window is longer than every segment."""
         whole = 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
-        return min(whole, max(longest_stretch(self._vehicle, run) for run in self.test))
+        return min(whole, max(longest_segment(self._vehicle, run) for run in self.test))
 
     @cached_property
     def windows(self) -> Windows:

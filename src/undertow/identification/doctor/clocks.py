@@ -19,7 +19,7 @@ from undertow.typing import Array
 
 from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
-from .kinematics import Kinematics, Samples, Stretch
+from .kinematics import Kinematics, Samples, Segment
 from .mistakes import Undo, they_are, with_channels
 from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
 
@@ -233,7 +233,7 @@ def _moved(run: Run, names: tuple[str, ...], shift: Array) -> Run:
 def _columns(names: tuple[str, ...], runs: Sequence[Run]):  # type: ignore[no-untyped-def]
     places = [VELOCITY.index(n) for n in names]
 
-    def columns(at: Samples, s: Stretch) -> Array:
+    def columns(at: Samples, s: Segment) -> Array:
         change = np.gradient(at.velocity[:, places], s.times, axis=0)
         late = np.einsum("nij,nj->ni", at.jacobian[:, :, places], change)
         share = _along(runs[s.run].t)[s.piece]

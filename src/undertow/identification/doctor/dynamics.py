@@ -469,9 +469,9 @@ def allowed(
     given = kinematics.mismatch(runs) if kinematics else None
     if given is not None and np.any(inconsistent(given) & given.moves):
         return result
-    seen = [_felt(at, at.runs[0])]
+    seen = [_signature(at, at.runs[0])]
     for mistake in known:
-        now = _felt(at, mistake.undo(at.runs[0]))
+        now = _signature(at, mistake.undo(at.runs[0]))
         if _is_one_of(now, seen):
             continue
         undone = [mistake.undo(run) for run in runs]
@@ -484,9 +484,9 @@ def allowed(
 def _told_apart(at: Dynamics, known: Sequence[Mistake]) -> list[Mistake]:
     """Mistakes in commands, less those that logs do not tell from others, or from none."""
     runs = at.runs
-    seen, result = [np.hstack([_felt(at, run) for run in runs])], list[Mistake]()
+    seen, result = [np.hstack([_signature(at, run) for run in runs])], list[Mistake]()
     for mistake in known:
-        now = np.hstack([_felt(at, mistake.undo(run)) for run in runs])
+        now = np.hstack([_signature(at, mistake.undo(run)) for run in runs])
         if not _is_one_of(now, seen):
             seen.append(now)
             result.append(mistake)
@@ -498,7 +498,7 @@ def _is_one_of(felt: Array, seen: Sequence[Array]) -> bool:
     return any(np.allclose(felt, other, equal_nan=True, **near) for other in seen)
 
 
-def _felt(at: Dynamics, run: Run) -> np.ndarray:
+def _signature(at: Dynamics, run: Run) -> np.ndarray:
     """A few samples of the channels of a log that the model uses."""
     names = [n for n in (*at.data.names, *at.data.commands) if run.has(n) and n not in ("x", "y")]
     names += [n for n in ("x", "y") if run.derived and run.has(n)]
@@ -526,7 +526,7 @@ def other_mass(at: Dynamics) -> Finding | None:
     if not (SETTINGS.lightest < ratio < SETTINGS.heaviest and abs(ratio - 1) > SETTINGS.least):
         return None
     gain = at.gain(fit)
-    moved = _come_home(at.fit, fit) if gain.explained else {}
+    moved = _back_within_priors(at.fit, fit) if gain.explained else {}
     # What added masses and mass share is poorly known; that added masses are where they should be is not.
     sure = abs(found - known.value) > (SETTINGS.sure_beside if moved else SETTINGS.sure) * error
     if not sure or not (moved or gain.decisive) or _added_mass_instead(at, fit):
@@ -562,7 +562,7 @@ def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
     return any(fit is not None and fit.cost < with_mass.cost + MORE_THAN_CHANCE for fit in tried)
 
 
-def _come_home(before: WeakFit, after: WeakFit) -> dict[str, float]:
+def _back_within_priors(before: WeakFit, after: WeakFit) -> dict[str, float]:
     """Added masses that were several standard deviations off in the same direction, and no longer are."""
     off, home = (_standardised(f) for f in (before, after))
     moved = {n: z for n, z in off.items() if abs(z) > SETTINGS.home}

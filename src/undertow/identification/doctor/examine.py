@@ -228,14 +228,14 @@ class _Examiner:
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         held = held_channels(self.runs, names, self.mapping)
         if held:
-            self.runs = [self._afresh(run, lambda r: read_when_new(r, held)) for run in self.runs]
+            self.runs = [self._rederived(run, lambda r: read_when_new(r, held)) for run in self.runs]
             self.kinematics = Kinematics(self.runs, self.vehicle)
             self._write([edit for edits in held.values() for edit in edits])
 
     def _mend_angles(self, names: Sequence[str]) -> None:
         """Undo what angles show by themselves: degrees, of those named, and jumps."""
         if degrees := mistakes.in_degrees(self.runs, self.mapping, names):
-            self._undo(degrees, apply=self._afresh, impossible=True)
+            self._undo(degrees, apply=self._rederived, impossible=True)
         for wrapped in mistakes.wrapped_angles(self.runs):
             self._undo(wrapped)
 
@@ -349,7 +349,7 @@ class _Examiner:
                 self._write(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
             self.runs = prompt
 
-    def _afresh(self, run: Run, undo: Undo) -> Run:
+    def _rederived(self, run: Run, undo: Undo) -> Run:
         """A run without a mistake, its velocities derived anew where they were derived from its pose."""
         if not run.derived:
             return undo(run)

@@ -167,7 +167,7 @@ class StatedForces(Forces):
 def _means(
     functions: TestFunctions, motion: Array, n: int, force: Array, mass: Array, run: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
-    """One stretch: inertial force, force of the commands, and what else may act."""
+    """One segment: inertial force, force of the commands, and what else may act."""
     length = np.asarray(functions.value.sum(axis=1)).ravel()
     some = length > 0.0  # with a sample within
     length = length[some, None]

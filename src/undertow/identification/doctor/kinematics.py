@@ -44,7 +44,7 @@ BLOCKS = (("x", "y"), ("z",), ("phi",), ("theta",), ("psi",))
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """Samples of a run without gaps, at times (n,), with test functions on them."""
 
     run: int
@@ -120,29 +120,29 @@ class Kinematics:
         self.rows = _rows(runs, vehicle)
         self.blocks = [found for b in BLOCKS if (found := [self.rows.index(n) for n in b if n in self.rows])]
         self.channels = _channels(runs, vehicle, self.rows)
-        self.stretches: list[Stretch] = []
+        self.segments: list[Segment] = []
         if self.rows:
             self._widen(runs)
 
     def __bool__(self) -> bool:
         """Whether there is anything to compare."""
-        return bool(self.stretches)
+        return bool(self.segments)
 
     def _widen(self, runs: Sequence[Run]) -> None:
         """Take test functions as wide as the motion allows: they average noise away."""
         reference = 0.0
         for width in SETTINGS.widths:
-            wider = [s for i, run in enumerate(runs) for s in self._stretches(i, run, width, len(runs))]
+            wider = [s for i, run in enumerate(runs) for s in self._segments(i, run, width, len(runs))]
             if not wider:
                 break
-            before, self.stretches = self.stretches, wider
+            before, self.segments = self.segments, wider
             power = float(np.mean(self.rates(runs).velocity ** 2))
             reference = reference or power
             if power < SETTINGS.kept * reference:
-                self.stretches = before
+                self.segments = before
                 break
 
-    def _stretches(self, index: int, run: Run, width: int, count: int) -> list[Stretch]:
+    def _segments(self, index: int, run: Run, width: int, count: int) -> list[Segment]:
         result = []
         active = most_active(run, self.channels, self.most // count)
         for piece in run.segments(self.channels):
@@ -150,15 +150,15 @@ class Kinematics:
             t = run.t[part]
             functions = weights_over(t, width * knot_spacing(run.clock)) if len(t) > 2 else None
             if functions is not None:
-                result.append(Stretch(index, part, t, functions))
+                result.append(Segment(index, part, t, functions))
         return result
 
     def rates(self, runs: Sequence[Run]) -> Rates:
         """Weak pose rates and velocities of runs, the given ones or what was made of them."""
-        parts = [self._rates(runs[s.run], s) for s in self.stretches]
+        parts = [self._rates(runs[s.run], s) for s in self.segments]
         return Rates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
-    def samples(self, run: Run, s: Stretch) -> Samples:
+    def samples(self, run: Run, s: Segment) -> Samples:
         """Pose, velocity and J(eta) at the samples of a segment."""
         pose = self._table(run, POSE, s.piece)
         return Samples(pose, self._table(run, VELOCITY, s.piece), jacobian(pose))
@@ -168,7 +168,7 @@ class Kinematics:
         """Places of the rows among the six."""
         return [POSE.index(n) for n in self.rows]
 
-    def _rates(self, run: Run, s: Stretch) -> tuple[Array, Array, Array]:
+    def _rates(self, run: Run, s: Segment) -> tuple[Array, Array, Array]:
         at, f, places = self.samples(run, s), s.functions, self.places
         moved = np.einsum("nij,nj->ni", at.jacobian, at.velocity)[:, places]
         noise = self._noise(run)

@@ -16,7 +16,7 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .kinematics import Kinematics, Mismatch, Rates, Samples, Stretch, rms
+from .kinematics import Kinematics, Mismatch, Rates, Samples, Segment, rms
 from .mistakes import (
     PLAUSIBLE,
     SPEEDS,
@@ -72,7 +72,7 @@ class Sensor:
     id: str  # id of the effect of the catalogue that describes it; "water" for velocities through the water
     names: tuple[str, ...]  # its parameters, with units
     # From samples to the change of J(eta) nu that each parameter makes, (n, 6, k).
-    columns: Callable[[Samples, Stretch], Array]
+    columns: Callable[[Samples, Segment], Array]
     largest: float = np.inf  # parameters beyond this are not believed
 
     @property
@@ -144,7 +144,7 @@ def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
 
 
 # --- columns ----------------------------------------------------------------------------------
-def _chosen(columns: Callable[[Samples], Array], names: Sequence[str]) -> Callable[[Samples, Stretch], Array]:
+def _chosen(columns: Callable[[Samples], Array], names: Sequence[str]) -> Callable[[Samples, Segment], Array]:
     places = [VELOCITY.index(n) for n in names]
     return lambda at, _: columns(at)[:, :, places]
 
@@ -158,27 +158,27 @@ def _scale(at: Samples) -> Array:
     return -at.jacobian * at.velocity[:, None, :]
 
 
-def _common_scale(at: Samples, _: Stretch) -> Array:
+def _common_scale(at: Samples, _: Segment) -> Array:
     return _scale(at)[:, :, :3].sum(axis=2, keepdims=True)
 
 
-def _late(at: Samples, s: Stretch) -> Array:
+def _late(at: Samples, s: Segment) -> Array:
     """Velocities of a while ago: the change of J nu is the delay times J d(nu)/dt."""
     change = np.gradient(at.velocity[:, :3], s.times, axis=0)
     return np.einsum("nij,nj->ni", at.jacobian[:, :, :3], change)[:, :, None]
 
 
-def _turned(at: Samples, _: Stretch) -> Array:
+def _turned(at: Samples, _: Segment) -> Array:
     """A sensor turned by alpha reads (u + alpha v, v - alpha u)."""
     u, v = at.velocity[:, 0], at.velocity[:, 1]
     real = np.stack([-v, u, np.zeros_like(u)], axis=1)
     return np.einsum("nij,nj->ni", at.jacobian[:, :, :3], real)[:, :, None]
 
 
-def _arm(places: list[int]) -> Callable[[Samples, Stretch], Array]:
+def _arm(places: list[int]) -> Callable[[Samples, Segment], Array]:
     """A sensor at r_s reads v + omega x r_s."""
 
-    def columns(at: Samples, _: Stretch) -> Array:
+    def columns(at: Samples, _: Segment) -> Array:
         omega = at.velocity[:, 3:]
         crossed = np.stack([np.cross(omega, np.eye(3)[i]) for i in places], axis=2)
         return -np.einsum("nij,njk->nik", at.jacobian[:, :, :3], crossed)
@@ -186,7 +186,7 @@ def _arm(places: list[int]) -> Callable[[Samples, Stretch], Array]:
     return columns
 
 
-def _water(linear: list[str]) -> Callable[[Samples, Stretch], Array]:
+def _water(linear: list[str]) -> Callable[[Samples, Segment], Array]:
     size = 3 if "w" in linear else 2
     return lambda at, _: np.broadcast_to(np.eye(6)[:, :size], (len(at.pose), 6, size))
 
@@ -205,10 +205,10 @@ def fit_sensor(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, sensor
 
 def regressor_of(kinematics: Kinematics, runs: Sequence[Run], sensor: Sensor) -> Array:
     """Change of J(eta) nu that each parameter makes, as means over test functions, (K, rows, k)."""
-    return np.concatenate([_tested(kinematics, runs[s.run], s, sensor) for s in kinematics.stretches])
+    return np.concatenate([_tested(kinematics, runs[s.run], s, sensor) for s in kinematics.segments])
 
 
-def _tested(kinematics: Kinematics, run: Run, s: Stretch, sensor: Sensor) -> Array:
+def _tested(kinematics: Kinematics, run: Run, s: Segment, sensor: Sensor) -> Array:
     """Mean of the columns over every test function, (K, rows, k)."""
     columns = sensor.columns(kinematics.samples(run, s), s)[:, kinematics.places]
     flat = s.functions.value @ columns.reshape(len(columns), -1)

@@ -92,7 +92,7 @@ class _Row:
         columns, whole = self.given / size, float(self.force @ self.force)
         free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(FORCES.distinct))
         left = float(np.sum((self.force - columns @ free) ** 2))
-        _, positive = nnls(np.hstack([columns, -columns[:, _wild(free / size)]]), self.force)
+        _, positive = nnls(np.hstack([columns, -columns[:, _implausible(free / size)]]), self.force)
         scale = max(np.sqrt(left / len(self.force)), 1e-6 * np.sqrt(whole / len(self.force)))
         gain, error = clustered_least_squares(
             columns / scale, self.force / scale, FORCES.cluster, FORCES.distinct
@@ -207,14 +207,14 @@ class Signs:
             gain, error = _mean(*values.T)
             sure = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
             tells = gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values)
-            if not _wild(np.median(np.abs(values[:, 0]))) and tells:
+            if not _implausible(np.median(np.abs(values[:, 0]))) and tells:
                 runs = f" ({sure} of {len(values)} runs show it)" if len(values) > 1 else ""
                 parts.append(f"{dof} answers {command} by {gain:.2g} ± {error:.1g}{runs}")
                 evidence |= {f"{dof}_{command}": gain, f"{dof}_{command}_error": error}
         return f"{', '.join(parts)} of what the vehicle file says", evidence
 
 
-def _wild(gain: Array | np.floating) -> Flags:
+def _implausible(gain: Array | np.floating) -> Flags:
     """Which gains are beyond what commands that are read wrongly make of them."""
     return np.asarray(np.abs(gain) > SETTINGS.strongest)
 

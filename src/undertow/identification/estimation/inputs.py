@@ -309,13 +309,13 @@ class ActuatorStates:
             return driven
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         seconds = float(delay[0, 0])
-        felt, late = self._dependent, np.flatnonzero(slope)
-        by_felt, start = (
+        dependent, late = self._dependent, np.flatnonzero(slope)
+        by_dependent, start = (
             shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape)
-            for s in (driven.slope[:, :, felt], driven.start)
+            for s in (driven.slope[:, :, dependent], driven.start)
         )
         moved = np.zeros_like(driven.slope)
-        moved[:, :, felt] = by_felt
+        moved[:, :, dependent] = by_dependent
         moved[:, :, late] -= shift_rate(t, driven.value, seconds)[:, :, None] * slope[0, late]
         return DrivenSignal(shifted_mean(t, driven.value, seconds), moved, start)
 
@@ -337,10 +337,12 @@ class ActuatorStates:
         share, per_second = share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
         late = np.flatnonzero(slope)
-        felt, moved = sorted({*self._dependent, *late.tolist()}), driven.slope.copy()
-        value, by_felt, by_start = (change(a) for a in (driven.value, moved[:, :, felt], driven.start))
+        dependent, moved = sorted({*self._dependent, *late.tolist()}), driven.slope.copy()
+        value, by_dependent, by_start = (
+            change(a) for a in (driven.value, moved[:, :, dependent], driven.start)
+        )
         turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
-        moved[:, :, felt] -= weight[:, None, None] * by_felt
+        moved[:, :, dependent] -= weight[:, None, None] * by_dependent
         moved[:, :, late] += turned[:, :, None] * slope[0, late]
         return DrivenSignal(
             driven.value - weight[:, None] * value, moved, driven.start - weight[:, None, None] * by_start

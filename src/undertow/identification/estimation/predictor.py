@@ -50,7 +50,7 @@ SETTINGS = StartSettings()
 class Origin:
     """States at the beginning of every segment of the logs for one set of parameters.
 
-    state: (stretches, nx); scale: (size,), uncertainty of each own state there.
+    state: (segments, nx); scale: (size,), uncertainty of each own state there.
     """
 
     state: Array
@@ -82,14 +82,14 @@ class OwnStates:
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
             return own, None
-        stretches = _stretches(windows)
-        first = np.array([rows[0] for rows in stretches])
+        segments = _segments(windows)
+        first = np.array([rows[0] for rows in segments])
         look = _first_windows(windows, first)
         drive = arriving(look, delay)
         sent = zip(windows.runs, windows.held, strict=True)
         drives = [shifted_mean(run.t, u, delay) if delay else u for run, u in sent]
         rest = self._at_rest(drive.u[:, 0], look.t[:, 0], p)
-        along = partial(self._along, windows, stretches, drives, p)
+        along = partial(self._along, windows, segments, drives, p)
         scale, found = (self._scale(along(rest)), None) if near is None else (near.scale, near.state)
         noise = _noise(windows)
         width = np.concatenate([SETTINGS.motion * noise, scale])
@@ -101,7 +101,7 @@ class OwnStates:
 
         measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
         state = best_start(report, measured, start, width, found)
-        for rows, states in zip(stretches, along(state[:, -self.size :]), strict=True):
+        for rows, states in zip(segments, along(state[:, -self.size :]), strict=True):
             own[rows] = states[windows.first[rows] - windows.first[rows[0]]]
         return own, Origin(state, scale)
 
@@ -118,10 +118,10 @@ class OwnStates:
         return np.where(largest > 0, largest, 1.0)
 
     def _along(
-        self, windows: Windows, stretches: list[Index], drives: list[Array], p: Array, start: Array
+        self, windows: Windows, segments: list[Index], drives: list[Array], p: Array, start: Array
     ) -> list[Array]:
         """States from the first to the last start in every segment, shape (N, size) each."""
-        inside = [self._between(windows, rows, drives, p) for rows in stretches]
+        inside = [self._between(windows, rows, drives, p) for rows in segments]
         return self._propagated.side_by_side(start, inside, p)
 
     def _between(self, windows: Windows, rows: Index, drives: list[Array], p: Array) -> tuple[Array, ...]:
@@ -170,7 +170,7 @@ def _first_windows(windows: Windows, first: Index) -> Windows:
     return windows.take(first, max(int(SETTINGS.seconds / step), 3))
 
 
-def _stretches(windows: Windows) -> list[Index]:
+def _segments(windows: Windows) -> list[Index]:
     """Windows of every gap-free segment, in order of time."""
     number = numbered(windows.run, windows.segment)
     return [np.flatnonzero(number == i) for i in range(number.max() + 1)]

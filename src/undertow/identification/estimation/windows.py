@@ -68,7 +68,7 @@ class Windows:
     # (b, 2n) reported pose and velocity at the start, smoothed locally; zero for pose that the log
     # lacks
     start: Array
-    stretches: tuple[Stretch, ...]  # Parts of the runs without gaps that the windows were cut from
+    segments: tuple[Segment, ...]  # Parts of the runs without gaps that the windows were cut from
 
     @property
     def samples(self) -> Index:
@@ -116,19 +116,19 @@ class Windows:
     def start_after(self, seconds: Array) -> Array:
         """`start` (b, 2n), but each channel as reported some seconds (2n,) later, within its segment."""
         found = self.start.copy()
-        places = {(s.run, s.first): s for s in self.stretches}
+        places = {(s.run, s.first): s for s in self.segments}
         for pair in np.unique(np.column_stack([self.run, self.segment]), axis=0):
             rows = np.flatnonzero((self.run == pair[0]) & (self.segment == pair[1]))
-            stretch = places[int(pair[0]), int(pair[1])]
+            segment = places[int(pair[0]), int(pair[1])]
             for delay in np.unique(seconds[seconds > 0]):
                 columns = np.flatnonzero(seconds == delay)
-                values = stretch.smoothed(self.names, self.sigma, self.t[rows, 0] + delay)
+                values = segment.smoothed(self.names, self.sigma, self.t[rows, 0] + delay)
                 found[np.ix_(rows, columns)] = values[:, columns]
         return found
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """Part of a run without gaps, and the windows in it, as counted from its first sample."""
 
     run: int
@@ -167,24 +167,24 @@ def cut(
     """
     if horizon is not None and not horizon > 0:
         raise UndertowError(f"horizon = {horizon:g} s: give a positive time")
-    stretches = [s for i, run in enumerate(runs) for s in _stretches(i, run, vehicle, horizon, skip)]
-    if not any(len(s.starts) for s in stretches):
-        _refuse(runs, stretches, horizon)
-    return _windows_of(runs, vehicle, horizon, sigma, stretches)
+    segments = [s for i, run in enumerate(runs) for s in _segments(i, run, vehicle, horizon, skip)]
+    if not any(len(s.starts) for s in segments):
+        _refuse(runs, segments, horizon)
+    return _windows_of(runs, vehicle, horizon, sigma, segments)
 
 
 def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
     """Cut every run into windows of a number of its own sampling intervals."""
     lengths = [intervals * run.step for run in runs]
-    found = [_stretches(i, run, vehicle, lengths[i]) for i, run in enumerate(runs)]
+    found = [_segments(i, run, vehicle, lengths[i]) for i, run in enumerate(runs)]
     for run, length, own in zip(runs, lengths, found, strict=True):
         if not any(len(s.starts) for s in own):
             _refuse([run], own, length)
     return _windows_of(runs, vehicle, max(lengths), None, [s for own in found for s in own])
 
 
-def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None) -> None:
-    longest = max((s.t[-1] - s.t[0] for s in stretches), default=0.0)
+def _refuse(runs: Sequence[Run], segments: list[Segment], horizon: float | None) -> None:
+    longest = max((s.t[-1] - s.t[0] for s in segments), default=0.0)
     if horizon is not None and horizon < (least := shortest_horizon(runs)):
         raise UndertowError(
             f"{horizon:g} s hold fewer than {SETTINGS.fewest} samples of "
@@ -197,9 +197,9 @@ def _refuse(runs: Sequence[Run], stretches: list[Stretch], horizon: float | None
     )
 
 
-def _stretches(
+def _segments(
     index: int, run: Run, vehicle: Vehicle, horizon: float | None, skip: float = 0.0
-) -> list[Stretch]:
+) -> list[Segment]:
     pose = [n for n in vehicle.pose_names if run.has(n)]
     needed = [*pose, *vehicle.velocity_names]
     names = (*vehicle.pose_names, *vehicle.velocity_names)
@@ -211,7 +211,7 @@ def _stretches(
         reported = np.column_stack([_column({**run.channels, **own}, n, piece) for n in names])
         late = int(np.searchsorted(t, run.t[0] + skip)) if skip else 0
         edges = (late + edge for edge in _windows(t[late:], horizon))
-        found.append(Stretch(index, piece.start, t, measured, reported, *edges))
+        found.append(Segment(index, piece.start, t, measured, reported, *edges))
     return found
 
 
@@ -251,15 +251,15 @@ def _windows_of(
     vehicle: Vehicle,
     horizon: float | None,
     sigma: Array | None,
-    stretches: list[Stretch],
+    segments: list[Segment],
 ) -> Windows:
     """The windows of all segments side by side, padded to the longest."""
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     sigma = channel_noise(runs, names) if sigma is None else sigma
-    count = np.concatenate([s.stops - s.starts for s in stretches])
+    count = np.concatenate([s.stops - s.starts for s in segments])
     most = int(count.max())
-    pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in stretches]
-    measured = np.concatenate([s.reported[i] for s, i in zip(stretches, pick, strict=True)])
+    pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in segments]
+    measured = np.concatenate([s.reported[i] for s, i in zip(segments, pick, strict=True)])
     measured[np.arange(most) >= count[:, None]] = np.nan
     return Windows(
         runs=tuple(runs),
@@ -267,14 +267,14 @@ def _windows_of(
         names=names,
         commands=vehicle.command_names,
         sigma=sigma,
-        run=np.concatenate([np.full(len(s.starts), s.run) for s in stretches]),
-        first=np.concatenate([s.first + s.starts for s in stretches]),
-        segment=np.concatenate([np.full(len(s.starts), s.first) for s in stretches]),
+        run=np.concatenate([np.full(len(s.starts), s.run) for s in segments]),
+        first=np.concatenate([s.first + s.starts for s in segments]),
+        segment=np.concatenate([np.full(len(s.starts), s.first) for s in segments]),
         count=count,
-        t=np.concatenate([s.t[i] for s, i in zip(stretches, pick, strict=True)]),
+        t=np.concatenate([s.t[i] for s, i in zip(segments, pick, strict=True)]),
         measured=measured,
-        start=np.concatenate([s.values(names, sigma, s.starts) for s in stretches]),
-        stretches=tuple(stretches),
+        start=np.concatenate([s.values(names, sigma, s.starts) for s in segments]),
+        segments=tuple(segments),
     )
 
 
@@ -568,9 +568,9 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
     half of the next longer. If the model has no time constant (undamped or unstable), they are fractions of
     the record. Short windows have twenty samples at least, as far as the record allows.
     """
-    stretches = [longest_stretch(vehicle, run) for run in runs]
-    record = float(np.sum(stretches))
-    limit = min(HORIZONS.longest * float(np.median(stretches)), record / HORIZONS.fewest_windows)
+    segments = [longest_segment(vehicle, run) for run in runs]
+    record = float(np.sum(segments))
+    limit = min(HORIZONS.longest * float(np.median(segments)), record / HORIZONS.fewest_windows)
     known = time_constants(vehicle, runs)
     known = known[known < HORIZONS.unseen * record]
     wanted = HORIZONS.multiples if len(known) else HORIZONS.shares
@@ -583,7 +583,7 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
     return min(short, middle / HORIZONS.apart), middle, long
 
 
-def longest_stretch(vehicle: Vehicle, run: Run) -> float:
+def longest_segment(vehicle: Vehicle, run: Run) -> float:
     """Length of the longest part of a run without gaps, s."""
     wanted = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
     names = [n for n in wanted if run.has(n)]  # what `cut` wants without gaps
@@ -595,7 +595,7 @@ def longest_stretch(vehicle: Vehicle, run: Run) -> float:
 
 def possible_horizon(vehicle: Vehicle, runs: Sequence[Run], horizon: float) -> float:
     """The horizon, s, or half of the longest segment without gaps; three samples at least."""
-    longest = max(longest_stretch(vehicle, run) for run in runs)
+    longest = max(longest_segment(vehicle, run) for run in runs)
     return max(min(horizon, longest / 2), shortest_horizon(runs))
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 
+from .decimation import decimated
 from .formats.fieldlog import Window
 from .mapping import CommandPolicy, LogMapping
 from .opening import (
@@ -50,7 +51,6 @@ from .table import (
     refuse_no_file,
     size_of,
 )
-from .thinning import thinned
 
 # Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
 _GLANCE = 1 << 18
@@ -149,7 +149,7 @@ class LongLog:
         length = np.mean([len(line) + 1 for line in lines[:-1]] or [max(whole, 1)])
         return int(whole / length), columns_of(header_of(text, self.mapping), self.mapping)
 
-    def stretches(self, column: str) -> list[pl.LazyFrame]:
+    def segments(self, column: str) -> list[pl.LazyFrame]:
         """The segments of its file: of a Parquet file where they are in it, of a text their rows."""
         if not is_parquet(self._begin):
             parts = stretches_of(opened_table(self.path, self.mapping).table, column, self._where)
@@ -227,7 +227,7 @@ class LongLog:
         every = self.mapping.time.every
         if every == 1:
             return self._all_rows(rows, overlap)
-        return _of_rows(thinned(self._all_rows(rows, 0), every), rows, overlap)
+        return _of_rows(decimated(self._all_rows(rows, 0), every), rows, overlap)
 
     def _all_rows(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
         """Tables of all rows, whatever `every` says."""
@@ -299,7 +299,7 @@ def long_logs(
     column = whole.mapping.time.stretch
     if column is None or not path.is_file():
         return [whole]
-    return _numbered(whole, whole.stretches(column))
+    return _numbered(whole, whole.segments(column))
 
 
 def _numbered(whole: LongLog, parts: Sequence[pl.LazyFrame]) -> list[LongLog]:

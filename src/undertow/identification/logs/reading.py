@@ -34,6 +34,7 @@ from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Progress
 
+from .decimation import decimated
 from .formats.fieldlog import Window
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
 from .opening import (
@@ -71,7 +72,6 @@ from .run import (
     unwrapped,
     with_report_noise,
 )
-from .thinning import thinned
 
 Commands = dict[str, float]
 
@@ -187,7 +187,7 @@ def read_logs(
             most = MEASURABLE
             limits = replace(WHOLE, rows=most.rows_per_sample * time.every * most.samples)
         asked = _Asked(meaning, needed, window, missing_commands, also, limits, in_any_order, field_logs)
-        read = [_told_of_newtons(run, vehicle) for run in _runs_of(path, asked)]
+        read = [_with_note_on_newtons(run, vehicle) for run in _runs_of(path, asked)]
         if to_fit:
             refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
         runs += read if part else [_with_velocities(run, vehicle) for run in read]
@@ -235,7 +235,7 @@ def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
         raise UndertowError(f"{error} ({said})" if said else str(error)) from error
 
 
-def _told_of_newtons(run: Run, vehicle: Vehicle) -> Run:
+def _with_note_on_newtons(run: Run, vehicle: Vehicle) -> Run:
     """The run, with a note on commands from -1 to 1 that a vehicle expects in newtons.
 
     Those of a table are said to be so where they end at 1 and its mapping file states no unit of theirs.
@@ -275,7 +275,7 @@ def run_of_table(
     values of commands before the rows, which may then lack all values of a channel.
     """
     where = f"log {path}"
-    (table,) = thinned([table], mapping.time.every)
+    (table,) = decimated([table], mapping.time.every)
     there = {c.channel for n, c in mapping.columns.items() if n in table.columns}
     there |= {*mapping.channels, *table.columns}
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))

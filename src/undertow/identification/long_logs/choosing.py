@@ -1,4 +1,4 @@
-"""Long logs: read in parts, thinned, the segments of them that tell most, and errors over the rest."""
+"""Long logs: read in parts, decimated, the segments of them that tell most, and errors over the rest."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from undertow.identification.estimation.predictor import Predictor, predict_each
 from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import adapted, free_parameters
 from undertow.identification.estimation.windows import HORIZONS, Prediction, cut, geometric_mean
-from undertow.identification.findings import ChosenStretch, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
+from undertow.identification.findings import ChosenSegment, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
 from undertow.identification.logs.chunks import LongLog
 from undertow.identification.logs.opening import refuse_twins, with_distinct_names
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -28,16 +28,16 @@ from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .thinning import Band, Spool, Stretch, band, joined, merged, stretches, thinned, without
+from .decimation import Band, Segment, Spool, band, decimated, joined, merged, segments, without
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Samples of long logs, after thinning, that a command works on and judges by."""
+    """Samples of long logs, after decimation, that a command works on and judges by."""
 
     work: int
     judge: int = 0  # none: the command does not judge
-    raw: bool = False  # whether they count before thinning: what looks at the sensors needs every row
+    raw: bool = False  # whether they count before decimation: what looks at the sensors needs every row
 
 
 #: On two processors and in six degrees of freedom, 12,000 samples are fitted in 25 s.
@@ -135,12 +135,12 @@ def at_full_rate(chosen: Chosen, logs: Sequence[LongLog]) -> list[Run]:
                 if np.any((run.t >= start) & (run.t <= end)):
                     own.append(run.slice(start, end))
         runs = [reduce(joined, own) for own in pieces]
-        named = [_stretch_of(run, spool, span) for run, span in zip(runs, spans, strict=True)]
+        named = [_segment_of(run, spool, span) for run, span in zip(runs, spans, strict=True)]
         found += [replace(named[0], dropped=spool.dropped), *named[1:]] if named else []
     return [velocities_from_pose(run, chosen.vehicle.degrees_of_freedom) for run in found]
 
 
-def _stretch_of(run: Run, spool: Spool, span: tuple[float, float]) -> Run:
+def _segment_of(run: Run, spool: Spool, span: tuple[float, float]) -> Run:
     name = f"{spool.like.name} [{span[0]:.0f}-{span[1]:.0f} s]"
     return replace(run, name=name, part_of=spool.like.origin, sha256=spool.like.sha256, dropped=0)
 
@@ -150,11 +150,11 @@ class Chosen:
     """What a command works on of long logs."""
 
     vehicle: Vehicle
-    runs: list[Run]  # segments to work on, thinned
+    runs: list[Run]  # segments to work on, decimated
     validation: list[Run]  # segments for validation
     result: LongLogs
-    spools: list[Spool]  # all of the logs, thinned
-    used: list[Stretch]  # what `runs` and `validation` are of them
+    spools: list[Spool]  # all of the logs, decimated
+    used: list[Segment]  # what `runs` and `validation` are of them
 
 
 def choose(
@@ -166,7 +166,7 @@ def choose(
 ) -> Chosen:
     """Choose the segments of long logs that tell most of a vehicle's estimated (or else all) parameters.
 
-    The logs are read once, in parts. They are thinned to the rate that the vehicle's fastest time constant
+    The logs are read once, in parts. They are decimated to the rate that the vehicle's fastest time constant
     asks for and cut into segments long enough for its slowest one. The segments that make the determinant
     of the information largest, equation by equation, are taken until the budget is used up. Without
     `holdout`, and where the budget has room for validation, one log in four is kept for validation, the last
@@ -179,7 +179,7 @@ def choose(
     regressor = Regressor(vehicle)
     samples = (budget.work // (found.thin if budget.raw else 1), budget.judge)
     cut = _cut(spools, found, samples[0])
-    cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_stretches()))]
+    cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_segments()))]
     kept = _kept([log.path for log in logs], len(holdout), budget)
     progress(0.6, "computing the information of each segment")
     pools = _pools(cut, spools, kept, budget)
@@ -195,7 +195,7 @@ def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: P
     spools = []
     for i, log in enumerate(logs):
         progress(0.6 * i / len(logs), f"reading {log.path.name}")
-        thin = partial(thinned, by=found.thin, step=found.step, commands=vehicle.command_names)
+        thin = partial(decimated, by=found.thin, step=found.step, commands=vehicle.command_names)
         spool = Spool((part.run for part in log.parts(CUTTING.rows, 0)), thin)
         if not spool.rows:
             raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
@@ -207,13 +207,13 @@ def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: P
     return spools
 
 
-def _cut(spools: Sequence[Spool], found: Band, budget: int) -> list[Stretch]:
-    """Stretches of four slowest time constants, as far as that leaves a choice."""
+def _cut(spools: Sequence[Spool], found: Band, budget: int) -> list[Segment]:
+    """Segments of four slowest time constants, as far as that leaves a choice."""
     step, total = found.step * found.thin, sum(spool.rows for spool in spools)
     wanted = HORIZONS.multiples[-1] * found.slowest / HORIZONS.longest / step if step else np.inf
     longest = max(total // CUTTING.fewest, CUTTING.samples)
     rows = int(max(min(wanted, longest, budget // CUTTING.of_budget), CUTTING.samples))
-    return stretches(spools, rows)
+    return segments(spools, rows)
 
 
 def _kept(files: Sequence[Path], holdout: int, budget: Budget) -> set[int]:
@@ -229,9 +229,9 @@ def _kept(files: Sequence[Path], holdout: int, budget: Budget) -> set[int]:
 
 
 def _pools(
-    cut: list[Stretch], spools: Sequence[Spool], kept: set[int], budget: Budget
-) -> tuple[list[Stretch], list[Stretch]]:
-    """Stretches to work on, and those to judge by."""
+    cut: list[Segment], spools: Sequence[Spool], kept: set[int], budget: Budget
+) -> tuple[list[Segment], list[Segment]]:
+    """Segments to work on, and those to judge by."""
     if kept or not budget.judge:
         return [s for s in cut if s.log not in kept], [s for s in cut if s.log in kept]
     size = max(len(cut) // CUTTING.parts, CUTTING.kept_parts)
@@ -243,7 +243,7 @@ def _pools(
     return chosen, [s for s, own in zip(cut, inside, strict=True) if own]
 
 
-def _chosen(regressor: Regressor, pool: list[Stretch], spools: Sequence[Spool], budget: int) -> Choice:
+def _chosen(regressor: Regressor, pool: list[Segment], spools: Sequence[Spool], budget: int) -> Choice:
     if not pool:
         none = np.ones(regressor.equations)
         return Choice([], np.zeros((0, len(none))), none, 1.0)
@@ -251,7 +251,7 @@ def _chosen(regressor: Regressor, pool: list[Stretch], spools: Sequence[Spool], 
     return most_informative(information, [s.samples for s in pool], budget)
 
 
-def _run(vehicle: Vehicle, spools: Sequence[Spool], s: Stretch) -> Run:
+def _run(vehicle: Vehicle, spools: Sequence[Spool], s: Segment) -> Run:
     return velocities_from_pose(spools[s.log].run(s.first, s.stop), vehicle.degrees_of_freedom)
 
 
@@ -259,9 +259,9 @@ def _result(
     vehicle: Vehicle,
     spools: Sequence[Spool],
     found: Band,
-    cut: Sequence[Stretch],
+    cut: Sequence[Segment],
     kept: set[int],
-    pools: Sequence[list[Stretch]],
+    pools: Sequence[list[Segment]],
     choices: Sequence[Choice],
 ) -> LongLogs:
     motions, work = vehicle.degrees_of_freedom, choices[0]
@@ -276,7 +276,7 @@ def _result(
         slowest=json_ready(found.slowest),
         stretches=len(cut),
         seconds=usual,
-        chosen=[s for pool, choice, role in tables for s in _stretches(spools, pool, choice, role, motions)],
+        chosen=[s for pool, choice, role in tables for s in _segments(spools, pool, choice, role, motions)],
         information_share=work.whole,
         information_share_by_motion=dict(zip(motions, work.held.tolist(), strict=True)),
     )
@@ -298,18 +298,18 @@ def _whole(spool: Spool, holdout: bool) -> WholeLog:
     )
 
 
-def _stretches(
-    spools: Sequence[Spool], pool: list[Stretch], choice: Choice, role: Role, motions: Sequence[str]
-) -> list[ChosenStretch]:
+def _segments(
+    spools: Sequence[Spool], pool: list[Segment], choice: Choice, role: Role, motions: Sequence[str]
+) -> list[ChosenSegment]:
     return [
-        _stretch(spools[pool[k].log], pool[k], gain, role, motions)
+        _segment(spools[pool[k].log], pool[k], gain, role, motions)
         for k, gain in zip(choice.places, choice.gain, strict=True)
     ]
 
 
-def _stretch(spool: Spool, s: Stretch, gain: Array, role: Role, motions: Sequence[str]) -> ChosenStretch:
+def _segment(spool: Spool, s: Segment, gain: Array, role: Role, motions: Sequence[str]) -> ChosenSegment:
     start, end = spool.times(s.first, s.stop)
-    return ChosenStretch(
+    return ChosenSegment(
         log=spool.like.name,
         start=start,
         end=end,
@@ -347,8 +347,8 @@ class Regressor:
         self.names, self._p = self._model.free, self._model.started({})
         self.equations = len(vehicle.dof_indices)
 
-    def most_stretches(self) -> int:
-        """How many stretches' information memory is meant for."""
+    def most_segments(self) -> int:
+        """How many segments' information memory is meant for."""
         return int(SETTINGS.bytes // (8 * self.equations * max(len(self.names), 1) ** 2))
 
     def information(self, runs: Iterator[Run]) -> Array:
@@ -382,7 +382,7 @@ class Regressor:
 
 @dataclass(frozen=True)
 class Choice:
-    """Stretches in the order in which they were chosen."""
+    """Segments in the order in which they were chosen."""
 
     places: list[int]
     gain: Array  # (chosen, equations) what each adds to the log determinant

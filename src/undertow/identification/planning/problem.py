@@ -569,7 +569,7 @@ class Plan(ResultTable):
     separations: list[Separation]
     logs: list[str]
     remarks: list[str]
-    # How logs were thinned that are longer than this takes, and which segments were used; null of others.
+    # How logs were decimated that are longer than this takes, and which segments were used; null of others.
     long_logs: LongLogs | None = None
 
 

@@ -547,14 +547,14 @@ def suggest(
             f"they differ by only {apart.deviations:.2g} standard deviations."
         )
         return words, False
-    now = "" if apart.deviations_now is None else f" (these logs: {_plainly(apart.deviations_now)})"
+    now = "" if apart.deviations_now is None else f" (these logs: {_two_digits(apart.deviations_now)})"
     words = (
         f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would put {between} "
-        f"{_plainly(apart.deviations)} standard deviations apart{now}; write it with undertow plan "
+        f"{_two_digits(apart.deviations)} standard deviations apart{now}; write it with undertow plan "
         f"--goal separate --between {','.join(ids)}."
     )
     return words, True
 
 
-def _plainly(value: float) -> str:
+def _two_digits(value: float) -> str:
     return f"{value:.2g}" if value < 10 else f"{value:.0f}"

@@ -292,7 +292,7 @@ def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
         if values is not None:
             dots = {"marker": ".", "markersize": 2.0} if _alone(values) else {}
             shown = _reports(trace.t, values) if values is trace.measured else (trace.t, values)
-            axis.plot(*thinned(*shown), label=label, **how, **dots)
+            axis.plot(*decimated(*shown), label=label, **how, **dots)
     _limits(axis, trace)
     axis.margins(x=0.01)
     axis.set_ylabel(with_unit(trace.channel, trace.unit))
@@ -327,7 +327,7 @@ def _limits(axis: Any, trace: Trace) -> None:
     axis.set_ylim(low - room, high + room)
 
 
-def thinned(t: Array, values: Array, buckets: int = _BUCKETS) -> tuple[Array, Array]:
+def decimated(t: Array, values: Array, buckets: int = _BUCKETS) -> tuple[Array, Array]:
     """Two points per bucket for plotting: its least and largest value at their own times, gaps kept."""
     if len(t) <= 2 * buckets:
         return t, values
@@ -434,11 +434,11 @@ def _used_panel(axis: Any, log: FieldLog) -> None:
     drive = log.drive()
     if drive is not None:
         axis.plot(drive[0], np.abs(drive[1]).max(axis=1), color=AFTER, linewidth=0.8)
-    for first, last in log.stretches:
+    for first, last in log.intervals:
         axis.axvspan(first, last, color=FLOOR, alpha=0.2, linewidth=0)
     axis.set_title(
         f"{log.path.name}: the shaded part is used"
-        if log.stretches
+        if log.intervals
         else f"{log.path.name}: all of it is used"
     )
     axis.set_xlabel("time [s]")

@@ -69,7 +69,7 @@ class FitResult(ResultTable):
     notes: list[str] = Field(default_factory=list)
     # Doubts about values, by parameter: not identifiable, at a bound, far from the prior.
     remarks: dict[str, list[str]] = Field(default_factory=dict)
-    # How long logs were thinned and which segments were used; null for logs that fit as a whole.
+    # How long logs were decimated and which segments were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
     @property
@@ -117,7 +117,7 @@ class AdditionResult(ResultTable):
     p_value: float
     parameters: list[Estimate]
     dropped: list[str]
-    # How long logs were thinned and which segments were used; null for logs that fit as a whole.
+    # How long logs were decimated and which segments were used; null for logs that fit as a whole.
     long_logs: LongLogs | None = None
 
 

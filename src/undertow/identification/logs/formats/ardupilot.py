@@ -96,9 +96,9 @@ def actuators(
         if parameters.get(f"SERVO{output}_REVERSED") == 1.0:
             # AP_Motors of ArduSub writes pulses, which pass by SERVOn_REVERSED; other programs write scaled
             # outputs, which it turns.
-            heeded = not firmware.startswith("ArduSub")
-            travel *= -1.0 if heeded else 1.0
-            remark = "the command is turned" if heeded else "ArduSub ignores it for motors"
+            reverses = not firmware.startswith("ArduSub")
+            travel *= -1.0 if reverses else 1.0
+            remark = "the command is turned" if reverses else "ArduSub ignores it for motors"
             notes.append(f"SERVO{output}_REVERSED is set for motor {motor}: {remark}")
         off = OFF if np.any(pulses == OFF) else None
         column = Column(channel=f"motor{motor}", scale=1.0 / travel, offset=-rest / travel, off=off)

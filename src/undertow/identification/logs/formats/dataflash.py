@@ -30,14 +30,14 @@ from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorte
 from .fieldlog import (
     FieldLog,
     Format,
+    Interval,
     Series,
-    Stretch,
-    armed_stretches,
+    armed_intervals,
     named,
     outputs_of,
     runs_of,
     steady,
-    used_stretches,
+    used_intervals,
 )
 
 if TYPE_CHECKING:
@@ -371,10 +371,10 @@ def _understood(path: Path, file: Records) -> FieldLog:
     columns = known.columns()
     columns |= _sensors(file, known)
     driven, more = actuators(parameters, outputs(file.series, _OUTPUTS, r"C(\d+)"), firmware)
-    stretches, left_out = _stretches(file, known, outputs_of(file.series, driven))
+    intervals, left_out = _intervals(file, known, outputs_of(file.series, driven))
     mapping = LogMapping(columns=columns, frames=Frames(velocity=known.velocity_axes))
     notes = (*([firmware] if firmware else []), *file.notes, *known.notes, *more, *left_out)
-    return FieldLog(path, FORMAT.name, file.series, mapping, driven, parameters, stretches, notes)
+    return FieldLog(path, FORMAT.name, file.series, mapping, driven, parameters, intervals, notes)
 
 
 def _parameters(file: Records) -> Parameters:
@@ -583,9 +583,9 @@ def _where(good: Flags, values: Array) -> list[Array]:
 _ARMED_EVENT, _DISARMED_EVENT = 10, 11
 
 
-def _stretches(
+def _intervals(
     file: Records, known: _Navigation, outputs: tuple[Array, Array] | None
-) -> tuple[tuple[Stretch, ...], list[str]]:
+) -> tuple[tuple[Interval, ...], list[str]]:
     end = max(float(series.t.max()) for series in file.series.values() if len(series.t))
     span = (0.0, end)
     events: list[tuple[float, bool]] = []
@@ -595,7 +595,7 @@ def _stretches(
     elif marks is not None:
         armed_by = {_ARMED_EVENT: True, _DISARMED_EVENT: False}
         events += [(float(t), armed_by[int(k)]) for t, k in zip(*marks, strict=True) if int(k) in armed_by]
-    return used_stretches(span, armed_stretches(events, span), outputs, known.resets(), known.held)
+    return used_intervals(span, armed_intervals(events, span), outputs, known.resets(), known.held)
 
 
 def _accepts(path: Path, head: bytes) -> bool:

@@ -26,7 +26,7 @@ from undertow.identification.logs.table import Helper, refuse_no_file
 from undertow.typing import Array, Flags
 
 Places = NDArray[np.intp]
-Stretch = tuple[float, float]
+Interval = tuple[float, float]
 """First and last time of a part of a log, s."""
 Window = tuple[float | None, float | None]
 """First and last time of what is used, s; None for no limit."""
@@ -91,7 +91,7 @@ class FieldLog:
     # settings of the autopilot that the log holds
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     # parts to be used, s: armed, and on one side of a reset of the estimator; empty for the whole log
-    stretches: tuple[Stretch, ...] = ()
+    intervals: tuple[Interval, ...] = ()
     notes: tuple[str, ...] = ()  # what was left out, repaired or looked odd, one line each
     # what was chosen or is not sure of `mapping`: of no interest where another one is given
     remarks: tuple[str, ...] = ()
@@ -111,7 +111,7 @@ class FieldLog:
                 name: column.model_copy(update={"channel": command})
                 for command, (name, column) in zip(called, self.actuators, strict=True)
             }
-        time = Time(column=TIME, stretch=STRETCH if self.stretches else None)
+        time = Time(column=TIME, stretch=STRETCH if self.intervals else None)
         policy = "hold" if driven else self.mapping.missing_commands
         known = {**self.mapping.columns, **driven}
         return self.mapping.model_copy(update={"time": time, "columns": known, "missing_commands": policy})
@@ -182,10 +182,10 @@ class FieldLog:
     def _numbers(self, rows: int, times: Sequence[Array], places: Sequence[Places]) -> dict[str, Array]:
         """The segment of each row: that of the latest of its samples which is in one."""
         number = np.full(rows, np.nan)
-        for k, (first, last) in enumerate(self.stretches):
+        for k, (first, last) in enumerate(self.intervals):
             for t, place in zip(times, places, strict=True):
                 number[place[(t >= first) & (t <= last)]] = k + 1
-        return {STRETCH: number} if self.stretches else {}
+        return {STRETCH: number} if self.intervals else {}
 
     def _found(self, name: str) -> tuple[str, str]:
         """Name of the series and of its column, of a name that joins them."""
@@ -218,8 +218,8 @@ def in_order(log: FieldLog) -> FieldLog:
     whole = (float(np.min(ends)), float(np.max(ends)))
     notes = [f"samples that are not later than earlier ones are left out: {', '.join(counts)}"]
     notes += [f"cut at {min(seams):.1f} s, where the clock goes back"] if seams else []
-    stretches = long_enough(cut_at(log.stretches or [whole], seams)) if seams else log.stretches
-    return replace(log, stretches=tuple(stretches), notes=(*log.notes, *notes))
+    intervals = long_enough(cut_at(log.intervals or [whole], seams)) if seams else log.intervals
+    return replace(log, intervals=tuple(intervals), notes=(*log.notes, *notes))
 
 
 def _lost(t: Array) -> tuple[int, list[float]]:
@@ -342,7 +342,7 @@ class MotionSettings:
 MOTION = MotionSettings()
 
 
-def armed_stretches(events: Iterable[tuple[float, bool]], span: Stretch) -> list[Stretch]:
+def armed_intervals(events: Iterable[tuple[float, bool]], span: Interval) -> list[Interval]:
     """Parts of a span in which the vehicle is armed, by the times at which that changed.
 
     Before the first event it was what that event ended; without events it is taken to be armed.
@@ -352,7 +352,7 @@ def armed_stretches(events: Iterable[tuple[float, bool]], span: Stretch) -> list
         return [span]
     states = [(span[0], not ordered[0][1]), *ordered, (span[1], False)]
     parts = [(a[0], b[0]) for a, b in pairwise(states) if a[1] and b[0] > a[0]]
-    joined: list[Stretch] = []
+    joined: list[Interval] = []
     for first, last in parts:
         if joined and joined[-1][1] == first:
             first = joined.pop()[0]
@@ -360,13 +360,13 @@ def armed_stretches(events: Iterable[tuple[float, bool]], span: Stretch) -> list
     return joined
 
 
-def used_stretches(
-    span: Stretch,
-    armed: Sequence[Stretch],
+def used_intervals(
+    span: Interval,
+    armed: Sequence[Interval],
     outputs: tuple[Array, Array] | None,
     resets: Iterable[float],
-    held: Sequence[Stretch] = (),
-) -> tuple[tuple[Stretch, ...], list[str]]:
+    held: Sequence[Interval] = (),
+) -> tuple[tuple[Interval, ...], list[str]]:
     """The parts of a log to be used, cut where the estimator was reset, and notes on the others.
 
     All times in s; `outputs` are times and commands of motors from -1 to 1; `held` is when the estimator held
@@ -391,12 +391,12 @@ def used_stretches(
     return tuple(pieces), [*notes, *_left_out(span, pieces, armed)]
 
 
-def long_enough(stretches: Iterable[Stretch]) -> list[Stretch]:
+def long_enough(intervals: Iterable[Interval]) -> list[Interval]:
     """Those long enough to be useful."""
-    return [s for s in stretches if s[1] - s[0] >= MOTION.shortest]
+    return [s for s in intervals if s[1] - s[0] >= MOTION.shortest]
 
 
-def _moving(stretch: Stretch, outputs: tuple[Array, Array] | None) -> list[Stretch]:
+def _moving(stretch: Interval, outputs: tuple[Array, Array] | None) -> list[Interval]:
     if outputs is None:
         return [stretch]
     t, commands = outputs
@@ -406,11 +406,11 @@ def _moving(stretch: Stretch, outputs: tuple[Array, Array] | None) -> list[Stret
     return [(float(t[off][0]), min(float(t[off][-1]) + MOTION.coast, stretch[1]))]
 
 
-def _within(t: float, stretches: Iterable[Stretch]) -> bool:
-    return any(a <= t <= b for a, b in stretches)
+def _within(t: float, intervals: Iterable[Interval]) -> bool:
+    return any(a <= t <= b for a, b in intervals)
 
 
-def _left_out(span: Stretch, used: Sequence[Stretch], armed: Sequence[Stretch]) -> list[str]:
+def _left_out(span: Interval, used: Sequence[Interval], armed: Sequence[Interval]) -> list[str]:
     """One line on the parts of a span that are not used."""
     edges = [span[0], *(edge for stretch in used for edge in stretch), span[1]]
     said = []
@@ -426,17 +426,17 @@ def _times(moments: Sequence[float]) -> str:
     return ", ".join(f"{t:.1f}" for t in moments)
 
 
-def runs_of(t: Array, flags: Flags) -> list[Stretch]:
+def runs_of(t: Array, flags: Flags) -> list[Interval]:
     """From where to where flags of samples are set, s."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)]
 
 
-def cut_at(stretches: Iterable[Stretch], resets: Iterable[float]) -> tuple[Stretch, ...]:
+def cut_at(intervals: Iterable[Interval], resets: Iterable[float]) -> tuple[Interval, ...]:
     """Cut segments where an estimator was reset; the sample of the reset begins a new one."""
     cuts = sorted(set(resets))
-    pieces: list[Stretch] = []
-    for first, last in stretches:
+    pieces: list[Interval] = []
+    for first, last in intervals:
         inside = [c for c in cuts if first < c <= last]
         ends = [*(float(np.nextafter(c, first)) for c in inside), last]
         pieces += zip([first, *inside], ends, strict=True)

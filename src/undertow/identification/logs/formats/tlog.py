@@ -31,16 +31,16 @@ from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorte
 from .fieldlog import (
     FieldLog,
     Format,
+    Interval,
     Series,
-    Stretch,
-    armed_stretches,
+    armed_intervals,
     library,
     named,
     outputs_of,
     rising,
     runs_of,
     steady,
-    used_stretches,
+    used_intervals,
 )
 
 # --- frames ---------------------------------------------------------------------------------------
@@ -281,11 +281,11 @@ def _understood(path: Path, own: dict[str, _Messages], notes: list[str]) -> Fiel
     columns, velocity, remarks = _columns(series)
     driven, more = actuators(parameters, outputs(series, _servos(series), r"servo(\d+)_raw"), firmware)
     resets = [float(t - start) for t in clock.since[1:]]
-    stretches, left = _stretches(own, times, start, series, outputs_of(series, driven), resets)
+    intervals, left = _intervals(own, times, start, series, outputs_of(series, driven), resets)
     more += _pace(series, bool(driven))
     heard = (*([firmware] if firmware else []), *notes, *remarks, *more, *left)
     mapping = LogMapping(columns=columns, frames=Frames(velocity=velocity))
-    return FieldLog(path, FORMAT.name, series, mapping, driven, parameters, stretches, heard)
+    return FieldLog(path, FORMAT.name, series, mapping, driven, parameters, intervals, heard)
 
 
 def _series(name: str, messages: _Messages, t: Array) -> list[Series]:
@@ -389,14 +389,14 @@ def _height(series: dict[str, Series]) -> dict[str, Column]:
 _ARMED = 128  # bit of base_mode
 
 
-def _stretches(
+def _intervals(
     own: dict[str, _Messages],
     times: Mapping[str, Array],
     start: float,
     series: Mapping[str, Series],
     outputs: tuple[Array, Array] | None,
     resets: list[float],
-) -> tuple[tuple[Stretch, ...], list[str]]:
+) -> tuple[tuple[Interval, ...], list[str]]:
     span = (0.0, max(float(t.max()) for t in times.values()) - start)
     events: list[tuple[float, bool]] = []
     if "HEARTBEAT" in own:
@@ -408,7 +408,7 @@ def _stretches(
     if "STATUSTEXT" in own:
         said = zip(times["STATUSTEXT"] - start, own["STATUSTEXT"].texts("text"), strict=True)
         resets = [*resets, *(float(t) for t, text in said if _RESET.search(text))]
-    return used_stretches(span, armed_stretches(events, span), outputs, resets, held)
+    return used_intervals(span, armed_intervals(events, span), outputs, resets, held)
 
 
 _RESET = re.compile(r"EKF.*(reset|yaw (re-?)?align|lane switch|is using|stopped aiding)|EKF primary changed")
@@ -416,11 +416,11 @@ _RESET = re.compile(r"EKF.*(reset|yaw (re-?)?align|lane switch|is using|stopped 
 
 def _accepts(path: Path, head: bytes) -> bool:
     if path.suffix.lower() != ".tlog":
-        return len(head) > 30 and _looks(head)
+        return len(head) > 30 and _is_tlog(head)
     return bool(head)
 
 
-def _looks(head: bytes) -> bool:
+def _is_tlog(head: bytes) -> bool:
     """Whether two messages follow each other from the first byte on, each after a time of this century."""
     place = 0
     for _ in range(2):

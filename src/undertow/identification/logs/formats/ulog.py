@@ -24,13 +24,13 @@ from .fieldlog import (
     OFF,
     FieldLog,
     Format,
+    Interval,
     Series,
-    Stretch,
-    armed_stretches,
+    armed_intervals,
     library,
     outputs_of,
     switched_off,
-    used_stretches,
+    used_intervals,
 )
 
 _SIGNATURE = b"ULog\x01\x12\x35"
@@ -38,7 +38,7 @@ _ARMED = 2  # vehicle_status.arming_state
 _POSITION, _ATTITUDE, _RATE = "vehicle_local_position", "vehicle_attitude", "vehicle_angular_velocity"
 _SAMPLED = (_POSITION, _ATTITUDE, _RATE)
 # Flags of vehicle_local_position, and the columns that mean nothing where they are not set.
-_VOUCHED = {
+_VALID_FLAGS = {
     "xy_valid": ("x", "y"),
     "z_valid": ("z",),
     "v_xy_valid": ("vx", "vy"),
@@ -79,7 +79,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         else []
     )
     actuators = _actuators(series)
-    pieces, cuts = _stretches(series, actuators)
+    pieces, cuts = _intervals(series, actuators)
     return FieldLog(
         path,
         FORMAT.name,
@@ -115,17 +115,17 @@ def _series(name: str, data: Mapping[str, Array], begin: int) -> Series:
     t = (stamps.astype(np.int64) - begin).astype(np.float64) * 1e-6
     columns = dict(data)
     if name == _POSITION:
-        columns |= _vouched(columns)
+        columns |= _valid_only(columns)
     if name == _ATTITUDE:
         columns |= angles(*(columns[f"q[{k}]"].astype(float) for k in range(4)))
     return Series(name, t, columns, {n: unit for n, unit in _UNITS.items() if n in columns})
 
 
-def _vouched(columns: Mapping[str, Array]) -> dict[str, Array]:
+def _valid_only(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Position and velocity, blank where the estimator flags them as invalid."""
     return {
         name: np.where(columns[flag] > 0, columns[name], np.nan)
-        for flag, names in _VOUCHED.items()
+        for flag, names in _VALID_FLAGS.items()
         for name in names
         if flag in columns and name in columns
     }
@@ -161,9 +161,9 @@ def _about_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Colu
     return [note, *switched_off(series[_PULSES].columns[name] for name in names)]
 
 
-def _stretches(
+def _intervals(
     series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]
-) -> tuple[tuple[Stretch, ...], list[str]]:
+) -> tuple[tuple[Interval, ...], list[str]]:
     """Where the vehicle was armed and moved, cut where the estimator was reset, and what is said about it."""
     clocks = [series[name].t for name in _SAMPLED if name in series] or [s.t for s in series.values()]
     span = min(float(t[0]) for t in clocks), max(float(t[-1]) for t in clocks)
@@ -171,7 +171,7 @@ def _stretches(
     known = any(name.startswith("actuator_motors.") for name, _ in actuators)  # pulses have no known rest
     outputs = outputs_of(series, actuators) if known else None
     armed = _armed(series.get("vehicle_status", _NOTHING), span)
-    used, notes = used_stretches(span, armed, outputs, sorted(jumps))
+    used, notes = used_intervals(span, armed, outputs, sorted(jumps))
     return (() if used == (span,) else used), notes
 
 
@@ -182,7 +182,7 @@ def _armed(status: Series, span: tuple[float, float]) -> list[tuple[float, float
     on = status.columns["arming_state"] == _ARMED
     changed = np.flatnonzero(np.diff(on.astype(int))) + 1
     events = [(float(status.t[k]), bool(on[k])) for k in changed]
-    return armed_stretches([(min(span[0], float(status.t[0])), bool(on[0])), *events], span)
+    return armed_intervals([(min(span[0], float(status.t[0])), bool(on[0])), *events], span)
 
 
 def _resets(estimate: Series) -> list[float]:

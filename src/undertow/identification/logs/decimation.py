@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Rows = NDArray[np.intp]
 
 
-def thinned(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
+def decimated(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
     """Every so many-th row of tables that follow each other.
 
     In a table of sensors with clocks of their own, what reports more rarely would be lost with the rows in

@@ -1,4 +1,4 @@
-"""A log in parts, thinned to the rate that a vehicle needs: motion and commands without delay or alias."""
+"""A log in parts, decimated to the rate that a vehicle needs: motion and commands without delay or alias."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ def _quickest_lag(vehicle: Vehicle) -> float:
     return float(np.min(-1.0 / poles[poles < 0.0], initial=np.inf))
 
 
-def thinned(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) -> Iterator[Run]:
-    """Parts of a log that follow each other, thinned.
+def decimated(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) -> Iterator[Run]:
+    """Parts of a log that follow each other, decimated.
 
     A measurement becomes the mean of `by` rows, at the mean of their times: an odd number of them has no
     delay, what is faster than the new rate is averaged away, and the noise stays white. Where some of these
@@ -189,10 +189,10 @@ def _means(times: Array, values: Array, t: Array) -> tuple[Array, float]:
 
 
 def _held(times: Array, values: Array, rows: Index, t: Array, usual: float) -> Array:
-    """A signal that is held from row to row, thinned: blocks `rows` (K, by) at the times t (K,).
+    """A signal that is held from row to row, decimated: blocks `rows` (K, by) at the times t (K,).
 
-    Its integral is thinned like a velocity, whose rate it is: so what moves the mean of the velocity from one
-    block to the next is exactly the command there. At the end and before a gap it is the mean of a block.
+    Its integral is decimated like a velocity, whose rate it is: the decimated command is then exactly what
+    moves the mean velocity from one block to the next. At the end and before a gap it is a block's mean.
     """
     known = np.where(np.isfinite(values), values, 0.0)
     total = np.append(0.0, np.cumsum((known[:-1] - known[0]) * np.diff(times)))
@@ -212,9 +212,9 @@ def _with_next(values: Array, beside: Flags, of: Callable[..., Array]) -> Array:
     return np.asarray(of(np.column_stack([values, after]), axis=1))
 
 
-# --- thinned rows in a file ----------------------------------------------------------------------------
+# --- decimated rows in a file ----------------------------------------------------------------------------
 class Spool:
-    """A log after it was thinned: rows in a temporary file, of which any can be had back as a run."""
+    """A log after it was decimated: rows in a temporary file, of which any can be had back as a run."""
 
     like: Run  # one row, with the name, source and notes of the log
 
@@ -230,7 +230,7 @@ class Spool:
             self._add(run)
 
     def _counted(self, run: Run) -> Run:
-        """Count what is in a part of the log before it is thinned."""
+        """Count what is in a part of the log before it is decimated."""
         last = self.span[1] if self.samples else run.t[0]
         step = np.diff(run.t, prepend=last)
         gaps = step[step > BAND.gap * np.median(step)]
@@ -283,7 +283,7 @@ class Spool:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """Some rows of a spool."""
 
     log: int  # which one
@@ -296,14 +296,14 @@ class Stretch:
         return self.stop - self.first
 
 
-def stretches(spools: Sequence[Spool], rows: int) -> list[Stretch]:
+def segments(spools: Sequence[Spool], rows: int) -> list[Segment]:
     """All segments of so many rows, in order."""
-    return [Stretch(i, a, b) for i, spool in enumerate(spools) for a, b in spool.ranges(rows)]
+    return [Segment(i, a, b) for i, spool in enumerate(spools) for a, b in spool.ranges(rows)]
 
 
-def merged(chosen: Iterable[Stretch]) -> list[Stretch]:
-    """Stretches that follow each other as one, in order."""
-    found: list[Stretch] = []
+def merged(chosen: Iterable[Segment]) -> list[Segment]:
+    """Segments that follow each other as one, in order."""
+    found: list[Segment] = []
     for one in sorted(chosen, key=lambda s: (s.log, s.first)):
         if found and (found[-1].log, found[-1].stop) == (one.log, one.first):
             found[-1] = replace(found[-1], stop=one.stop)
@@ -312,11 +312,11 @@ def merged(chosen: Iterable[Stretch]) -> list[Stretch]:
     return found
 
 
-def without(spools: Sequence[Spool], taken: Iterable[Stretch], rows: int) -> Iterator[Stretch]:
+def without(spools: Sequence[Spool], taken: Iterable[Segment], rows: int) -> Iterator[Segment]:
     """What is left of the spools, in pieces of at most so many rows."""
     used = merged(taken)
     for i, spool in enumerate(spools):
         edges: Index = np.array([0, *(e for s in used if s.log == i for e in (s.first, s.stop)), spool.rows])
         for first, stop in edges.reshape(-1, 2).tolist():
             for begin in range(first, stop, rows):
-                yield Stretch(i, begin, min(begin + rows, stop))
+                yield Segment(i, begin, min(begin + rows, stop))
