@@ -130,6 +130,19 @@ class FoundEffect:
         return issubclass(self.trial.candidate.effect, Measurement)
 
 
+def reconciles_sensors(finding: FoundEffect, bench: Bench) -> bool:
+    """Whether an error of the sensors explains most of the contradiction between pose and velocities.
+
+    They follow from each other without a force, so that no force explains that, known or unknown.
+    """
+    if not finding.of_sensors:
+        return False
+    n = len(bench.test.names) // 2
+    scores = comparable_mean_squares(bench.base_score, finding.trial.score, bench.test)
+    rates = (part[n:] for part in (*scores, bench.noise_level))
+    return explained(*rates, bench.settings) >= bench.settings.own_share
+
+
 IsNoise = Callable[[WeakFit, WeakData], bool]
 
 

@@ -32,7 +32,16 @@ from .consistency import (
     own_variables,
     vanished_inertia,
 )
-from .evidence import FoundEffect, as_good, fitted, in_its_place, inclusion, linear, with_effects
+from .evidence import (
+    FoundEffect,
+    as_good,
+    fitted,
+    in_its_place,
+    inclusion,
+    linear,
+    reconciles_sensors,
+    with_effects,
+)
 from .parallel import mapped
 from .reference import captured
 from .rounds import Round, try_all
@@ -80,9 +89,13 @@ class Selection:
 
     @property
     def established(self) -> list[Graded]:
-        """The effects up to the first one that is in doubt: later ones may only make up for that."""
-        doubted = next((i for i, g in enumerate(self.graded) if g.doubt), len(self.graded))
-        return self.graded[:doubted]
+        """The effects that are not in doubt."""
+        return [g for g in self.graded if not g.doubt]
+
+    @property
+    def established_first(self) -> Selection:
+        """The same, the effects in doubt after the others."""
+        return replace(self, graded=sorted(self.graded, key=lambda g: bool(g.doubt)))
 
     @property
     def all_but_one_established(self) -> bool:
@@ -252,10 +265,10 @@ class _Selector:
         """The effects; where the first is in doubt, once more with those that were found after it in view."""
         found = self._forward()
         self._later = [g.chosen for g in found.graded[1:]]
-        if not self._later or found.established:
-            return found
-        again = self._forward()
-        return again if again.established else found
+        if self._later and found.graded[0].doubt:
+            again = self._forward()
+            found = max(found, again, key=lambda s: len(s.established))
+        return found.established_first
 
     def _forward(self) -> Selection:
         self._reasons, self._worth = {}, {}
@@ -340,7 +353,7 @@ class _Selector:
         """The best candidate that is worth adding, with what does as well; an established one leads.
 
         Beside an effect that is in doubt, or one of too many, none is established: it may only make up for
-        that.
+        that. A contradiction between pose and velocities is due to the sensors, whatever forces are missing.
         """
         bench, least = current.bench, self._settings.worth
         found = {f.id: f for f in self._screened(current)}
@@ -356,8 +369,11 @@ class _Selector:
         many = self._settings.most_equivalent
         doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
-            best, doubt = worthy[0], f"it was found beside {doubtful}, which is not established either"
-            return Graded(best, [], worth[best.id], doubt)
+            beside = f"it was found beside {doubtful}, which is not established either"
+            in_doubt = Graded(worthy[0], [], worth[worthy[0].id], beside)
+            worthy = [f for f in worthy if reconciles_sensors(f, bench)]
+            if not worthy:
+                return in_doubt
         doubts = {}
         for f in (*leading, *near) if worthy else ():
             forces = self._shows_in_forces(f, before, ahead[f.id])
@@ -374,7 +390,7 @@ class _Selector:
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
         doubt = doubts[chosen.id]
         if doubt:
-            return Graded(chosen, [], worth[chosen.id], doubt)
+            return in_doubt if doubtful else Graded(chosen, [], worth[chosen.id], doubt)
         others = [f for i, f in found.items() if f is not chosen and worth[i].enough(least)]
         plain = {chosen.id, *(f.id for f in others if not doubts.get(f.id))}
         alone = self._in_its_place(chosen, current, plain, before, ahead)
@@ -441,15 +457,17 @@ class _Selector:
         ahead: Mapping[str, dict[float, Array]],
         bench: Bench,
     ) -> dict[str, str]:
-        """Doubts of effects that are worth nothing beside the best one, which is in doubt itself."""
+        """Doubts of effects that are worth nothing beside a better one, which is in doubt itself."""
 
         def better(best: FoundEffect, other: FoundEffect) -> float:
             return float(self._often([best, other], ahead, bench)[0])
 
-        if not worthy or _stands(worthy[0], doubts[worthy[0].id], bench):
-            return {}
-        sure = [f for f in worthy[1:] if not doubts[f.id]]
-        return dominated(worthy[0], sure, better, self._beside(ahead, bench), self._settings)
+        sure, beside = [f for f in worthy if not doubts[f.id]], self._beside(ahead, bench)
+        doubted = [f for f in worthy if not _stands(f, doubts[f.id], bench)]
+        found: dict[str, str] = {}
+        for best in reversed(doubted):  # what is said is of the best of them
+            found |= dominated(best, sure, better, beside, self._settings)
+        return found
 
     def _beside(self, ahead: Mapping[str, dict[float, Array]], bench: Bench) -> Beside:
         """What a candidate is worth on top of another."""
