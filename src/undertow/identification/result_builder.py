@@ -365,7 +365,8 @@ class ResultBuilder:
     def _reason(self, effect: str) -> str:
         if self._selection is None or effect in self._claimed:
             return ""
-        return self._selection.reasons.get(effect, "")
+        doubts = {g.chosen.id: g.doubt for g in self._selection.graded if g.doubt}
+        return doubts.get(effect) or self._selection.reasons.get(effect, "")
 
     def _falls(self, effect: str) -> dict[str, float]:
         seen = {} if self._selection is None else self._selection.worth
