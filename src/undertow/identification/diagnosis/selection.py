@@ -159,8 +159,8 @@ def kept_beside(
 ) -> Kept:
     """What an effect keeps of its size and of its gain beside another one.
 
-    All of it where predictions do not get better with the other one beside it, or are clearly worse with
-    that one alone: what stands in for something predicts no better than it.
+    All of it where predictions are clearly worse with that one alone: what stands in for something predicts
+    no better than it. All of its size where predictions do not get better with the other one beside it.
 
     before: the model without either, fitted as the result will be.
     """
@@ -179,13 +179,13 @@ def kept_beside(
         return Kept(1.0, 1.0)
     both = final([other, effect])
     joint = validator.squares_ahead(both)
+    alone = worth(validator.squares_ahead(before), ahead).gain
+    gain = worth(rival, joint).gain / alone if alone > 0.0 else 1.0
     if not worth(ahead, joint).enough(settings.worth):
-        return Kept(1.0, 1.0)
+        return Kept(1.0, gain)
     names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
     own = [n for n in given.model.free if plain(n) in names]
-    size = _size(given, both, [n for n in own if names[plain(n)]] or own)
-    alone = worth(validator.squares_ahead(before), ahead).gain
-    return Kept(size, worth(rival, joint).gain / alone if alone > 0.0 else 1.0)
+    return Kept(_size(given, both, [n for n in own if names[plain(n)]] or own), gain)
 
 
 def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
