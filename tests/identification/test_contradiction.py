@@ -11,10 +11,10 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.bench import Bench, open_bench
+from undertow.identification.diagnosis.consistency import Kept, kept_beside
 from undertow.identification.diagnosis.evidence import FoundEffect, reconciles_sensors
 from undertow.identification.diagnosis.residual import remaining, unknown_to
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.selection import Kept, kept_beside
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.scaffold import effect_of

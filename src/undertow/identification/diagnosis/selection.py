@@ -10,13 +10,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
-from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
@@ -137,64 +134,6 @@ def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
 
 #: What the second of two effects is worth on top of the first.
 Beside = Callable[[FoundEffect, FoundEffect], Worth]
-
-
-class Kept(NamedTuple):
-    """What effects keep beside another one, as shares of what they have without it.
-
-    size: of their parameters.
-    gain: of what predictions gain by them.
-    """
-
-    size: float
-    gain: float
-
-
-def kept_beside(
-    effect: FoundEffect,
-    other: FoundEffect,
-    before: Fitted,
-    bench: Bench,
-    validator: SimulationValidator,
-) -> Kept:
-    """What an effect keeps of its size and of its gain beside another one.
-
-    All of it where predictions are clearly worse with that one alone: what stands in for something predicts
-    no better than it. All of its size where predictions do not get better with the other one beside it.
-
-    before: the model without either, fitted as the result will be.
-    """
-    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-
-    def final(findings: Sequence[FoundEffect]) -> Fitted:
-        return validator.final(fitted(vehicle, findings, bench).fit)[0]
-
-    def worth(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> Worth:
-        return gained(without, with_it, [effect], validator)
-
-    given = final([effect])
-    ahead, rival = validator.squares_ahead(given), validator.squares_ahead(final([other]))
-    pair = [compared(each, [effect], validator) for each in (ahead, rival)]
-    if best_in_resamples(pair, settings)[0] >= settings.best_share:
-        return Kept(1.0, 1.0)
-    both = final([other, effect])
-    joint = validator.squares_ahead(both)
-    alone = worth(validator.squares_ahead(before), ahead).gain
-    gain = worth(rival, joint).gain / alone if alone > 0.0 else 1.0
-    if not worth(ahead, joint).enough(settings.worth):
-        return Kept(1.0, gain)
-    names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
-    own = [n for n in given.model.free if plain(n) in names]
-    return Kept(_size(given, both, [n for n in own if names[plain(n)]] or own), gain)
-
-
-def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
-    """Parameters in a second fit as a share of those in the first, each as far as the first knows it."""
-    errors = given.standard_errors
-    own = [n for n in names if errors[n] > 0.0 and np.isfinite(errors[n])]
-    weight = np.array([given.values[n] / errors[n] ** 2 for n in own])
-    first, second = (np.array([f.values[n] for n in own]) for f in (given, both))
-    return float(weight @ second / max(weight @ first, 1e-300))
 
 
 def alternatives(
