@@ -46,7 +46,7 @@ def check_gains(
     confidence : float
         Confidence level of the parameter intervals.
     covariance : (names, matrix)
-        Covariance of parameters, as `undertow.model.saving.last_covariance` reads it from a vehicle file.
+        Covariance of parameters, as `undertow.model.loading.last_covariance` reads it from a vehicle file.
     forms : sequence of str
         Conditions to check: "printed", "units", "derived"; all by default.
     iota : float, optional
