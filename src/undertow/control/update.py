@@ -20,7 +20,8 @@ from undertow.observer.observer_c import observer_c
 from undertow.typing import Progress
 
 from .conditions.whole import verdicts
-from .controller import Controller, controller_c
+from .controller import Controller
+from .controller_c import controller_c
 from .gains import GainSet, load_gains
 from .guidance.mission import Mission
 
