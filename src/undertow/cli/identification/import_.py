@@ -23,8 +23,9 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import MapOption, NewForceOption, new_file
+from .._options import NewForceOption, new_file
 from .._terminal import progress, say, section, table, write_files
+from ._logs import MapOption
 from .map import show_guesses
 
 if TYPE_CHECKING:

@@ -35,16 +35,9 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import (
-    JsonFileOption,
-    LogOptions,
-    VehicleArgument,
-    bundled,
-    names_and_values,
-    say_long,
-    words,
-)
+from .._options import JsonFileOption, VehicleArgument, bundled, names_and_values, words
 from .._terminal import console, progress, say, section, table, text, write_files
+from ._logs import LogOptions, say_long
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

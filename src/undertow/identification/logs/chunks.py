@@ -32,7 +32,7 @@ from .opening import (
     stretches_of,
     times_of,
 )
-from .reading import run_of_table
+from .reading import run_of_table, thinned
 from .run import Run, later_than_before
 from .table import (
     DAMAGED,
@@ -50,7 +50,6 @@ from .table import (
     refuse_no_file,
     size_of,
 )
-from .thinning import thinned
 
 # Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
 _GLANCE = 1 << 18

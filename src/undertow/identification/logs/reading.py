@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE,
 from undertow.model.tables import TURNS
 from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Flags, Progress
+from undertow.typing import Array, Flags, Index, Progress
 
 from .formats.fieldlog import Window
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
@@ -71,7 +71,6 @@ from .run import (
     unwrapped,
     with_report_noise,
 )
-from .thinning import thinned
 
 Commands = dict[str, float]
 
@@ -569,3 +568,43 @@ def _checked(
         text = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
         notes.append(f"constant channels (unused, or a dead sensor): {text}")
     return replace(run, channels=filled).with_notes(*notes)
+
+
+# --- every so many-th row, without losing what reports more rarely than that ----------------------
+def thinned(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
+    """Every so many-th row of tables that follow each other.
+
+    In a table of sensors with clocks of their own, what reports more rarely would be lost with the rows in
+    between, and a command would be held beyond its next one. So a row in between is kept if it has a report
+    of a column of which none was kept for so many rows.
+    """
+    before, last = 0, dict[str, int]()
+    for table in tables:
+        place = before + np.arange(table.height)
+        kept = place % every == 0
+        for name in table.columns:
+            reports = place[_there(table[name])]
+            late = _late(reports, every, last.get(name, -every))
+            kept[late - before] = True
+            last[name] = max((last.get(name, -every), *late[-1:], *reports[reports % every == 0][-1:]))
+        yield table.filter(kept)
+        before += table.height
+
+
+def _late(reports: Index, every: int, last: int) -> Index:
+    """Those of the reports that come so many rows, or more, after the last that is kept."""
+    regular = np.where(reports % every == 0, reports, last)
+    since = np.maximum.accumulate(regular) if len(regular) else regular
+    between = reports - since >= every
+    found: list[int] = []
+    for report, regularly in zip(reports[between], since[between], strict=True):
+        if report - max((regularly, *found[-1:])) >= every:
+            found.append(int(report))
+    return np.array(found, dtype=np.intp)
+
+
+def _there(column: pl.Series) -> Flags:
+    there = column.is_not_null()
+    if column.dtype.is_float():
+        there &= column.is_not_nan().fill_null(value=False)
+    return there.to_numpy()
