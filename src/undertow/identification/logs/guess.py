@@ -28,6 +28,7 @@ from .guess_frames import (
     quaternion_in,
     rate_of_heading,
     unit_of_heading,
+    unnamed_quaternion,
 )
 from .guess_names import (
     NO_FIT,
@@ -98,7 +99,10 @@ def guess_table(
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
     time = clock or clock_of(table, data, f"log {path}")
     t = times_of_rows(table, data, time, f"log {path}")
-    plain = [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
+    named = quaternion_in(data)
+    unnamed = () if named else unnamed_quaternion({n: c for n, c in data.items() if n != time.column})
+    rotation = {time.column, *unnamed, *(c for c in data if part_of_quaternion(c, data))}
+    plain = [_name(table, c, reading) for c in data if c not in rotation]
     names = with_sides(with_axes(plain))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
@@ -107,7 +111,7 @@ def guess_table(
     driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = _motions(motion, names, data, flags, t)
-    turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
+    turned = () if {*motion} & {*POSE[3:]} else named or unnamed
     attitude = angles(*(data[n] for n in turned)) if turned else {}
     globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
     place = place_of(*((n, data[n]) for n in globe)) if globe else {}
@@ -116,7 +120,7 @@ def guess_table(
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {channel: values for channel, (_, values) in place.items()}
     axes = axes_of(known | attitude, t, along_earth=along_earth)
-    read += _attitude(turned) + _place(globe, place)
+    read += _attitude(turned, _UNNAMED if unnamed else "") + _place(globe, place)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     axes_of_commands = _axes(vehicle) if vehicle else {}
     read += [
@@ -136,7 +140,13 @@ def guess_table(
         tuple(read),
         axes,
         _ignored(
-            table.columns, used, names, dead, only, {*motion} - {g.channel for g in read}, _no_degrees(data)
+            table.columns,
+            used,
+            names,
+            dead,
+            only,
+            {*motion} - {g.channel for g in read},
+            (_no_degrees(data), rotation),
         ),
         reading,
         (*questions, *gaps),
@@ -198,11 +208,18 @@ _FLAG = (
 )
 
 
-def _attitude(quaternion: Sequence[str]) -> list[Guess]:
+_UNNAMED = "squares add up to one: read as w, x, y, z of a quaternion in the order written here: are they?"
+
+
+def _attitude(quaternion: Sequence[str], doubt: str = "") -> list[Guess]:
     """Roll, pitch and yaw from the columns w, x, y, z of a quaternion; nothing from none."""
     entries = formulas(quaternion) if quaternion else {}
     return [
-        Guess(", ".join(quaternion), {"channel": channel, "expression": text, "unit": "rad"})
+        Guess(
+            ", ".join(quaternion),
+            {"channel": channel, "expression": text, "unit": "rad"},
+            doubt if channel == "phi" else "",
+        )
         for channel, text in entries.items()
     ]
 
@@ -547,16 +564,21 @@ def _ignored(
     dead: set[str],
     only: int | None,
     foreign: set[str],
-    no_degrees: Sequence[str],
+    other: tuple[Sequence[str], set[str]],
 ) -> dict[str, tuple[str, ...]]:
-    """Columns that are left out, by the reason; `foreign`: channels that the vehicle does not have."""
+    """Columns that are left out, by the reason.
+
+    `foreign` are channels that the vehicle does not have, `other` columns of places that are not in degrees,
+    and of quaternions.
+    """
+    no_degrees, rotation = other
     found: dict[str, list[str]] = {}
     by_column = {name.column: name for name in names}
     for column in columns:
         if column in used:
             continue
         name = by_column.get(column, Name.of(column))
-        if column not in by_column and not part_of_quaternion(column, columns):
+        if column not in by_column and column not in rotation:
             reason = "not numbers"
         elif column in dead:
             reason = "never changes: measured by nothing, or held"
@@ -568,7 +590,7 @@ def _ignored(
             reason = "a force on the vehicle, which its thrusters make"
         elif column in no_degrees:
             reason = "? a latitude or longitude that is not in degrees (degrees and minutes as 4854.6?)"
-        elif name.motion(only) or column in latitude_and_longitude(columns):
+        elif name.motion(only) or column in rotation or column in latitude_and_longitude(columns):
             reason = "another column looks more like the measurement"
         else:
             reason = "? meaning unknown"

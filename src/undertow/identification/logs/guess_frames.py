@@ -204,6 +204,29 @@ def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
     return ()
 
 
+def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
+    """Columns w, x, y, z of a quaternion that only their numbers show; none: ().
+
+    They stand beside each other, are called alike but for a letter or a number, and are of length one. A
+    vehicle in water stays about upright: of x, y, z, w and w, x, y, z the order is that in which x and y stay
+    small.
+    """
+    names = [n for n in data if not _is_one(data[n])]
+    for four in zip(names, names[1:], names[2:], names[3:], strict=False):
+        if len({_LAST.sub("", n) for n in four}) == 1 and _is_unit([data[n] for n in four]):
+            first, middle = (float(np.nanmean(data[a] ** 2 + data[b] ** 2)) for a, b in (four[:2], four[1:3]))
+            return four if middle <= first else (four[3], *four[:3])
+    return ()
+
+
+_LAST = re.compile(r"(\d+|[A-Za-z])(?=[^A-Za-z0-9]*$)")  # what tells one column of a vector from the next
+
+
+def _is_one(values: Array) -> bool:
+    """Whether a column is never anything but zero or one: a flag, or a part of no rotation at all."""
+    return bool(np.isin(values[np.isfinite(values)], (0.0, 1.0)).all())
+
+
 def _is_unit(columns: Sequence[Array]) -> bool:
     length = np.sqrt(sum(c**2 for c in columns))
     there = np.isfinite(length)
