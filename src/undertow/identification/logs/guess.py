@@ -14,10 +14,11 @@ from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
 from undertow.model.symbols import DOFS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.tables import TURNS
+from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .guess_clock import clock_of, times_of_rows
+from .guess_clock import clock_by_motion, clock_of, times_of_rows
 from .guess_frames import (
     Axes,
     Guess,
@@ -99,6 +100,8 @@ def guess_table(
     data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
     time = clock or clock_of(table, data, f"log {path}")
     t = times_of_rows(table, data, time, f"log {path}")
+    if not clock and (moved := _in_si(data, time.column)):
+        time, t = clock_by_motion(time, t, moved)
     named = quaternion_in(data)
     unnamed = () if named else unnamed_quaternion({n: c for n, c in data.items() if n != time.column})
     rotation = {time.column, *unnamed, *(c for c in data if part_of_quaternion(c, data))}
@@ -151,6 +154,17 @@ def guess_table(
         reading,
         (*questions, *gaps),
     )
+
+
+def _in_si(data: Mapping[str, Array], time: str) -> dict[str, Array]:
+    """Position and horizontal speeds, m and m/s, as far as names and units of columns say."""
+    names = with_sides(with_axes([Name.of(c) for c in data if c != time]))
+    globe = latitude_and_longitude(data)
+    found = {c: v for c, (_, v) in place_of(*((n, data[n]) for n in globe)).items()} if globe else {}
+    for channel, name in _best([n for n in names if not _is_dead(data[n.column])], None).items():
+        if channel in ("x", "y", "u", "v"):
+            found[channel] = data[name.column] * scale_offset(name.unit or UNITS[channel], UNITS[channel])[0]
+    return found
 
 
 def _with_gaps(
@@ -384,6 +398,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
             )
     if name.is_upward and channel in ("z", "w"):
         entry["scale"] = -1
+        if name.is_height:
+            doubt += f"{' ' if doubt else ''}read as a height above a level, so that z is minus it: is it?"
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
     return Guess(name.column, entry, doubt)
@@ -487,8 +503,6 @@ def _rate_in_si(unit: str) -> float:
 
 def _factor(guess: Guess) -> float:
     """SI units in one unit of a column of pose or velocity."""
-    from undertow.model.units import scale_offset
-
     return scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
 
 
@@ -582,7 +596,7 @@ def _ignored(
             reason = "not numbers"
         elif column in dead:
             reason = "never changes: measured by nothing, or held"
-        elif set(name.words) & WANTED:
+        elif set(name.words) & WANTED and not name.motion(only):
             reason = "a set-point, or something else"
         elif name.motion(only) in foreign:
             reason = "a motion that the vehicle does not have"

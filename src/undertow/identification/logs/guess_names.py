@@ -56,6 +56,8 @@ WANTED = {
     "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err",
     "error", "std", "var", "cov", "sigma", "acc", "accel", "acceleration", "ship", "alt", "altitude", "limit",
 }  # fmt: skip
+# A height above a level that stays (the sea, where it was armed), and not above the bottom, grows upwards.
+_HEIGHTS, _LEVELS = {"alt", "altitude", "height"}, {"relative", "rel", "home", "amsl", "msl", "baro"}
 # Less direct than the measurement where the log has both.
 _RANK = {"meas": 0, "measured": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
 _PLAIN = {
@@ -150,7 +152,8 @@ class Name:
     def rank(self) -> tuple[int, int]:
         """How far the name is from that of a plain measurement; the least wins."""
         known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN, *_EARTH_SPEEDS}
-        return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
+        least = 2 if self.is_height else 1  # a depth is what the vehicle feels
+        return max((_RANK.get(w, least) for w in self.words), default=least), len(set(self.words) - known)
 
     @property
     def stem(self) -> tuple[str, ...]:
@@ -162,7 +165,8 @@ class Name:
 
         `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
         """
-        if set(self.words) & {*WANTED, *_DRIVES, *_ABOUT_ELSE} or self.force:
+        wanted = WANTED - _HEIGHTS if self.is_height else WANTED
+        if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE} or self.force:
             return ""
         found = self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
@@ -177,7 +181,12 @@ class Name:
     @property
     def is_upward(self) -> bool:
         """Whether it grows upwards."""
-        return bool({"up", "vu"} & self._with_pairs)
+        return self.is_height or bool({"up", "vu"} & self._with_pairs)
+
+    @property
+    def is_height(self) -> bool:
+        """Whether it is a height above a level, such as "altitudeRelative" or "alt_msl_m"."""
+        return bool(_HEIGHTS & set(self.words) and _LEVELS & set(self.words))
 
     @property
     def _along_earth(self) -> int | None:
@@ -200,6 +209,8 @@ class Name:
 
     def _axis(self, only: int | None) -> str:
         words = set(self.words)
+        if self.is_height:
+            return "" if words & {*_OF_SPEED, *_OF_RATE} else "z"
         if self._along_earth is not None:
             return VELOCITY[self._along_earth]
         speed = self.unit in _SPEEDS or bool(words & _OF_SPEED)
