@@ -79,8 +79,8 @@ SETTINGS = GuessSettings()
 # --- from a table -----------------------------------------------------------------------------------
 def guess_mapping(path: Path, vehicle: Vehicle | None = None) -> GuessedMapping:
     """Guess what the columns of a log (CSV, CSV.gz or Parquet) mean."""
-    table, reading = _table(path)
-    return guess_table(table, path, vehicle, reading)
+    table, reading = whole_table(path)
+    return guess_table(table.head(SETTINGS.rows), path, vehicle, reading)
 
 
 def guess_table(
@@ -97,7 +97,7 @@ def guess_table(
     its time is where that is known.
     """
     reading = reading or LogMapping()
-    data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
+    data = {name: column for name in table.columns if (column := numbers_of(table, name, reading)) is not None}
     time = clock or clock_of(table, data, f"log {path}")
     t = times_of_rows(table, data, time, f"log {path}")
     if not clock and (moved := _in_si(data, time.column)):
@@ -266,15 +266,15 @@ def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) ->
     return unit_of_heading(data[name.column], plain, t) or _unit("psi", data[name.column])[0]
 
 
-def _table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
-    """The first rows of a log, and how its text is written."""
+def whole_table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
+    """The rows of a log, and how its text is written."""
     reading, data, where = LogMapping(), file_bytes(path), f"log {path}"
     table = read_table(data, reading, where, path)
     sign = _delimiter(table) if len(table.columns) == 1 else None
     if sign is not None:
         reading = LogMapping(delimiter=sign)
         table = read_table(data, reading, where, path)
-    return table.head(SETTINGS.rows), reading
+    return table, reading
 
 
 def _delimiter(table: pl.DataFrame) -> str | None:
@@ -284,7 +284,7 @@ def _delimiter(table: pl.DataFrame) -> str | None:
     return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
 
 
-def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
+def numbers_of(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
     """The numbers of a column; None where it is one of dates, or has more texts than numbers."""
     if is_dates(table, name):
         return None
@@ -430,8 +430,13 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
 
 
 def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
-    """The column that announces new values of a sensor slower than its log; the column itself without one."""
-    new = np.concatenate([[False], np.diff(values) != 0]) & np.isfinite(values)
+    """The column that announces new values of a sensor slower than its log; the column itself without one.
+
+    Of a sensor that stands in rows of its own only these are looked at.
+    """
+    there = np.isfinite(values)
+    values, flags = values[there], {flag: column[there] for flag, column in flags.items()}
+    new = np.concatenate([[False], np.diff(values) != 0])
     if len(values) < 2 or not 0 < np.mean(new) < 1.0 - SETTINGS.repeated:
         return ""
     for flag, column in flags.items():

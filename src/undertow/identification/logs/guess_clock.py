@@ -64,6 +64,16 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     return Guess(found, entry, " ".join(asked))
 
 
+def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
+    """Times of the rows, s, those of dates since 1970."""
+    if time.column in data:
+        return data[time.column] * SECONDS[str(time.entry["unit"])]
+    if table[time.column].dtype in (pl.Datetime, pl.Date):
+        table = table.with_columns(pl.col(time.column).cast(pl.Datetime("ns")))
+    t, first, origin = seconds(table, time.column, where)
+    return t + float(origin) * 1e-9 if first else t
+
+
 def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[Guess, Array]:
     """The clock, and times in s, in the unit in which the change of position is that of its speed.
 

@@ -25,7 +25,7 @@ from undertow.model.symbols import POSE
 from undertow.typing import Array
 
 from .by_name import guessed
-from .fieldlog import FieldLog, Format, Series, library
+from .fieldlog import FieldLog, Format, Series, from_one_begin, library
 
 _WORKSPACE = "workspace"
 # Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
@@ -43,7 +43,6 @@ class MatlabSettings:
     widest: int = 16  # columns of a matrix that are measurements of their own
     # Numbers of days that are dates (datenum): from 1970 to 2100.
     dates: tuple[float, float] = (719_529.0, 767_011.0)
-    since: float = 1e6  # s; a clock that begins later does not begin with the log
 
 
 SETTINGS = MatlabSettings()
@@ -73,15 +72,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             f"log {path} has no time vector with other vectors of the same length (it has {names}): call "
             f"one of them time or t.{what}"
         )
-    # Clocks since 1970 begin with the first of them; others beside them begin with the log.
-    firsts = [float(np.nanmin(one.t)) for one in found]
-    late = [first for first in firsts if abs(first) > SETTINGS.since]
-    if late:
-        begins = (min(late) if abs(first) > SETTINGS.since else 0.0 for first in firsts)
-        found = [
-            Series(one.name, one.t - begin, one.columns, one.units)
-            for one, begin in zip(found, begins, strict=True)
-        ]
+    found = from_one_begin(found)
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
     about, asked = tuple(notes), tuple(questions)
