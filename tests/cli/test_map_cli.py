@@ -356,7 +356,9 @@ def test_a_quaternion_and_numbered_thrusters_of_another_name_are_read(case: Path
     np.testing.assert_allclose(turn, turn[0], atol=1e-6)
 
 
-@pytest.mark.parametrize("names", [("q0", "q1", "q2", "q3"), ("att[1]", "att[2]", "att[3]", "att[4]"), "abcd"])
+@pytest.mark.parametrize(
+    "names", [("q0", "q1", "q2", "q3"), ("att[1]", "att[2]", "att[3]", "att[4]"), "abcd"]
+)
 @pytest.mark.parametrize("last", [False, True], ids=["scalar first", "scalar last"])
 @pytest.mark.parametrize("north", [0.05, 2.0])
 def test_a_quaternion_shows_by_its_length(

@@ -66,7 +66,9 @@ def test_thrusters_with_a_curve_are_planned_with() -> None:
     held = trim(functions, limits, push)
     assert held.left == {}
     assert np.all(np.abs(held.commands[4:]) > 0.07)  # out of the dead band of each vertical thruster
-    assert [axis.name for axis in motion_axes(vehicle, push, limits.value)] == list(vehicle.degrees_of_freedom)
+    assert [axis.name for axis in motion_axes(vehicle, push, limits.value)] == list(
+        vehicle.degrees_of_freedom
+    )
 
 
 def _vehicle(dofs: list[str], effects: dict[str, dict[str, object]], forces: list[str]) -> Vehicle:
@@ -287,7 +289,9 @@ def test_one_sided_limits_come_from_the_file_the_logs_or_the_request() -> None:
     vehicle = _with_propellers(0.0)
     known = command_limits(vehicle, {"": 3.0, "f4": (0.0, 5.0)}, ())
     assert (known.low.tolist(), known.high.tolist()) == ([-3, 0, -3, 0], [3, 3, 3, 5])
-    with pytest.raises(UndertowError, match="--limit 3 for 'f2' is beyond its limit in the vehicle file, 0 to 9"):
+    with pytest.raises(
+        UndertowError, match="--limit 3 for 'f2' is beyond its limit in the vehicle file, 0 to 9"
+    ):
         command_limits(vehicle, {"": 3.0, "f2": (-3.0, 3.0)}, ())
     with pytest.raises(UndertowError, match="--limit f1 = 2 to 3 is not a limit"):
         command_limits(vehicle, {"": 3.0, "f1": (2.0, 3.0)}, ())

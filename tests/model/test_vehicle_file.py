@@ -81,7 +81,7 @@ def test_thrusters(load: Callable[[str], Vehicle]) -> None:
 
 
 def test_a_thruster_may_be_unable_to_reverse(load: Callable[[str], Vehicle]) -> None:
-    vehicle = load(FILE.replace("limit = 1.0", 'limit = 1.0\nlowest = 0'))
+    vehicle = load(FILE.replace("limit = 1.0", "limit = 1.0\nlowest = 0"))
     assert vehicle.thrusters[0].lowest == 0.0
     assert vehicle.lowest_commands == {"bow": 0.0}
 

@@ -237,7 +237,7 @@ class Vehicle:
 
     @property
     def lowest_commands(self) -> dict[str, float]:
-        """Lowest commands: as stated, where a curve of thrust begins that ends at zero, or minus the limit."""
+        """Lowest commands: as stated, zero where a curve of thrust begins there, or minus the limit."""
         curves = {t.name: t.law.pieces[0][0] for t in self.thrusters if isinstance(t.law, Curve)}
         one_sided = {name: begin for name, begin in curves.items() if begin == 0.0}
         stated = {t.name: t.lowest for t in self.thrusters if t.lowest is not None}

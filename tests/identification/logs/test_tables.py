@@ -33,7 +33,7 @@ def _thrust(t: Array) -> dict[str, Array]:
 
 
 def _folder(folder: Path, prefix: str = "") -> tuple[Array, Array, Array]:
-    """Pose at 10, gyro at 25 and motors at 4 samples a second: dates, nanoseconds, and stamps in two parts."""
+    """Pose at 10, gyro at 25, motors at 4 samples a second: dates, nanoseconds, stamps in two parts."""
     rng = np.random.default_rng(3)
     pose, gyro, motor = np.arange(0, 40, 0.1), np.arange(0.013, 40, 0.04), np.arange(0.5, 40, 0.25)
     at = _motion(pose)
@@ -111,7 +111,9 @@ def test_what_is_no_table_with_a_time_is_left_out_and_named(tmp_path: Path) -> N
 def test_runs_are_not_joined(tmp_path: Path) -> None:
     for name in ("monday.csv", "tuesday.csv"):
         _write(tmp_path / name, {"t": np.arange(9.0), "x": np.arange(9.0), "u": np.ones(9)})
-    with pytest.raises(UndertowError, match="monday.csv and tuesday.csv have the same columns .* as several"):
+    with pytest.raises(
+        UndertowError, match=r"monday.csv and tuesday.csv have the same columns .* as several"
+    ):
         read_log(tmp_path)
 
 
@@ -119,10 +121,14 @@ def test_one_thruster_a_file_is_no_run_of_its_own(tmp_path: Path) -> None:
     """As topics with one number each are written: the columns are the same, the files are not."""
     pose, *_ = _folder(tmp_path)
     (tmp_path / "motors.csv").unlink()
+    late = 0.05 * np.random.default_rng(1).random(len(pose))
     for k, (name, values) in enumerate(_thrust(pose).items()):
-        _write(tmp_path / f"{name}.csv", {"%time": _whole(pose + 0.01 * k), "field.data": values})
+        stamps = {"%time": _whole(pose + late), "field.header.stamp": _whole(pose + 0.01 * k)}
+        _write(tmp_path / f"{name}.csv", stamps | {"field.data": values})
     log = read_field_log(tmp_path)
     assert {"left_motor", "right_motor"} < {*log.series}
+    np.testing.assert_allclose(log.series["right_motor"].t, pose + 0.01, atol=1e-6)
+    assert [*log.series["right_motor"].columns] == ["field.data"]
     run = read_log(tmp_path, channels=COMMANDS)
     there = run.t > 0.02
     np.testing.assert_allclose(run.channels["left_motor"][there], np.sin(0.5 * run.t[there]), atol=0.06)
@@ -131,7 +137,7 @@ def test_one_thruster_a_file_is_no_run_of_its_own(tmp_path: Path) -> None:
 def test_only_tables_can_be_several_files(tmp_path: Path) -> None:
     _folder(tmp_path)
     (tmp_path / "dive.alog").write_text("%%% LOG FILE\n1.0 NAV_X a 2.0\n")
-    with pytest.raises(UndertowError, match="dive.alog is MOOS, and only tables can be several files"):
+    with pytest.raises(UndertowError, match=r"dive.alog is MOOS, and only tables can be several files"):
         read_log([tmp_path / "pose.csv", tmp_path / "dive.alog"])
     with pytest.raises(UndertowError, match="does not exist"):
         read_log([tmp_path / "pose.csv", tmp_path / "gone.csv"])

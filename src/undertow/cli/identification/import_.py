@@ -78,7 +78,9 @@ def import_(
     for note in (*found.notes, *(() if given else found.remarks)):
         say(note, "dim")
     if target is None or beside is None:
-        section(f"{found.path}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()]))
+        section(
+            f"{found.path}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()])
+        )
         return
     guessed = None if given else first_mapping(found, model)
     meaning = guessed.meaning if guessed else given or LogMapping()

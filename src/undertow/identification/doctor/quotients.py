@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from undertow.identification.findings import Finding, percent
+from undertow.identification.findings import Finding, Severity, percent
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.typing import Array
@@ -45,9 +46,7 @@ def divided(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
     pose = np.column_stack([run.channels[n] if n in kinematics.channels else zero for n in POSE])
     quotients = [np.linalg.solve(jacobian(pose), rate[:, :, None])[:, :, 0] for rate in _rates(run.t, pose)]
     own = [n for n in VELOCITY if n in kinematics.channels and _compared(n, kinematics.rows)]
-    return tuple(
-        n for n in own if any(_same(run.channels[n], q[:, VELOCITY.index(n)]) for q in quotients)
-    )
+    return tuple(n for n in own if any(_same(run.channels[n], q[:, VELOCITY.index(n)]) for q in quotients))
 
 
 def _compared(velocity: str, rows: Sequence[str]) -> bool:
@@ -70,7 +69,7 @@ def _rates(t: Array, pose: Array) -> Iterator[Array]:
     yield np.concatenate([nothing, weight * quotient[:-1] + (1.0 - weight) * quotient[1:], nothing])
 
 
-def _same(velocity: Array, quotient: Array) -> bool:
+def _same(velocity: Array, quotient: NDArray[np.floating]) -> bool:
     """Whether a velocity strays with a quotient from what it is on average."""
     there = np.isfinite(velocity) & np.isfinite(quotient)
     v, q = velocity[there], quotient[there]
@@ -98,10 +97,10 @@ def finding_on_quotients(
     text = (
         f"{', '.join(names)} are changes of {pose} divided by single steps of the clock, which vary by "
         f"{max(jitter_of(run.clock) for run in runs):.0%}: they measure nothing else, and disagree with the "
-        f"pose by {percent(excess)} of the motion (mean square) where stamps are late; leave them out (remove "
-        "their columns from the mapping file, and put them into its `ignore`); they are then derived from "
-        "the pose over many steps"
+        f"pose by {percent(excess)} of the motion (mean square) where stamps are late; leave them out "
+        "(remove their columns from the mapping file, and put them into its `ignore`); they are then "
+        "derived from the pose over many steps"
     )
-    severity = "mistake" if excess > SETTINGS.gross else "warning"
+    severity: Severity = "mistake" if excess > SETTINGS.gross else "warning"
     evidence = {"mismatch": excess}
     return Finding(id="divided_by_jitter", severity=severity, text=text, evidence=evidence), names

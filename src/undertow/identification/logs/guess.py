@@ -97,7 +97,9 @@ def guess_table(
     its time is where that is known.
     """
     reading = reading or LogMapping()
-    data = {name: column for name in table.columns if (column := numbers_of(table, name, reading)) is not None}
+    data = {
+        name: column for name in table.columns if (column := numbers_of(table, name, reading)) is not None
+    }
     time = clock or clock_of(table, data, f"log {path}")
     t = times_of_rows(table, data, time, f"log {path}")
     if not clock and (moved := _in_si(data, time.column)):

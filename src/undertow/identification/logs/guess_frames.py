@@ -213,7 +213,11 @@ def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
     names = [*data]
     for four in zip(names, names[1:], names[2:], names[3:], strict=False):
         columns = [data[n] for n in four]
-        if len({_LAST.sub("", n) for n in four}) == 1 and _is_unit(columns) and not all(map(_is_flag, columns)):
+        if (
+            len({_LAST.sub("", n) for n in four}) == 1
+            and _is_unit(columns)
+            and not all(map(_is_flag, columns))
+        ):
             return (four[3], *four[:3]) if _scalar_is_last(columns) else four
     return ()
 

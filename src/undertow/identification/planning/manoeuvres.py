@@ -388,8 +388,8 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, Limit], runs: Sequence[
                 "value, or LOWEST:HIGHEST with zero between them"
             )
     found = [_limit(n, vehicle, asked.get(n, asked.get("")), runs) for n in vehicle.command_names]
-    low, high = np.array([bounds for bounds, _ in found]).reshape(-1, 2).T
-    return CommandLimits(low, high, tuple(s for _, s in found))
+    lows, highs = np.array([bounds for bounds, _ in found]).reshape(-1, 2).T
+    return CommandLimits(lows, highs, tuple(s for _, s in found))
 
 
 def limit_text(bounds: Bounds) -> str:

@@ -170,7 +170,7 @@ def _column(one: Series, guess: Guess) -> Column:
 def numbered(
     names: Sequence[str], columns: Mapping[str, Column], known: Mapping[str, Column] | None = None
 ) -> tuple[tuple[str, Column], ...]:
-    """Of columns whose names differ in their last number the most numerous, in its order, as what is known."""
+    """Of columns whose names differ in their last number the most numerous, in its order, as is known."""
     most = max(rows_by_number(n for n in names if n not in columns), key=len, default=[])
     plain = known or {}
     return tuple(

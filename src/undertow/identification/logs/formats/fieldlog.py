@@ -165,7 +165,9 @@ class FieldLog:
         """All columns side by side, as many rows as tell what they mean."""
         every = np.sort(np.concatenate([one.t[rising(one.t)] for one in self.series.values()]))
         end = float(every[min(SETTINGS.looked_at, len(every)) - 1])
-        table = self.table([f"{s.name}.{column}" for s in self.series.values() for column in s.columns], (None, end))
+        table = self.table(
+            [f"{s.name}.{column}" for s in self.series.values() for column in s.columns], (None, end)
+        )
         return table.filter(pl.col(TIME) <= end)
 
     @property

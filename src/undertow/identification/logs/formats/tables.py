@@ -8,19 +8,18 @@ and nanoseconds stand in two columns (``header.stamp.sec``), else the column tha
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 
 from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess import guess_table, numbers_of, whole_table
-from undertow.identification.logs.guess_clock import absolute_times, clock_of
-from undertow.identification.logs.guess_names import Name
-from undertow.identification.logs.mapping import Column
+from undertow.identification.logs.guess_clock import absolute_times, clock_of, unit_by_steps
+from undertow.identification.logs.guess_names import Name, unit_of_clock
+from undertow.identification.logs.mapping import SECONDS, Column
 from undertow.identification.logs.run import UNITS, later_than_before
 from undertow.identification.logs.table import refuse_no_file
 from undertow.typing import Array
@@ -47,7 +46,10 @@ class TableSettings:
     """Numbers that decide how the tables of a run are read."""
 
     late: float = 0.05  # share of stamps that may be no later than one before
-    apart: float = 10.0  # s by which stamps may differ from the time of recording: else another clock made them
+    since: float = 1e8  # s since 1970; stamps of messages are later
+    apart: float = (
+        10.0  # s by which stamps may differ from the time of recording: else another clock made them
+    )
 
 
 SETTINGS = TableSettings()
@@ -147,16 +149,27 @@ def _without(data: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array
 
 
 def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
-    """Times, s, of stamps whose seconds and nanoseconds are two columns, and these; None without any."""
-    for name in data:
-        begin = re.fullmatch(r"(.*?)(?:secs?|seconds)", name)
-        ends = [begin[1] + end for end in ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds")] if begin else []
-        for other in (end for end in ends if end in data):
-            t = data[name] + 1e-9 * data[other]
-            there = t[np.isfinite(t)]
-            if len(there) > 1 and np.mean(later_than_before(there)) > 1.0 - SETTINGS.late:
-                return t, (name, other)
+    """Times, s, of stamps of messages, since 1970, and the columns that they are in; None without any."""
+    for columns in (*_seconds_and_nanoseconds(data), *((n,) for n in data if "stamp" in Name.of(n).words)):
+        whole, *parts = (data[n] for n in columns)
+        t = whole + 1e-9 * parts[0] if parts else whole * SECONDS[_unit(columns[0], whole)]
+        there = t[np.isfinite(t)]
+        rises = len(there) > 1 and np.mean(later_than_before(there)) > 1.0 - SETTINGS.late
+        if rises and there[0] > SETTINGS.since:
+            return t, columns
     return None, ()
+
+
+def _seconds_and_nanoseconds(data: Mapping[str, Array]) -> Iterator[tuple[str, str]]:
+    """Columns that are alike but for these words."""
+    for name in data:
+        if found := re.fullmatch(r"(.*?)(?:secs?|seconds)", name):
+            others = (found[1] + end for end in ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds"))
+            yield from ((name, other) for other in others if other in data)
+
+
+def _unit(name: str, stamps: Array) -> str:
+    return unit_of_clock(name) or unit_by_steps(stamps, float(np.nanmedian(np.diff(stamps))))
 
 
 def _refuse_runs(path: Path, files: Sequence[Path], found: Sequence[Series]) -> None:
@@ -165,8 +178,8 @@ def _refuse_runs(path: Path, files: Sequence[Path], found: Sequence[Series]) -> 
     moving = [column for column in found[0].columns if Name.of(column).motion()]
     if len(found) > 1 and alike and moving:
         raise UndertowError(
-            f"log {path}: {listed([file.name for file in files])} have the same columns ({listed(moving)}), as "
-            "several runs have: give each of them as a log, or only the files of one run"
+            f"log {path}: {listed([file.name for file in files])} have the same columns ({listed(moving)}), "
+            "as several runs have: give each of them as a log, or only the files of one run"
         )
 
 
