@@ -57,7 +57,7 @@ def test_steps_that_jitter_are_no_divisors(ship: Vehicle) -> None:
     )
     for name in ("u", "v", "r"):
         before, after = (np.nanstd(one.channels[name] - true.channels[name]) for one in (run, anew))
-        assert after < 0.002 * before
+        assert after < 0.01 * before
         assert np.mean(np.isfinite(anew.channels[name])) > 0.95
     with pytest.raises(
         UndertowError, match=r"u, v, r are changes of x, y, psi .+ put them into its `ignore`"
