@@ -523,7 +523,8 @@ def _command(
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
-    doubt, asked = "", "" if name.is_surely(command, axes) else f"is it command '{command}'? "
+    sure = command == name.column or name.is_surely(command, axes)
+    doubt, asked = "", "" if sure else f"is it command '{command}'? "
     low, high = SETTINGS.pulse
     pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off
     if command in FORCES:

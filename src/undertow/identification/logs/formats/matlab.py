@@ -1,4 +1,4 @@
-"""MATLAB: .mat of all versions, with tables and timetables, by mat-io.
+"""MATLAB: .mat of all versions, with tables, timetables and timeseries, by mat-io.
 
 The workspace and every struct in it are series: vectors as long as a vector of time are their columns. A
 struct without a time of its own takes that of the struct it is in. Columns of matrices are numbered from one
@@ -9,14 +9,14 @@ is guessed from their names.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS
@@ -55,14 +55,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         raw = matio.load_from_mat(str(path), spmatrix=False)
     objects: list[str] = []
     content = {n: _plain(value, n, objects) for n, value in raw.items() if not n.startswith("__")}
-    notes = [
-        f"{name} is an object of MATLAB: save it as a struct, for a table or timetable by S = "
-        f"table2struct(timetable2table({name}), 'ToScalar', true)"
-        for name in objects
-    ]
+    notes = _on_objects(objects)
     found = list(_series(_WORKSPACE, content, {}))
     if not found:
-        cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and hasattr(v[0], "size")}
+        cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and _is_long(v[0])}
         if cells:
             name = max(cells, key=lambda n: cells[n])
             notes = [f"{name} is a cell array: save each run in a file of its own, such as {name}{{1}}"]
@@ -76,7 +72,16 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
     about, asked = tuple(notes), tuple(questions)
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked)
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked, by_name=True)
+
+
+def _on_objects(names: Sequence[str]) -> list[str]:
+    """One note on objects that only MATLAB can read."""
+    if not names:
+        return []
+    them, one = ("it as a struct", "is an object") if len(names) == 1 else ("them as structs", "are objects")
+    how = f"a table or timetable by S = table2struct(timetable2table({names[0]}), 'ToScalar', true)"
+    return [f"{listed(names)} {one} of MATLAB: save {them}, {how}"]
 
 
 # --- from the file to names and arrays ------------------------------------------------------------
@@ -84,6 +89,8 @@ def _plain(value: Any, name: str, objects: list[str]) -> Any:
     """Structs and tables as dictionaries, cells as lists, vectors flat; objects are `objects` by name."""
     if hasattr(value, "columns"):
         return _members(value)
+    if getattr(value, "classname", "") == "timeseries":
+        return _of_timeseries(value.properties)
     if not isinstance(value, np.ndarray):
         objects.append(name)
         return None
@@ -112,6 +119,35 @@ def _members(frame: Any) -> dict[str, Any]:
         stamped.append("time")
     columns |= {name: _in_seconds(columns[name]) for name in stamped}
     return _joined(columns)
+
+
+def _of_timeseries(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Time and data of a timeseries, as Simulink and the toolbox for ROS make them.
+
+    The latter keeps the names of fields of messages as `UserData`.
+    """
+    clock = parts["TimeInfo"].properties
+    t = np.ravel(clock["Time_"])
+    if not t.size:
+        t = _one(clock["Start_"], 0.0) + _one(clock["Increment_"], 1.0) * np.arange(
+            _one(clock["Length"], 0.0)
+        )
+    unit = unit_of_clock(f"time ({_one(clock['Units'], 'seconds')})") or "s"
+    data = np.asarray(parts["Data_"])
+    data = data if _one(parts["IsTimeFirst_"], True) else np.moveaxis(data, -1, 0)
+    flat = data.reshape(len(data), -1)
+    cells = parts["DataInfo"].properties.get("UserData", np.zeros(0))
+    names = [str(_one(cell, "")) for cell in cells.ravel()] if cells.dtype.kind == "O" else []
+    named = (
+        dict(zip(names, flat.T, strict=True)) if len(names) == flat.shape[1] else {"data": np.squeeze(flat)}
+    )
+    return {"time (s)": SECONDS[unit] * t, **named}
+
+
+def _one(value: Any, otherwise: Any) -> Any:
+    """The first element of an array, if there is one."""
+    cells = np.ravel(value)
+    return cells[0] if cells.size else otherwise
 
 
 def _joined(columns: dict[str, Any]) -> dict[str, Any]:
@@ -161,6 +197,11 @@ def _structs(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
     if isinstance(value, list):
         return [(f"{name}({k})", one) for k, one in enumerate(value, 1) if isinstance(one, dict)]
     return []
+
+
+def _is_long(value: Any) -> bool:
+    """Whether it may be a run: more numbers than a name has."""
+    return isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1
 
 
 def _numbers(value: Any) -> Array | None:
