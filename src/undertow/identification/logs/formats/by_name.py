@@ -13,15 +13,20 @@ from undertow.identification.logs.guess import SETTINGS, guess_table, no_column,
 from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
 from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
-from undertow.identification.logs.run import MEASURED, UNITS
+from undertow.identification.logs.run import FORCES, MEASURED, UNITS
 from undertow.model.catalogue import catalogue, logged_quantities
-from undertow.model.symbols import VELOCITY
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 
 from .fieldlog import CLOCK, HELD, TIME, FieldLog, Series
 
 _TIME = "time [s]"
+# Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
+_MOVES = ("surge", "sway", "heave", "p", "q", "r")
+SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
+TURNED = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
+LINEAR = {"pos", "position", "vel", "velocity", "acc", "acceleration", "gyro", "omega", "rates"}
 Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
 
 
@@ -177,3 +182,13 @@ def numbered(
         (name, plain.get(name, Column(channel=name)).model_copy(update={"channel": f"motor{k}"}))
         for k, name in enumerate(most, 1)
     )
+
+
+def names_of_columns(name: str, width: int) -> list[str]:
+    """What the columns of a matrix are called: by axis where they are three or six, else by number."""
+    if width == 6 and name.lower() in SIX:
+        return [f"{name}_{axis}" for axis in SIX[name.lower()]]
+    if width == 3:
+        axes = ("phi", "theta", "psi") if set(Name.of(name).words) & TURNED else ("x", "y", "z")
+        return [f"{name}_{axis}" for axis in axes]
+    return [name] if width == 1 else [f"{name}{k}" for k in range(1, width + 1)]

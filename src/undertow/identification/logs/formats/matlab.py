@@ -20,19 +20,12 @@ from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS
-from undertow.identification.logs.run import FORCES
-from undertow.model.symbols import POSE
 from undertow.typing import Array
 
-from .by_name import guessed
+from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns
 from .fieldlog import FieldLog, Format, Series, from_one_begin, library
 
 _WORKSPACE = "workspace"
-# Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
-_MOVES = ("surge", "sway", "heave", "p", "q", "r")
-_SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
-_TURNS = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
-_LINEAR = {"pos", "position", "vel", "velocity", "acc", "acceleration", "gyro", "omega", "rates"}
 _ITSELF = {"values", "value", "data"}  # a member that is what its struct is called
 
 
@@ -154,7 +147,7 @@ def _joined(columns: dict[str, Any]) -> dict[str, Any]:
     """Variables of several columns put together again, which mat-io numbers (``eta_1`` …)."""
     for first in [name for name in columns if name.endswith("_1")]:
         base = first[:-2]
-        width = 6 if base.lower() in _SIX else 3 if {*Name.of(base).words} & (_TURNS | _LINEAR) else 0
+        width = 6 if base.lower() in SIX else 3 if {*Name.of(base).words} & (TURNED | LINEAR) else 0
         parts = [f"{base}_{k}" for k in range(1, width + 1)]
         if parts and all(part in columns for part in parts):
             columns[base] = np.column_stack([columns.pop(part) for part in parts])
@@ -230,16 +223,7 @@ def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int,
     rows, width = upright.shape
     if width > SETTINGS.widest:
         return rows, {}
-    return rows, dict(zip(_names(name, width), upright.T, strict=True))
-
-
-def _names(name: str, width: int) -> list[str]:
-    if width == 6 and name.lower() in _SIX:
-        return [f"{name}_{axis}" for axis in _SIX[name.lower()]]
-    if width == 3:
-        axes = ("phi", "theta", "psi") if set(Name.of(name).words) & _TURNS else ("x", "y", "z")
-        return [f"{name}_{axis}" for axis in axes]
-    return [name] if width == 1 else [f"{name}{k}" for k in range(1, width + 1)]
+    return rows, dict(zip(names_of_columns(name, width), upright.T, strict=True))
 
 
 def _accepts(path: Path, head: bytes) -> bool:
