@@ -164,6 +164,7 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("Heave [m]", "z", "m"),
         ("sway_m", "y", "m"),
         ("surge", "u", ""),
+        ("tau_diff.x", "", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -207,6 +208,18 @@ def test_speeds_to_north_and_east_are_along_the_earth() -> None:
     assert found.axes.entry == {"position": "NED", "body": "FRD", "velocity": "NED"}
     (asked,) = found.axes.questions
     assert "heading grow clockwise" in asked
+
+
+def test_velocities_of_a_series_called_ned_are_along_the_earth() -> None:
+    """And what a motor consumes is no command, nor is how far a force was missed."""
+    found = _guessed(**{"twist_ned.linear.x": 0.4, "twist_ned.linear.y": 0.3, "twist_body.linear.x": 0.2})
+    assert [(g.column, g.channel) for g in found.columns] == [("twist_body.linear.x", "u")]
+    found = _guessed(**{"twist_ned.linear.x": 0.4, "twist_ned.linear.y": 0.3})
+    assert found.axes.entry["velocity"] == "NED"
+    found = _guessed(**{"thruster.speed_rpm": 90.0, "thruster.motor_current": 9.0, "thruster.voltage": 2.0})
+    assert [g.column for g in found.columns] == ["thruster.speed_rpm"]
+    found = _guessed(**{"tau_actual.force_x": 4.0, "tau_diff.force_x": 0.1, "tau.cmd.force_x": 5.0})
+    assert [g.column for g in found.columns if g.channel == "tau_X"] == ["tau_actual.force_x"]
 
 
 def test_speeds_along_the_body_come_before_those_along_the_earth() -> None:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from undertow.cli.main import main
 from undertow.errors import UndertowError
+from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import read_field_log
 from undertow.identification.logs.formats.tables import one_run
 from undertow.identification.logs.mapping import read_mapping
@@ -115,6 +116,48 @@ def test_runs_are_not_joined(tmp_path: Path) -> None:
         UndertowError, match=r"monday.csv and tuesday.csv have the same columns .* as several"
     ):
         read_log(tmp_path)
+
+
+def test_folders_in_a_folder_are_topics_of_its_run(tmp_path: Path) -> None:
+    """Recorded in local time, two hours ahead of the stamps; what has no stamp is in local time alone."""
+    t, zone = np.arange(0, 40, 0.1), 7200.0
+    at = _motion(t)
+    stamps = {"header_stamp_secs": _whole(t) // 10**9, "header_stamp_nsecs": _whole(t) % 10**9}
+    for name, late, columns in (
+        ("navigation/pose", 0.3, stamps | {"position_x": at["x"], "position_y": at["y"]}),
+        ("navigation/twist_ned", 0.5, stamps | {"linear_x": np.gradient(at["x"], t)}),
+        ("actuators/left/thruster", 0.0, {"throttle": np.sin(t), "current": np.cos(t)}),
+        ("actuators/right/thruster", 0.0, {"throttle": np.cos(t), "current": np.sin(t)}),
+    ):
+        path = tmp_path / f"{name}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write(path, {"time_ns": _whole(t + zone + late)} | columns)
+    (tmp_path / "navigation" / "events.csv").write_text("")
+    log = read_field_log(tmp_path)
+    assert [*log.series] == [
+        "actuators.left.thruster", "actuators.right.thruster", "navigation.pose", "navigation.twist_ned",
+    ]  # fmt: skip
+    for one in log.series.values():
+        np.testing.assert_allclose(one.t, t, atol=1e-6)
+    assert log.notes == ("left out: navigation/events.csv (empty (0 bytes))",)
+    guessed = {g.column: g.channel for g in first_mapping(log).columns}
+    assert guessed["navigation.pose.position_x"] == "x"
+    assert not [column for column in guessed if column.endswith("current")]
+
+
+def test_runs_in_folders_of_a_folder_are_not_joined(tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        (tmp_path / name).mkdir()
+        _folder(tmp_path / name)
+    with pytest.raises(
+        UndertowError, match="folders monday and tuesday have files of the same names, as sev"
+    ):
+        read_log(tmp_path)
+    assert read_log(tmp_path / "monday").name == "monday"
+    late = pl.read_csv(tmp_path / "monday" / "gyro.csv").with_columns(pl.col("t_ns") + 3600 * 10**9)
+    late.write_csv(tmp_path / "monday" / "gyro.csv")
+    with pytest.raises(UndertowError, match=r"table 'pose' ends 3.56e.03 s before 'gyro' begins: they are of"):
+        read_log(tmp_path / "monday")
 
 
 def test_one_thruster_a_file_is_no_run_of_its_own(tmp_path: Path) -> None:

@@ -336,7 +336,9 @@ def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) ->
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
         rows = rows_by_number(n.column for n in driving)
         beside = {column for row in rows if not dead.issuperset(row) for column in row}
-        return {n.force or n.column: n for n in driving if n.column not in dead or n.column in beside}
+        likely = sorted(driving, key=lambda n: n.rank, reverse=True)  # of one force the plainest is the last
+        kept = {n.force or n.column: n for n in likely if n.column not in dead or n.column in beside}
+        return {c: kept[c] for c in dict.fromkeys(n.force or n.column for n in driving) if c in kept}
     names = sorted(names, key=lambda n: n.column in dead)
     found: dict[str, Name] = {}
     axes = _axes(vehicle)
@@ -523,7 +525,7 @@ def _command(
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
-    sure = command == name.column or name.is_surely(command, axes)
+    sure = not axes or command == name.column or name.is_surely(command, axes)
     doubt, asked = "", "" if sure else f"is it command '{command}'? "
     low, high = SETTINGS.pulse
     pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off

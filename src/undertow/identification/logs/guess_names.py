@@ -53,13 +53,13 @@ _OF_RATE = {"rate", "rates", "dot", "gyro", "angular", "omega", "angvel", "rotat
 _OF_VECTOR = {*_OF_TURN, *_OF_SPEED, *_OF_RATE, "position", "pos"}
 # Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
 WANTED = {
-    "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err",
+    "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err", "diff",
     "error", "std", "var", "cov", "sigma", "acc", "accel", "acceleration", "ship", "alt", "altitude", "limit",
 }  # fmt: skip
 # A height above a level that stays (the sea, where it was armed), and not above the bottom, grows upwards.
 _HEIGHTS, _LEVELS = {"alt", "altitude", "height"}, {"relative", "rel", "home", "amsl", "msl", "baro"}
 # Less direct than the measurement where the log has both.
-_RANK = {"meas": 0, "measured": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
+_RANK = {"meas": 0, "measured": 0, "actual": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
 _PLAIN = {
     "pos", "position", "pose", "att", "attitude", "imu", "gps", "dvl", "nav", "body", "vel", "angle", "enu",
     "ned",
@@ -68,6 +68,8 @@ _DRIVES = {
     "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
     "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
+# What a motor consumes or how warm it is drives nothing.
+_CONSUMED = {"voltage", "current", "power", "battery", "charge", "temp", "temperature", "error", "status"}
 _CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller", "actuator"}
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
@@ -194,6 +196,8 @@ class Name:
         words = set(self.words)
         if self.unit in RATES or words & _OF_RATE:
             return None
+        if "ned" in words and (words & _OF_SPEED or self.unit in _SPEEDS):
+            return next((_PLACES[w] for w in self.words if w in "xyz"), None)
         if words & {"v", *_OF_SPEED} or self.unit in _SPEEDS:
             return next((_EARTH[w] for w in self.words if w in _EARTH), self._earth_speed)
         return self._earth_speed
@@ -301,7 +305,7 @@ class Name:
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
         single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
         drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
-        return drives and "limit" not in self.words
+        return drives and not {"limit", *_CONSUMED} & {*self.words}
 
     @property
     def unnumbered(self) -> list[str]:
