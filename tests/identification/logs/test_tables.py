@@ -149,14 +149,12 @@ def test_runs_in_folders_of_a_folder_are_not_joined(tmp_path: Path) -> None:
     for name in ("monday", "tuesday"):
         (tmp_path / name).mkdir()
         _folder(tmp_path / name)
-    with pytest.raises(
-        UndertowError, match="folders monday and tuesday have files of the same names, as sev"
-    ):
+    with pytest.raises(UndertowError, match="folders monday and tuesday have files of the same names, as"):
         read_log(tmp_path)
     assert read_log(tmp_path / "monday").name == "monday"
     late = pl.read_csv(tmp_path / "monday" / "gyro.csv").with_columns(pl.col("t_ns") + 3600 * 10**9)
     late.write_csv(tmp_path / "monday" / "gyro.csv")
-    with pytest.raises(UndertowError, match=r"table 'pose' ends 3.56e.03 s before 'gyro' begins: they are of"):
+    with pytest.raises(UndertowError, match=r"table 'pose' ends 3.56e.03 s before 'gyro' begins: they"):
         read_log(tmp_path / "monday")
 
 

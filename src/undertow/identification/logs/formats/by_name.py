@@ -23,8 +23,8 @@ from .fieldlog import CLOCK, HELD, TIME, FieldLog, Series
 
 _TIME = "time [s]"
 # Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
-_MOVES = ("surge", "sway", "heave", "p", "q", "r")
-SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
+_SIX_MOVES = ("surge", "sway", "heave", "p", "q", "r")
+SIX = {"eta": POSE, "pose": POSE, "nu": _SIX_MOVES, "tau": tuple(name[4:] for name in FORCES)}
 TURNED = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
 LINEAR = {"pos", "position", "vel", "velocity", "acc", "acceleration", "gyro", "omega", "rates"}
 Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
