@@ -475,6 +475,15 @@ def test_a_wrench_is_read_or_asked_about(tmp_path: Path) -> None:
     assert any("a thruster with a wrench for each" in q for q in found.questions)
 
 
+def test_forces_and_moments_are_those_of_one_series(tmp_path: Path) -> None:
+    """As a ferry logs what was asked for (first) and what its thrusters gave."""
+    asked = {f"control.{kind}_{axis}": 5.0 for kind in ("force", "torque") for axis in "xyz"}
+    given = {f"tau.wrench_{kind}_{axis}": 4.0 for kind in ("force", "torque") for axis in "xyz"}
+    known = ROV.replace("signs", f"generalised_forces = {list(FORCES)}\nsigns")
+    guesses, _ = _guesses(tmp_path, known, **asked, **given)
+    assert [guesses[f].column for f in FORCES] == [*given]
+
+
 def test_a_rudder_beyond_a_turn_is_in_degrees(tmp_path: Path) -> None:
     columns = {"rudder": 30.0, "n_prop [rps]": 10.0}
     guesses, _ = _guesses(tmp_path, SHIP.format(thrust=PROPELLER.format("rev/s")), **columns)

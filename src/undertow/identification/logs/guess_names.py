@@ -287,7 +287,8 @@ class Name:
         if set(wanted) <= set(self.words):
             return 1.0
         if self.force and command in axes:
-            return 2.0 if self.force == axes[command] else NO_FIT
+            both = "tau" in wanted and "tau" in self.words
+            return NO_FIT if self.force != axes[command] else 1.0 if both else 2.0
         known = [k for k, other in enumerate(also) if other in self.words]
         if known:
             return 2.0 + 0.1 * known[0]
