@@ -35,6 +35,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
 from .formats.fieldlog import Window
+from .formats.tables import one_run
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,
@@ -76,7 +77,7 @@ Commands = dict[str, float]
 
 
 def read_log(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     mapping: LogMapping | None = None,
     channels: Iterable[str] = (),
     *,
@@ -94,9 +95,12 @@ def read_log(
     mapping a vehicle's own log means what its format says, and the columns of a table must have the channel
     names and SI units of undertow. The window, in s, is on the clock of the run (None: no limit). What is
     larger than the limits is refused before it is held in memory. Of a log of several stretches the longest
-    is taken, and its notes say so.
+    is taken, and its notes say so. Several paths are tables of one run, each on its own clock.
     """
     asked = _Asked(mapping, tuple(channels), window, missing_commands, tuple(also), limits)
+    if not isinstance(path, str | Path):
+        log = one_run([Path(file) for file in path])
+        path, asked = log.path, replace(asked, field_logs={log.path: log})
     runs = _runs_of(Path(path), asked)
     longest = max(runs, key=lambda run: float(run.t[-1] - run.t[0]))
     others = len(runs) - 1
