@@ -138,9 +138,9 @@ def reconciles_sensors(finding: FoundEffect, bench: Bench) -> bool:
     if not finding.of_sensors:
         return False
     n = len(bench.test.names) // 2
-    scores = comparable_mean_squares(bench.base_score, finding.trial.score, bench.test)
-    rates = (part[n:] for part in (*scores, bench.noise_level))
-    return explained(*rates, bench.settings) >= bench.settings.own_share
+    before, after = comparable_mean_squares(bench.base_score, finding.trial.score, bench.test)
+    share = explained(before[n:], after[n:], bench.noise_level[n:], bench.settings)
+    return share >= bench.settings.own_share
 
 
 IsNoise = Callable[[WeakFit, WeakData], bool]
