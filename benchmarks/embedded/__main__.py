@@ -14,9 +14,9 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.shell import in_page
 from undertow.codegen.library import Library
-from undertow.control.api import library_of
 from undertow.control.gains import load_gains
 from undertow.control.guidance.mission import load_mission
+from undertow.control.update import library_of
 from undertow.files import write_whole
 from undertow.model.loading import load_vehicle
 from undertow.observer.design import ObserverTable, design

@@ -126,6 +126,7 @@ _ABOUT = {
     "ThrusterTable.curve": "thrust (N) over command: a file with two columns, or polynomial coefficients",
     "ThrusterTable.propeller": "for a command that is a speed of revolution",
     "ThrusterTable.limit": "largest magnitude of the command",
+    "ThrusterTable.lowest": "lowest command: 0 for what cannot reverse; default: minus the limit",
     "ThrusterTable.source": "where the numbers come from",
     "PropellerTable.diameter": "m",
     "PropellerTable.K_T0": "thrust coefficient at rest",

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from scipy.spatial.transform import Rotation
 
 from undertow.cli.main import main
 from undertow.errors import UndertowError
@@ -163,6 +164,7 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("Heave [m]", "z", "m"),
         ("sway_m", "y", "m"),
         ("surge", "u", ""),
+        ("tau_diff.x", "", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -206,6 +208,18 @@ def test_speeds_to_north_and_east_are_along_the_earth() -> None:
     assert found.axes.entry == {"position": "NED", "body": "FRD", "velocity": "NED"}
     (asked,) = found.axes.questions
     assert "heading grow clockwise" in asked
+
+
+def test_velocities_of_a_series_called_ned_are_along_the_earth() -> None:
+    """And what a motor consumes is no command, nor is how far a force was missed."""
+    found = _guessed(**{"twist_ned.linear.x": 0.4, "twist_ned.linear.y": 0.3, "twist_body.linear.x": 0.2})
+    assert [(g.column, g.channel) for g in found.columns] == [("twist_body.linear.x", "u")]
+    found = _guessed(**{"twist_ned.linear.x": 0.4, "twist_ned.linear.y": 0.3})
+    assert found.axes.entry["velocity"] == "NED"
+    found = _guessed(**{"thruster.speed_rpm": 90.0, "thruster.motor_current": 9.0, "thruster.voltage": 2.0})
+    assert [g.column for g in found.columns] == ["thruster.speed_rpm"]
+    found = _guessed(**{"tau_actual.force_x": 4.0, "tau_diff.force_x": 0.1, "tau.cmd.force_x": 5.0})
+    assert [g.column for g in found.columns if g.channel == "tau_X"] == ["tau_actual.force_x"]
 
 
 def test_speeds_along_the_body_come_before_those_along_the_earth() -> None:
@@ -355,6 +369,82 @@ def test_a_quaternion_and_numbered_thrusters_of_another_name_are_read(case: Path
     np.testing.assert_allclose(turn, turn[0], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "names", [("q0", "q1", "q2", "q3"), ("att[1]", "att[2]", "att[3]", "att[4]"), "abcd"]
+)
+@pytest.mark.parametrize("last", [False, True], ids=["scalar first", "scalar last"])
+@pytest.mark.parametrize("north", [0.05, 2.0])
+def test_a_quaternion_shows_by_its_length(
+    names: tuple[str, ...], last: bool, north: float, tmp_path: Path
+) -> None:
+    """And the order of its parts by roll and pitch, which are small; commands that are flags are none."""
+    t = np.arange(0.0, 60.0, 0.1)
+    true = {"phi": 0.1 * np.sin(t), "theta": 0.05 * np.cos(0.7 * t), "psi": north * np.sin(0.2 * t)}
+    turns = np.column_stack([true["psi"], true["theta"], true["phi"]])
+    parts = Rotation.from_euler("ZYX", turns).as_quat(scalar_first=not last).T
+    gear = {f"gear{k}": (np.floor(t / 10) % 4 == k) * 1.0 for k in range(4)}
+    table = pl.DataFrame({"t": t, **gear, **dict(zip(names, parts, strict=True)), "u": np.sin(t)})
+    table.write_csv(tmp_path / "own.csv")
+    found = guess_mapping(tmp_path / "own.csv")
+    assert any("squares add up to one" in question for question in found.asked)
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    for name, values in true.items():
+        np.testing.assert_allclose(run.channels[name], values, atol=1e-9)
+    assert not {"q", *gear} & {*run.channels}
+
+
+def test_a_height_above_a_level_grows_upwards(tmp_path: Path) -> None:
+    """And one above the bottom, or of any kind beside a depth, is no depth."""
+    t = np.arange(0.0, 60.0, 0.1)
+    height = -2.0 - np.sin(t / 9)
+    table = pl.DataFrame({"t": t, "altitudeRelative": height, "altitude": 3.0 - height, "u": np.sin(t)})
+    found = guess_table(table, Path("own.csv"))
+    (depth,) = [g for g in found.columns if g.channel == "z"]
+    assert (depth.column, depth.entry["scale"]) == ("altitudeRelative", -1)
+    assert "read as a height above a level, so that z is minus it: is it?" in depth.doubt
+    both = guess_table(table.with_columns(depth=-pl.col("altitudeRelative")), Path("own.csv"))
+    assert [g.column for g in both.columns if g.channel == "z"] == ["depth"]
+
+
+def _sailed(speed: float) -> dict[str, np.ndarray]:
+    """A position that changes with a speed, m/s."""
+    t = np.arange(0.0, 200.0, 0.5)
+    u = speed * (1.0 + 0.3 * np.sin(t / 7))
+    return {"x": 0.5 * np.cumsum(u), "y": 0.0 * t + np.sin(t / 50), "u": u, "seconds": t}
+
+
+@pytest.mark.parametrize(("unit", "length"), [("min", 60.0), ("h", 3600.0), ("s", 1.0)])
+@pytest.mark.parametrize("without", ["nothing", "u"])
+def test_a_clock_has_the_unit_in_which_position_and_speed_agree(
+    unit: str, length: float, without: str
+) -> None:
+    columns = _sailed(1.5)
+    columns = {"clock": columns.pop("seconds") / length} | columns
+    columns.pop(without, None)
+    found = guess_table(pl.DataFrame(columns), Path("own.csv"))
+    assert found.time.entry["unit"] == unit
+    assert ("the position would change by" in found.time.doubt) == (unit != "s")
+
+
+def test_a_clock_in_no_known_unit_is_asked_about_with_what_contradicts_it() -> None:
+    columns = _sailed(1.5)
+    columns = {"clock": columns.pop("seconds") / 17.0} | columns
+    found = guess_table(pl.DataFrame(columns), Path("own.csv"))
+    assert found.time.entry["unit"] == "s"
+    asked = "change by 26.8 m/s, and the speed column says 1.56: is the time, the position or the speed in"
+    assert asked in found.time.doubt
+
+
+def test_a_noisy_fix_says_nothing_of_the_clock() -> None:
+    """At 2 samples a second 8 m of noise are 60 times as fast as the vehicle is."""
+    columns, rng = _sailed(0.02), np.random.default_rng(2)
+    columns["x"] = columns["x"] + 8.0 * rng.standard_normal(len(columns["x"]))
+    found = guess_table(pl.DataFrame({"t": columns.pop("seconds")} | columns), Path("own.csv"))
+    assert found.time.entry["unit"] == "s"
+    assert "position would change" not in found.time.doubt
+
+
 ROV = """
 schema = "undertow/vehicle/1"
 name = "rov"
@@ -383,6 +473,15 @@ def test_a_wrench_is_read_or_asked_about(tmp_path: Path) -> None:
     thruster = '[[thrusters]]\nname = "bow"\nwrench = [1, 0, 0, 0, 0, 0]\n'
     _, found = _guesses(tmp_path, ROV + thruster, **columns)
     assert any("a thruster with a wrench for each" in q for q in found.questions)
+
+
+def test_forces_and_moments_are_those_of_one_series(tmp_path: Path) -> None:
+    """As a ferry logs what was asked for (first) and what its thrusters gave."""
+    asked = {f"control.{kind}_{axis}": 5.0 for kind in ("force", "torque") for axis in "xyz"}
+    given = {f"tau.wrench_{kind}_{axis}": 4.0 for kind in ("force", "torque") for axis in "xyz"}
+    known = ROV.replace("signs", f"generalised_forces = {list(FORCES)}\nsigns")
+    guesses, _ = _guesses(tmp_path, known, **asked, **given)
+    assert [guesses[f].column for f in FORCES] == [*given]
 
 
 def test_a_rudder_beyond_a_turn_is_in_degrees(tmp_path: Path) -> None:

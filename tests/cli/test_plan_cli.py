@@ -136,7 +136,7 @@ def test_a_diagnosis_that_named_one_effect_is_asked_again(case: Path) -> None:
 REFUSED = {
     "no number": (["--limit", "much"], "'much' is not a number"),
     "no such command": (["--limit", "f9=1"], "'f9'"),
-    "limit above the file's": (["--limit", "5"], "above its limit in the vehicle file, 2"),
+    "limit above the file's": (["--limit", "5"], "beyond its limit in the vehicle file, 2"),
     "limit of zero": (["--limit", "0"], "--limit"),
     "no such channel": (["--noise", "w=0.1"], "'w'"),
     "noise without a name": (["--noise", "0.1"], "NAME=VALUE"),

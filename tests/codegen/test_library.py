@@ -20,9 +20,9 @@ from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen import Functions
 from undertow.codegen.library import Library, sizes
-from undertow.control.api import library_of
 from undertow.control.controller import Controller, Sharing, thruster_commands
 from undertow.control.gains import load_gains
+from undertow.control.update import library_of
 from undertow.model.effect import Curve, Propeller
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.tables import bundled_curves

@@ -13,10 +13,10 @@ import pytest
 from tests.codegen.test_library import _auv
 from tests.control.test_controller_export import table as gain_table
 from undertow.codegen.library import Library
-from undertow.control.api import library_of
 from undertow.control.gains import gains_from_table
 from undertow.control.guidance.mission import load_mission
 from undertow.control.laws import LAWS
+from undertow.control.update import library_of
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import bundled_vehicles, load_vehicle
 from undertow.model.vehicle import Value

@@ -15,10 +15,11 @@ from tests.quick import first_quick
 from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import slug
-from undertow.control.api import library_of
-from undertow.control.controller import Controller, controller_c
+from undertow.control.controller import Controller
+from undertow.control.controller_c import controller_c
 from undertow.control.gains import GainTable, gains_from_table, load_gains
 from undertow.control.laws import LAWS
+from undertow.control.update import library_of
 from undertow.model.loading import load_vehicle
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")

@@ -25,7 +25,8 @@ from undertow.control.conditions.problem import Problem
 # Private: C of the conditions, in a derivative that is worked out by differences.
 from undertow.control.conditions.tracking import _coriolis, check_mission, damping_corners
 from undertow.control.conditions.whole import certify
-from undertow.control.controller import Controller, controller_c
+from undertow.control.controller import Controller
+from undertow.control.controller_c import controller_c
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.guidance.line_of_sight import Guidance, LineOfSight
 from undertow.control.guidance.mission import Mission, MissionTable, load_mission, mission_from_table

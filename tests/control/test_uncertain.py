@@ -20,8 +20,7 @@ from undertow.control.gains import GainSet, GainTable, gains_from_table, load_ga
 from undertow.control.laws import LawSignals
 from undertow.control.linear.systems import close_loop
 from undertow.control.plant import Plant
-from undertow.model.loading import load_vehicle
-from undertow.model.saving import last_covariance
+from undertow.model.loading import last_covariance, load_vehicle
 from undertow.model.symbols import symbol
 from undertow.model.vehicle import Value, Vehicle
 

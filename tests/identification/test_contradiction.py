@@ -11,10 +11,10 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.bench import Bench, open_bench
-from undertow.identification.diagnosis.evidence import FoundEffect
+from undertow.identification.diagnosis.consistency import Kept, kept_beside
+from undertow.identification.diagnosis.evidence import FoundEffect, reconciles_sensors
 from undertow.identification.diagnosis.residual import remaining, unknown_to
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.selection import Kept, kept_beside
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
 from undertow.identification.report.scaffold import effect_of
@@ -107,3 +107,14 @@ def test_a_rudder_is_not_blamed_for_a_periodic_force() -> None:
     found = diagnose(vehicle_of(case), runs[:3], runs[3:], known=known).diagnosis
     assert (found.verdict, found.effects) == ("unexplained", [])
     assert found.ranking[0].not_named.startswith("increases the prediction error")
+
+
+@pytest.mark.parametrize(
+    ("hidden", "effect", "reconciles"),
+    [("sensor_bias", "sensor_bias", True), ("lift", "lift", False), ("lift", "sensor_bias", False)],
+)
+def test_no_missing_force_makes_pose_and_velocities_contradict(
+    hidden: str, effect: str, reconciles: bool
+) -> None:
+    tried = _tried((hidden, "periodic_side_force"), effect)
+    assert reconciles_sensors(tried.finding, tried.bench) is reconciles

@@ -18,6 +18,7 @@ from tests.identification.logs_of import run_of, runs_of, true_vehicle, vehicle_
 from tests.identification.surge import surge_run, surge_vehicle
 from tests.quick import first_quick, quick_if
 from undertow.errors import UndertowError
+from undertow.identification import diagnose as diagnose_module
 from undertow.identification.doctor import dynamics
 from undertow.identification.doctor.examine import Examined, examine, refuse_impossible
 from undertow.identification.doctor.kinematics import Kinematics
@@ -492,6 +493,22 @@ def test_a_velocity_that_measures_nothing_is_named_and_refused(usv: Case, dead: 
         refuse_impossible(vehicle, [still])
     refuse_impossible(vehicle, [still], trust_log=True)
     refuse_impossible(vehicle, [run])
+
+
+def test_a_diagnosis_tells_mistakes_before_it_searches(
+    usv: Case, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (columns,), vehicle = usv.runs.values(), vehicle_of(usv)
+    reversed_ = run_of("dive", columns | {"u": -columns["u"]})
+
+    def searched(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(diagnose_module, "search", searched)
+    with pytest.raises(KeyboardInterrupt):
+        diagnose_module.diagnose(vehicle, [reversed_], trust_log=True)
+    (told,) = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    assert told.startswith("u has the opposite sign")
 
 
 def test_a_position_that_never_changes_is_a_warning(usv: Case) -> None:

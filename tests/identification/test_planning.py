@@ -49,7 +49,7 @@ from undertow.identification.result_builder import ResultBuilder
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Curve
 from undertow.model.loading import VehicleTable, load_vehicle, resolve_vehicle, vehicle_from_table
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 SIGMA = 0.01
 SHORT = PlanRequest(duration=40.0, rate=10.0, limits={"": 1.0}, noise={"u": SIGMA, "x": np.inf}, tries=40)
@@ -61,12 +61,14 @@ def test_thrusters_with_a_curve_are_planned_with() -> None:
     table = tomllib.loads(resolve_vehicle("bluerov2").read_text(encoding="utf-8"))
     table["thrusters"] = [{**one, "curve": "t200-16v"} for one in table["thrusters"]]
     vehicle = vehicle_from_table(VehicleTable.model_validate(table), catalogue())
-    functions, limits = Functions(vehicle), np.full(8, 1.0)
+    functions, limits = Functions(vehicle), command_limits(vehicle, {"": 1.0}, ())
     push = pushes(functions, limits)
     held = trim(functions, limits, push)
     assert held.left == {}
     assert np.all(np.abs(held.commands[4:]) > 0.07)  # out of the dead band of each vertical thruster
-    assert [axis.name for axis in motion_axes(vehicle, push, limits)] == list(vehicle.degrees_of_freedom)
+    assert [axis.name for axis in motion_axes(vehicle, push, limits.value)] == list(
+        vehicle.degrees_of_freedom
+    )
 
 
 def _vehicle(dofs: list[str], effects: dict[str, dict[str, object]], forces: list[str]) -> Vehicle:
@@ -245,7 +247,7 @@ def test_a_thruster_that_rested_may_go_to_the_end_of_its_curve() -> None:
     first, *others = vehicle.thrusters
     curve = Curve.through([(-0.9, -40.0), (0.0, 0.0), (1.1, 50.0)])
     vehicle = replace(vehicle, thrusters=(replace(first, law=curve), *others))
-    commands = {n: np.full(3, 0.5) for n in vehicle.command_names}
+    commands = {n: np.array([0.5, 0.0, -0.1]) for n in vehicle.command_names}
     moved = command_limits(vehicle, {}, [Run("dive", np.arange(3.0), commands)])
     rested = Run("dive", np.arange(3.0), {**commands, first.name: np.zeros(3)})
     known = command_limits(vehicle, {}, [rested])
@@ -253,6 +255,52 @@ def test_a_thruster_that_rested_may_go_to_the_end_of_its_curve() -> None:
     assert (known.value[0], known.source[0]) == (1.1, "end of its curve")
     with pytest.raises(UndertowError, match=f"'{others[0].name}': give --limit"):
         command_limits(vehicle, {}, [])
+
+
+def _with_propellers(lowest: float | None, limit: float | None = 9.0) -> Vehicle:
+    """The mini-AUV, its horizontal thrusters with a lowest command."""
+    vehicle = load_vehicle("mini-auv")
+    sides = [replace(t, lowest=lowest, limit=limit) if t.wrench[0] else t for t in vehicle.thrusters]
+    vehicle = replace(vehicle, thrusters=tuple(sides))
+    return vehicle.with_values({"B_net": Value(0.0)})
+
+
+def test_what_cannot_reverse_goes_about_the_middle_of_its_range() -> None:
+    vehicle = _with_propellers(0.0)
+    request = PlanRequest(duration=20.0, rate=10.0, limits={"f1": 2.0, "f3": 2.0}, motion=MotionLimits(0.8))
+    problem = PlanningProblem(request, vehicle, [Plant.of(vehicle)], ())
+    assert problem.limits.low.tolist() == [-2.0, 0.0, -2.0, 0.0]
+    assert problem.limits.high.tolist() == [2.0, 9.0, 2.0, 9.0]
+    np.testing.assert_allclose(problem.bias, [0.0, 4.5, 0.0, 4.5])
+    rng, turns = np.random.default_rng(5), 0.0
+    for family in problem.families:
+        manoeuvre = problem.simulated(Design(family, rng.random(family.size)))
+        assert np.all(manoeuvre.u >= problem.limits.low)
+        assert np.all(manoeuvre.u <= problem.limits.high)
+        np.testing.assert_allclose(manoeuvre.u[[0, -1]], 0.0, atol=1e-9)
+        assert manoeuvre.safe
+        assert np.ptp(manoeuvre.u[:, 1]) > 0.1
+        rate = manoeuvre.y[0][:, problem.names.index("r")]
+        turns = max(turns, float(np.max(np.abs(rate))))
+    assert turns > 0.3
+
+
+def test_one_sided_limits_come_from_the_file_the_logs_or_the_request() -> None:
+    vehicle = _with_propellers(0.0)
+    known = command_limits(vehicle, {"": 3.0, "f4": (0.0, 5.0)}, ())
+    assert (known.low.tolist(), known.high.tolist()) == ([-3, 0, -3, 0], [3, 3, 3, 5])
+    with pytest.raises(
+        UndertowError, match="--limit 3 for 'f2' is beyond its limit in the vehicle file, 0 to 9"
+    ):
+        command_limits(vehicle, {"": 3.0, "f2": (-3.0, 3.0)}, ())
+    with pytest.raises(UndertowError, match="--limit f1 = 2 to 3 is not a limit"):
+        command_limits(vehicle, {"": 3.0, "f1": (2.0, 3.0)}, ())
+    vehicle = _with_propellers(None, None)
+    ahead, both = np.linspace(0.0, 4.0, 5), np.linspace(-1.0, 4.0, 5)
+    log = Run("dive", np.arange(5.0), {"f1": both, "f2": ahead, "f3": both, "f4": ahead})
+    seen = command_limits(vehicle, {}, [log])
+    assert (seen.low.tolist(), seen.high.tolist()) == ([-4, 0, -4, 0], [4, 4, 4, 4])
+    assert seen.source[:2] == ("largest in the logs", "range in the logs")
 
 
 def test_every_manoeuvre_stays_within_its_limits(auv: PlanningProblem) -> None:

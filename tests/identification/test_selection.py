@@ -18,6 +18,7 @@ from undertow.identification.diagnosis.consistency import (
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.selection import (
     Graded,
+    Selection,
     alternatives,
     dominated,
     rivals_beside_later,
@@ -246,3 +247,10 @@ def test_sensors_are_compared_by_the_pose_and_forces_by_the_velocities() -> None
     assert gained(before, after, [sensor], validator).largest[16.0] == pytest.approx(0.5)
     assert gained(before, after, [force], validator).largest[16.0] == 0.0
     assert gained(before, after, [force, sensor], validator).enough(DEFAULT.worth)
+
+
+def test_effects_in_doubt_come_after_the_others() -> None:
+    graded = [Graded(_effect(n), [], _gain(0.2), d) for n, d in (("force", "varies"), ("bias", ""))]
+    selection = Selection(graded, [], {}, {})
+    assert [g.chosen.id for g in selection.established] == ["bias"]
+    assert [g.chosen.id for g in selection.established_first.graded] == ["bias", "force"]

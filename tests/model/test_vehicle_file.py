@@ -76,6 +76,14 @@ def test_thrusters(load: Callable[[str], Vehicle]) -> None:
     assert main.wrench == (1, 0, 0, 0, 0, 0.25)
     assert main.thrust_per_command == Value(1.0)
     assert main.limit is None
+    assert bow.lowest is main.lowest is None
+    assert load(FILE).lowest_commands == {"bow": -1.0}
+
+
+def test_a_thruster_may_be_unable_to_reverse(load: Callable[[str], Vehicle]) -> None:
+    vehicle = load(FILE.replace("limit = 1.0", "limit = 1.0\nlowest = 0"))
+    assert vehicle.thrusters[0].lowest == 0.0
+    assert vehicle.lowest_commands == {"bow": 0.0}
 
 
 def test_position_and_direction_give_the_moment(load: Callable[[str], Vehicle]) -> None:
@@ -247,6 +255,8 @@ REFUSED = [
     ('"2.5 N"', '"2.5 kg"', "thruster 'bow' thrust_per_command: '2.5 kg' has the dimension"),
     ('value = "2.5 N"', "forward = 1, backward = 2", "thruster 'bow' thrust_per_command needs a 'value'"),
     ("limit = 1.0", "limit = -1", "thruster 'bow' limit = -1 is impossible"),
+    ("limit = 1.0", "limit = 1\nlowest = -2", "thruster 'bow' lowest = -2 is not from -1 to 0: give 0 for"),
+    ("limit = 1.0", "limit = 1\nlowest = 0.1", "thruster 'bow' lowest = 0.1 is not from -1 to 0"),
 ]
 
 

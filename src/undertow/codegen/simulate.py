@@ -123,7 +123,6 @@ class Simulator:
         wrt: Sequence[int],
         *,
         initial: Sequence[int] = (),
-        max_step: float = 0.05,
     ) -> tuple[Array, Array]:
         """Simulate and differentiate: exact derivatives of the discrete Runge-Kutta solution.
 
@@ -131,7 +130,7 @@ class Simulator:
         index. Returns states, shape (..., n, nx), and their derivatives, parameters first, shape
         (..., n, nx, len(wrt) + len(initial)).
         """
-        problem = self._problem(x0, t, u, p, max_step)
+        problem = self._problem(x0, t, u, p)
         _start_sensitivities(problem, list(wrt), list(initial))
         self._advance(problem, self._stepper(tuple(problem.wrt.tolist())), 1)
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
@@ -146,8 +145,6 @@ class Simulator:
         measured: Array,
         weight: Array,
         group: Integers,
-        *,
-        max_step: float = 0.05,
     ) -> Products:
         """Simulate windows and differentiate, keeping only the sums that a Gauss-Newton step needs.
 
@@ -156,7 +153,7 @@ class Simulator:
         zero for what does not count, shape (b, n, 2 dof) each; `group`, shape (b, n), says of which sum of
         its window a sample is part, counted from zero, never falling.
         """
-        problem = self._problem(x0, t, u, p, max_step)
+        problem = self._problem(x0, t, u, p)
         size = 2 * self._functions.nu_dot.numel()
         known = np.ascontiguousarray(np.where(weight == 0, 0.0, measured), dtype=float)
         factors = np.ascontiguousarray(weight, dtype=float)
@@ -190,7 +187,7 @@ class Simulator:
         return [self._functions.quickest.jac_sparsity(0, k).nnz() > 0 for k in range(4)]
 
     # --- input --------------------------------------------------------------------------------
-    def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
+    def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float = 0.05) -> Problem:
         if not max_step > 0:
             raise UndertowError(f"max_step = {max_step:g} s is not a step: give a positive time")
         start, times, inputs, parameters = checked_runs(self._functions, x0, t, u, p)

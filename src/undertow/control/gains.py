@@ -341,12 +341,26 @@ def allocation_of(gains: GainSet) -> Allocation:
             f"thrusters of '{vehicle.name}' cannot push in {', '.join(dofs[i] for i in rows)} independently: "
             "list under unactuated in the gain file what is not to be controlled"
         )
+    _refuse_one_sided(vehicle)
     own, units = vehicle.command_limits, vehicle.command_units
     stated = {name: _limit(name, limit, units[name]) for name, limit in gains.allocation.limits.items()}
     names = vehicle.command_names
     limits = [stated.get(n, own.get(n, np.inf)) for n in names]
     weights = np.array([gains.allocation.weights.get(n, 1.0) for n in names])
     return Allocation(matrix, rows, weights, np.array(limits))
+
+
+def _refuse_one_sided(vehicle: Vehicle) -> None:
+    """Refuse thrusters that give less in reverse than ahead: the allocation reckons with both alike."""
+    one_sided = [
+        t.name for t in vehicle.thrusters if t.lowest is not None and t.lowest != -(t.limit or np.inf)
+    ]
+    if one_sided:
+        raise UndertowError(
+            f"thruster '{one_sided[0]}' of '{vehicle.name}' has a lowest command of its own, and control "
+            "laws share forces among thrusters with the same limit both ways: remove `lowest` from the "
+            "file for the controller, and keep its forces positive by the set-point"
+        )
 
 
 def _limit(name: str, stated: Quantity, unit: str) -> float:

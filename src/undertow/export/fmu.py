@@ -54,7 +54,7 @@ class Variable(NamedTuple):
     initial: str | None = None
     start: float | None = None
     derivative_of: int | None = None
-    limit: float | None = None
+    limits: tuple[float, float] | None = None  # lowest and highest value
     meaning: str = ""
 
 
@@ -82,7 +82,8 @@ class Fmu:
     @cached_property
     def variables(self) -> list[Variable]:
         """All variables in the order of their value references: time, x, x_dot, u, p, step, forces."""
-        states, limits = self._manifest.states, self.vehicle.command_limits
+        states, lowest = self._manifest.states, self.vehicle.lowest_commands
+        limits = {n: (lowest[n], most) for n, most in self.vehicle.command_limits.items()}
         seen = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         inputs = [
             replace(e, name=_apart(e.name, (*seen, *(p.name for p in self._manifest.parameters)), "command_"))
@@ -307,8 +308,8 @@ def _numbers(variable: Variable) -> dict[str, str]:
     found = {"unit": variable.unit} if variable.unit else {}
     if variable.derivative_of is not None:
         found["derivative"] = str(variable.derivative_of)
-    if variable.limit is not None:
-        found |= {"min": repr(-variable.limit), "max": repr(variable.limit)}
+    if variable.limits is not None:
+        found |= dict(zip(("min", "max"), map(repr, variable.limits), strict=True))
     return found | ({} if variable.start is None else {"start": _double(variable.start)})
 
 

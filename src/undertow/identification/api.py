@@ -284,18 +284,18 @@ def _spread(row: Mapping[str, Any]) -> str:
 
 
 def read_log(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     mapping: str | Path | LogMapping | None = None,
     *,
     window: tuple[float | None, float | None] = (None, None),
     commands: Sequence[str] = (),
 ) -> Run:
-    """Read a log: CSV, CSV.gz or Parquet.
+    """Read a log: CSV, CSV.gz or Parquet, or as its vehicle wrote it.
 
     Parameters
     ----------
-    path : path
-        The log.
+    path : path or sequence of paths
+        The log; a folder or several paths are tables of one run, each on its own clock.
     mapping : path or Mapping, optional
         Meaning of the columns; without it they must have the channel names and SI units of undertow.
     window : (t_min, t_max)
@@ -323,7 +323,7 @@ def read_log(
     (1200,)
     """
     meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
-    if Path(path).is_file() and format_of(Path(path)) is None:
+    if isinstance(path, str | Path) and Path(path).is_file() and format_of(Path(path)) is None:
         parts = long_logs(Path(path), meaning, tuple(commands), window, required=True)
         if len(parts) == 1 and beyond_memory(parts):
             return read_in_parts(parts[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 # Share of the time that the search takes: nine tenths where little is left (docs/profile.md), else less.
 _SEARCH = 0.7
+_log = logging.getLogger("undertow.diagnosis")
 
 
 def _builder(
@@ -223,6 +225,7 @@ def diagnose(
     with in_background(lambda: examine(vehicle, [*logs, *judges]).result) as examined:
         validator = SimulationValidator(vehicle, train, test, data.sigma, settings)
         effects = known or catalogue()
+        _tell_mistakes(examined())
         found = search(
             vehicle,
             data,
@@ -248,6 +251,12 @@ def diagnose(
         builder.fits[-1].vehicle,
         builder.tried,
     )
+
+
+def _tell_mistakes(examined: Examination) -> None:
+    """Say what is wrong with the logs before minutes go into a search on them; it goes on all the same."""
+    for finding in examined.mistakes:
+        _log.warning("%s (found by the doctor, who says how to correct it; the search goes on)", finding.text)
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool) -> Diagnosis:

@@ -23,7 +23,7 @@ from undertow.version import __version__
 
 from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.candidates import possible
-from .diagnosis.consistency import knows_time, own_variables, states_time
+from .diagnosis.consistency import kept_beside, knows_time, own_variables, states_time
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
 from .diagnosis.floors import noise_floors
 from .diagnosis.reference import is_disturbance, predictable
@@ -41,7 +41,7 @@ from .diagnosis.result import (
 )
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
-from .diagnosis.selection import Graded, Selection, kept_beside
+from .diagnosis.selection import Graded, Selection
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,
@@ -365,7 +365,8 @@ class ResultBuilder:
     def _reason(self, effect: str) -> str:
         if self._selection is None or effect in self._claimed:
             return ""
-        return self._selection.reasons.get(effect, "")
+        doubts = {g.chosen.id: g.doubt for g in self._selection.graded if g.doubt}
+        return doubts.get(effect) or self._selection.reasons.get(effect, "")
 
     def _falls(self, effect: str) -> dict[str, float]:
         seen = {} if self._selection is None else self._selection.worth

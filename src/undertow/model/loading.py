@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
+from itertools import chain
 from math import inf, isclose
 from pathlib import Path
 from typing import Any
@@ -452,3 +453,31 @@ def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
     if entry.value is None:
         raise UndertowError(f"{place} needs one 'value'")
     return si_of(place, entry.value, effect.file_units()[key])
+
+
+_NO_COVARIANCE = (
+    "the covariance in [[history]] is not a square matrix of finite numbers for parameters of the vehicle: "
+    "correct or remove it"
+)
+
+
+def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> tuple[list[str], Any]:
+    """Parameters of the last covariance that a file's history holds, and the matrix, SI and SNAME signs.
+
+    Empty where the file has none.
+    """
+    stated = next((h["covariance"] for h in reversed(history) if "covariance" in h), None)
+    if stated is None:
+        return [], []
+    try:
+        names = [str(n) for n in stated["parameters"]]
+        rows = [[float(v) for v in row] for row in stated["matrix"]]
+        signs = [printed(vehicle.declaration(n), 1.0, vehicle.signs) for n in names]
+    except (KeyError, TypeError, ValueError) as error:
+        raise UndertowError(_NO_COVARIANCE) from error
+    if {len(rows), *map(len, rows)} != {len(names)} or not all(map(math.isfinite, chain(*rows))):
+        raise UndertowError(_NO_COVARIANCE)
+    turned = [
+        [a * b * v for b, v in zip(signs, row, strict=True)] for a, row in zip(signs, rows, strict=True)
+    ]
+    return names, turned

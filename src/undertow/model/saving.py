@@ -6,7 +6,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf, isclose, isfinite
+from math import inf, isclose
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -223,10 +223,6 @@ _BEFORE = "; before: "
 _FITTED = re.compile(r"(fit to .* on \S+|fitted)", re.DOTALL)
 _SHOWN_LOGS = 3
 _COVARIANCE_DIGITS = 6
-_NO_COVARIANCE = (
-    "the covariance in [[history]] is not a square matrix of finite numbers for parameters of the vehicle: "
-    "correct or remove it"
-)
 
 
 def fit_source(history: Mapping[str, object] | None, before: str, *, mean: bool = False) -> str:
@@ -322,28 +318,6 @@ def _covariance(vehicle: Vehicle, stated: Mapping[str, Any], signs: str) -> dict
 
 def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
     return printed(vehicle.declaration(name), 1.0, signs)
-
-
-def last_covariance(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> tuple[list[str], Any]:
-    """Parameters of the last covariance that a file's history holds, and the matrix, SI and SNAME signs.
-
-    Empty where the file has none.
-    """
-    stated = next((h["covariance"] for h in reversed(history) if "covariance" in h), None)
-    if stated is None:
-        return [], []
-    try:
-        names = [str(n) for n in stated["parameters"]]
-        rows = [[float(v) for v in row] for row in stated["matrix"]]
-        signs = [_turn(vehicle, n, vehicle.signs) for n in names]
-    except (KeyError, TypeError, ValueError) as error:
-        raise UndertowError(_NO_COVARIANCE) from error
-    if {len(rows), *map(len, rows)} != {len(names)} or not all(isfinite(v) for row in rows for v in row):
-        raise UndertowError(_NO_COVARIANCE)
-    turned = [
-        [a * b * v for b, v in zip(signs, row, strict=True)] for a, row in zip(signs, rows, strict=True)
-    ]
-    return names, turned
 
 
 _ROUND_TRIP = 1e-9

@@ -103,6 +103,7 @@ class ThrusterTable(FileTable):
     curve: StrictStr | list[StrictFloat | StrictInt] | None = None
     propeller: PropellerTable | None = None
     limit: Quantity | None = None
+    lowest: Quantity | None = None
     source: StrictStr = ""
 
 
@@ -236,7 +237,8 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
     law, unit = _law(place, table, folder)
     limit = _limit(place, table.limit)
-    return Thruster(table.name, wrench, _thrust_per_command(place, table), limit, law, unit)
+    lowest = _lowest(place, table.lowest, limit)
+    return Thruster(table.name, wrench, _thrust_per_command(place, table), limit, lowest, law, unit)
 
 
 # Revolutions per second of one unit of the speed of a propeller, by name.
@@ -368,8 +370,24 @@ def _limit(place: str, limit: Any) -> float | None:
     if limit is None:
         return None
     # Where the command is the thrust itself, its limit is naturally written in N.
-    in_newton = isinstance(limit, str) and "N" in limit
-    return positive(f"{place} limit", limit, "N" if in_newton else "command")
+    return positive(f"{place} limit", limit, _counted(limit))
+
+
+def _lowest(place: str, lowest: Any, limit: float | None) -> float | None:
+    """The lowest command, which may be zero where nothing is given in reverse."""
+    if lowest is None:
+        return None
+    value = si_of(f"{place} lowest", lowest, _counted(lowest))
+    least = -math.inf if limit is None else -limit
+    if not least <= value <= 0.0:
+        raise UndertowError(
+            f"{place} lowest = {value:g} is not from {least:g} to 0: give 0 for what cannot reverse"
+        )
+    return value
+
+
+def _counted(limit: Any) -> str:
+    return "N" if isinstance(limit, str) and "N" in limit else "command"
 
 
 def _numbers(place: str, entries: Iterable[Any] | None) -> tuple[float, ...]:

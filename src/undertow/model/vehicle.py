@@ -44,6 +44,7 @@ class Thruster:
     wrench: tuple[float, ...]  # force and moment per unit of thrust, body frame, (1, 1, 1, m, m, m)
     thrust_per_command: Value = Value(1.0)  # thrust per unit of command, N
     limit: float | None = None  # largest magnitude of the command
+    lowest: float | None = None  # lowest command of one that cannot do as much in reverse; None: -limit
     law: Law = None  # how the command becomes thrust; None: in proportion
     command_unit: str = "command"  # unit of the command
 
@@ -233,6 +234,14 @@ class Vehicle:
         """Largest magnitude of the commands for which a limit is stated."""
         limits = {t.name: t.limit for t in self.thrusters} | {s.name: s.limit for s in self.surfaces}
         return {name: float(limit) for name, limit in limits.items() if limit is not None}
+
+    @property
+    def lowest_commands(self) -> dict[str, float]:
+        """Lowest commands: as stated, zero where a curve of thrust begins there, or minus the limit."""
+        curves = {t.name: t.law.pieces[0][0] for t in self.thrusters if isinstance(t.law, Curve)}
+        one_sided = {name: begin for name, begin in curves.items() if begin == 0.0}
+        stated = {t.name: t.lowest for t in self.thrusters if t.lowest is not None}
+        return {name: -most for name, most in self.largest_commands.items()} | one_sided | stated
 
     @property
     def largest_commands(self) -> dict[str, float]:

@@ -164,7 +164,7 @@ class Bench:
     def open(cls, folder: Path, wanted: Session, work_by: type[Worker] = Worker) -> Bench:
         """The workbench on a session; the vehicle is read, the logs are not yet."""
         for log in wanted.logs:
-            if not Path(log.path).is_file():
+            if not Path(log.path).exists():
                 raise UndertowError(f"log '{log.path}' does not exist: check its name")
         place = Workspace.open(folder, wanted)
         bench = cls(place, _load(place), work_by=work_by)

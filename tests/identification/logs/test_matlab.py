@@ -80,6 +80,49 @@ def test_an_object_in_a_struct_is_named(tmp_path: Path, version: str) -> None:
     assert read_field_log(path).notes[0].startswith(reported)
 
 
+def _timeseries(
+    data: np.ndarray, clock: dict[str, np.ndarray], names: tuple[str, ...] = (), *, first: bool = True
+) -> Any:
+    """A timeseries as MATLAB saves it, with what its clock has."""
+    matclass = pytest.importorskip("matio.utils.matclass")
+    nothing, cells = np.zeros((0, 0)), np.empty((len(names), 1), dtype=object)
+    cells[:, 0] = [np.array([name]) for name in names]
+    info = {"Units": np.array(["seconds"]), "Time_": nothing, "Start_": nothing, "Increment_": nothing}
+    parts = {
+        "Data_": data,
+        "IsTimeFirst_": np.array([[first]]),
+        "TimeInfo": matclass.MatlabOpaque(info | clock, "tsdata.timemetadata"),
+        "DataInfo": matclass.MatlabOpaque({"UserData": cells}, "tsdata.datametadata"),
+    }
+    return matclass.MatlabOpaque(parts, "timeseries")
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_a_timeseries_is_a_series(tmp_path: Path, version: str) -> None:
+    """As Simulink and the toolbox for ROS make them: with its times, or even ones in minutes, on its side."""
+    matio = pytest.importorskip("matio")
+    t = 1.5e9 + 0.1 * np.arange(60)
+    speed = np.column_stack([np.sin(t), np.cos(t)])
+    even = {"Start_": np.array([[0.5]]), "Increment_": np.array([[0.01]]), "Length": np.array([[60.0]])}
+    content = {
+        "odometry": _timeseries(speed, {"Time_": t[:, None]}, ("Twist.Linear.X", "Twist.Linear.Y")),
+        "depth": _timeseries(
+            speed[:, 0].reshape(1, 1, -1), even | {"Units": np.array(["minutes"])}, first=False
+        ),
+    }
+    matio.save_to_mat(str(tmp_path / "log.mat"), content, version=version)
+    log = read_field_log(tmp_path / "log.mat")
+    assert {n: [*one.columns] for n, one in log.series.items()} == {
+        "odometry": ["Twist.Linear.X", "Twist.Linear.Y"],
+        "depth": ["depth"],
+    }
+    np.testing.assert_allclose(log.series["odometry"].t, t - t[0], atol=1e-6)
+    np.testing.assert_allclose(log.series["depth"].t, 30.0 + 0.6 * np.arange(60))
+    np.testing.assert_array_equal(log.series["depth"].columns["depth"], speed[:, 0])
+    channels = {column.channel for column in log.mapping.columns.values()}
+    assert channels == {"u", "v", "z"}
+
+
 @pytest.mark.parametrize("version", ["v7", "v7.3"])
 def test_dates_of_a_table_are_its_time_and_texts_are_passed_over(tmp_path: Path, version: str) -> None:
     matio, pandas = pytest.importorskip("matio"), pytest.importorskip("pandas")

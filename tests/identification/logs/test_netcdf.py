@@ -10,6 +10,7 @@ import pytest
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats import glider
+from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
 from undertow.identification.logs.mapping import north_east
 from undertow.identification.logs.reading import read_log, read_logs
@@ -188,3 +189,22 @@ def test_the_sample_of_dbdreader_is_read(tmp_path: Path) -> None:
     for share in (0.001, 0.3, 0.9):
         alone.write_bytes(whole[: round(share * len(whole))])
         assert "\n" not in refusal(lambda: read_field_log(alone, _REAL.parent / "cac"))
+
+
+def test_groups_of_plain_hdf5_are_series_by_their_names(tmp_path: Path) -> None:
+    """As scripts write them: no names of dimensions, a time in each group, three columns of a position."""
+    h5py = pytest.importorskip("h5py")
+    t, path = 0.1 * np.arange(300), tmp_path / "run.h5"
+    place = np.column_stack([t, np.sin(t), np.cos(t)])
+    with h5py.File(path, "w") as file:
+        file.update({"pose/time": t, "pose/position": place, "pose/yaw": np.sin(t / 5)})
+        file.update({"motors/timestamp": t[::3] + 0.01, "motors/left": t[::3], "motors/right": -t[::3]})
+    log = read_field_log(path)
+    assert {n: [*one.columns] for n, one in log.series.items()} == {
+        "motors": ["left", "right"],
+        "pose": ["position_x", "position_y", "position_z", "yaw"],
+    }
+    np.testing.assert_array_equal(log.series["pose"].columns["position_y"], place[:, 1])
+    guessed = first_mapping(log)
+    assert {"x", "y", "z", "psi", "motors.left", "motors.right"} == {g.channel for g in guessed.columns}
+    assert any("does it grow with depth?" in question for question in guessed.asked)

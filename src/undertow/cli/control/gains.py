@@ -119,8 +119,7 @@ def gains(
     from undertow.control.conditions.repair import repair as repaired
     from undertow.control.conditions.repair import single_repairs
     from undertow.control.gains import load_gains
-    from undertow.model.loading import load_vehicle, read_vehicle_table, resolve_vehicle
-    from undertow.model.saving import last_covariance
+    from undertow.model.loading import last_covariance, load_vehicle, read_vehicle_table, resolve_vehicle
     from undertow.model.symbols import MOTION_UNITS
 
     if path is not None:

@@ -18,19 +18,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._options import (
-    HoldoutOption,
-    InPlaceOption,
-    JsonFileOption,
-    LogOptions,
-    LogsArgument,
-    OutOption,
-    VehicleArgument,
-    bundled,
-    say_long,
-    target_of,
-)
+from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
 from .._terminal import progress, say, section, table
+from ._logs import HoldoutOption, LogOptions, LogsArgument, say_long
 
 if TYPE_CHECKING:
     from undertow.codegen.manifest import Report

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .._options import JsonFileOption, LogOptions, LogsArgument, VehicleArgument, bundled, say_long
+from .._options import JsonFileOption, VehicleArgument, bundled
 from .._terminal import progress, say, section, table
+from ._logs import LogOptions, LogsArgument, say_long
 
 if TYPE_CHECKING:
     from undertow.identification.comparison import ComparisonResult

@@ -36,17 +36,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._options import (
-    HoldoutOption,
-    JsonFileOption,
-    LogsArgument,
-    RigOptions,
-    VehicleArgument,
-    bundled,
-    of_experiment,
-    say_long,
-)
+from .._options import JsonFileOption, VehicleArgument, bundled
 from .._terminal import console, progress, say, section, show_finding, table, text
+from ._logs import HoldoutOption, LogsArgument, RigOptions, of_experiment, say_long
 
 if TYPE_CHECKING:
     from undertow.identification.diagnose import DiagnosisResult, Experiment
@@ -55,7 +47,7 @@ if TYPE_CHECKING:
     from undertow.identification.report.sentences import CommandLine
     from undertow.model.vehicle import Vehicle
 
-    from .._options import Loaded
+    from ._logs import Loaded
 
 _FALSE_ALARMS = typer.Option(
     metavar="CHANCE", help="Probability of naming an effect when nothing is missing, 0.005 to 0.2."

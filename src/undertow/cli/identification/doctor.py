@@ -37,8 +37,9 @@ import typer
 
 from undertow.cli._terminal import show_finding
 
-from .._options import JsonFileOption, LogsArgument, ReadOptions, VehicleArgument, bundled, say_long
+from .._options import JsonFileOption, VehicleArgument, bundled
 from .._terminal import console, progress, say, section, table, write_files
+from ._logs import LogsArgument, ReadOptions, say_long
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

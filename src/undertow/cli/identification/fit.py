@@ -41,20 +41,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .._options import (
-    HoldoutOption,
-    InPlaceOption,
-    JsonFileOption,
-    LogsArgument,
-    OutOption,
-    RigOptions,
-    VehicleArgument,
-    bundled,
-    of_experiment,
-    say_long,
-    target_of,
-)
+from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
 from .._terminal import console, progress, say, section, table, text, write_files
+from ._logs import HoldoutOption, LogsArgument, RigOptions, of_experiment, say_long
 
 if TYPE_CHECKING:
     from undertow.identification.api import Refit

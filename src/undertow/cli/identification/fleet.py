@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .._options import EffectsOption, FillOption, LogsArgument, MapOption, TrustOption, bundled
+from .._options import EffectsOption, bundled
 from .._terminal import console, progress, say, section, table, text
+from ._logs import FillOption, LogsArgument, MapOption, TrustOption
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

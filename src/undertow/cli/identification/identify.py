@@ -32,17 +32,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .._options import (
-    InPlaceOption,
-    JsonFileOption,
-    LogOptions,
-    LogsArgument,
-    OutOption,
-    VehicleArgument,
-    bundled,
-    target_of,
-)
+from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
 from .._terminal import console, progress, say, section, table, text
+from ._logs import LogOptions, LogsArgument
 
 if TYPE_CHECKING:
     from undertow.paper.least_squares import Estimation, Experiment, Identified

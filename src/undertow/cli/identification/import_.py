@@ -2,11 +2,14 @@
 
     undertow import dive.bin --list
     undertow import dive.bin --vehicle my-rov.toml --out dive.parquet
+    undertow import pose.csv imu.csv motors.csv --vehicle my-rov.toml --out dive.parquet
 
 Every command that takes a log reads such files directly. An imported log is read faster, needs no extra
 library and can be shared. The mapping file next to it (dive.toml) records which column became which channel;
 correct it there: undertow doctor my-rov.toml dive.parquet --map dive.toml. If no column is recognised as a
 motion, the table has all of them, and the mapping file asks for their meaning, as undertow map new does.
+
+Tables of one run, each on its own clock, are merged into one, with empty cells where one has no sample.
 
 --list shows the contents of the file: series, their rates and time spans, and the longest gap.
 """
@@ -23,8 +26,9 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import MapOption, NewForceOption, new_file
+from .._options import NewForceOption, new_file
 from .._terminal import progress, say, section, table, write_files
+from ._logs import MapOption
 from .map import show_guesses
 
 if TYPE_CHECKING:
@@ -33,6 +37,9 @@ if TYPE_CHECKING:
     from undertow.identification.logs.formats.fieldlog import Series
     from undertow.identification.logs.mapping import LogMapping
 
+_LOGS = typer.Argument(
+    metavar="LOG", help="Vehicle log of any format, or the tables of one run: a folder, or several files."
+)
 _OUT = typer.Option(metavar="NEW.parquet", help="Table to write: .parquet or .csv.")
 _LIST = typer.Option("--list", help="Show what the log contains and write nothing.")
 _VEHICLE = typer.Option(
@@ -47,7 +54,7 @@ _HEAD = ("series", "samples", "per second", "from s", "to s", "longest gap s", "
 
 
 def import_(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Vehicle log; any format except a table.")],
+    logs: Annotated[list[Path], _LOGS],
     out: Annotated[Path | None, _OUT] = None,
     list_: Annotated[bool, _LIST] = False,
     vehicle: Annotated[str | None, _VEHICLE] = None,
@@ -56,23 +63,25 @@ def import_(
     force: NewForceOption = False,
 ) -> None:
     from undertow.identification.logs.formats.by_name import first_mapping
-    from undertow.identification.logs.formats.fieldlog import read_field_log
+    from undertow.identification.logs.formats.tables import one_run
     from undertow.identification.logs.mapping import LogMapping, mapping_text, read_mapping
     from undertow.identification.logs.opening import columns_read
     from undertow.model.loading import load_vehicle
 
     if not (out or list_):
         raise UndertowError("nothing to do: give --out NEW.parquet, or --list to see what the log contains")
-    target = None if out is None or list_ else new_file(out, force, [log, *filter(None, [map])])
+    target = None if out is None or list_ else new_file(out, force, [*logs, *filter(None, [map])])
     beside = None if target is None else new_file(target.with_suffix(".toml"), force, filter(None, [map]))
     given = read_mapping(map) if map else None
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading", None):
-        found = read_field_log(log, messages or (given.messages if given else None))
-    for note in (*found.notes, *(() if given else found.remarks)):
+        found = one_run(logs, messages or (given.messages if given else None))
+    for note in (*found.notes, *(() if given or found.by_name else found.remarks)):
         say(note, "dim")
     if target is None or beside is None:
-        section(f"{log}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()]))
+        section(
+            f"{found.path}: {found.format}", table(_HEAD, [_row(series) for series in found.series.values()])
+        )
         return
     guessed = None if given else first_mapping(found, model)
     meaning = guessed.meaning if guessed else given or LogMapping()
@@ -81,7 +90,7 @@ def import_(
     if not _has_motion(meaning):
         say(f"no column is recognised as a motion: {target} has all of them", "yellow")
     if guessed:
-        show_guesses(guessed, log)
+        show_guesses(guessed, found.path)
     say(f"the meaning of the columns is in {beside}: correct it there if it is wrong")
     say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")
 

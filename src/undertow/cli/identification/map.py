@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
+_LOGS = typer.Argument(
+    metavar="LOG",
+    help="The log: a table, a vehicle log, or the tables of one run (a folder, or several files).",
+)
 _VEHICLE = typer.Option(
     metavar="VEHICLE", help="Vehicle file or name; its commands are searched for in the log."
 )
@@ -29,9 +33,7 @@ _VEHICLE = typer.Option(
 
 @app.command()
 def new(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="The log: a table, or a vehicle log in its own format.")
-    ],
+    logs: Annotated[list[Path], _LOGS],
     vehicle: Annotated[str | None, _VEHICLE] = None,
     out: Annotated[Path, typer.Option(metavar="NEW.toml", help="Output file.")] = Path("log.toml"),
     force: NewForceOption = False,
@@ -39,22 +41,29 @@ def new(
     """Guess what the columns of a log mean, and write a mapping file with open questions."""
     from undertow.files import write_whole
     from undertow.identification.logs.formats.by_name import first_mapping
-    from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
+    from undertow.identification.logs.formats.fieldlog import format_of
+    from undertow.identification.logs.formats.tables import one_run
     from undertow.identification.logs.guess import guess_mapping
     from undertow.model.loading import load_vehicle
 
-    new_file(out, force, [log, *([vehicle] if vehicle else [])])
+    new_file(out, force, [*logs, *([vehicle] if vehicle else [])])
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading"):
-        own = read_field_log(log) if format_of(log) else None
-        guessed = first_mapping(own, model) if own else guess_mapping(log, model)
+        own = one_run(logs) if len(logs) > 1 or format_of(logs[0]) else None
+        guessed = first_mapping(own, model) if own else guess_mapping(logs[0], model)
+    for note in own.notes if own else ():
+        say(note, "dim")
     write_whole(out, guessed.text())
-    show_guesses(guessed, log)
+    show_guesses(guessed, own.path if own else logs[0])
     if not guessed.columns:
         say(f"no column looks like a motion or a command: give theirs a channel in {out}", "yellow")
     left = sum(len(names) for names in guessed.ignored.values())
     say(f"wrote {out}: {len(guessed.columns)} columns read, {left} left out; check every line with '# ?'")
-    say(f"then: undertow doctor {vehicle or 'VEHICLE'} {log} --map {out}")
+    files = " ".join(map(str, logs))
+    if len(logs) > 1:
+        say(f"then: undertow import {files} --map {out} --out NEW.parquet")
+    else:
+        say(f"then: undertow doctor {vehicle or 'VEHICLE'} {files} --map {out}")
 
 
 def show_guesses(guessed: GuessedMapping, log: Path) -> None:

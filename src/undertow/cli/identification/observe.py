@@ -37,8 +37,9 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import JsonOption, LogsArgument, ReadOptions, VehicleArgument, bundled, words
+from .._options import JsonOption, VehicleArgument, bundled, words
 from .._terminal import print_json, progress, say, section, table, write_files
+from ._logs import LogsArgument, ReadOptions
 
 if TYPE_CHECKING:
     from undertow.identification.logs.run import Run

@@ -35,16 +35,9 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import (
-    JsonFileOption,
-    LogOptions,
-    VehicleArgument,
-    bundled,
-    names_and_values,
-    say_long,
-    words,
-)
+from .._options import JsonFileOption, VehicleArgument, bundled, names_and_values, words
 from .._terminal import console, progress, say, section, table, text, write_files
+from ._logs import LogOptions, say_long
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,7 +55,7 @@ _DIAGNOSIS = typer.Option(metavar="FILE.json", help="Take the effects to tell ap
 _ONLY = typer.Option(metavar="NAME,NAME", help="Parameters to determine; all by default.")
 _LIMIT = typer.Option(
     metavar="VALUE|NAME=VALUE",
-    help="Largest command: VALUE for all, or NAME=VALUE.",
+    help="Largest command: VALUE for all, or NAME=VALUE; LOWEST:HIGHEST if it is not the same both ways.",
     show_default="as in the vehicle file, or the largest in the logs",
 )
 _NOISE = typer.Option(
@@ -139,8 +132,8 @@ def plan(
     check_writable(out, picture, json, inputs=[vehicle, *logs, *options.files, *filter(None, [diagnosis])])
     _check_goal(goal, between or [], diagnosis, only or [])
     limits = motion.limits
-    largest = _named("--limit", limit or [], whole=True)
-    sigma = _named("--noise", noise or [], whole=False)
+    largest = {n: _limit(value) for n, value in _named("--limit", limit or [], whole=True).items()}
+    sigma = {n: _number("--noise", value) for n, value in _named("--noise", noise or [], whole=False).items()}
     loaded = options.load(vehicle, logs, to_fit=bool(logs), budget=LOOK if logs else None)
     model, runs = loaded.vehicle, loaded.runs
     with progress("planning") as report:
@@ -208,12 +201,19 @@ def _listed(texts: Sequence[str]) -> list[str]:
     return [word.strip() for word in words(texts) if word.strip()]
 
 
-def _named(option: str, texts: Sequence[str], *, whole: bool) -> dict[str, float]:
+def _named(option: str, texts: Sequence[str], *, whole: bool) -> dict[str, str]:
     """``NAME=VALUE``, or ``VALUE`` alone (named "") where `whole` allows it."""
     listed = _listed(texts)
     alone = [word for word in listed if whole and "=" not in word]
     named = names_and_values(option, [word for word in listed if word not in alone], "u=0.01")
-    return {name: _number(option, value) for name, value in [*(("", word) for word in alone), *named]}
+    return dict([*(("", word) for word in alone), *named])
+
+
+def _limit(word: str) -> float | tuple[float, float]:
+    """The largest magnitude of a command, or its lowest and its highest value."""
+    low, between, high = word.partition(":")
+    least = _number("--limit", low)
+    return (least, _number("--limit", high)) if between else least
 
 
 def _number(option: str, word: str) -> float:
@@ -294,13 +294,15 @@ def _noise(plan: Plan) -> str:
 
 
 def _commands(plan: Plan) -> object:
+    from undertow.identification.planning.manoeuvres import limit_text
+
     rows = [
         (
             c.name,
             f"{c.trim:.3g}",
             f"{c.lowest:.3g}",
             f"{c.highest:.3g}",
-            f"{c.limit:.3g}",
+            limit_text((c.least, c.limit)),
             c.unit,
             c.limit_from,
         )

@@ -19,8 +19,9 @@ from typing import Annotated
 
 import typer
 
-from .._options import HoldoutOption, LogOptions, LogsArgument, VehicleArgument, bundled
+from .._options import VehicleArgument, bundled
 from .._terminal import progress, say
+from ._logs import HoldoutOption, LogOptions, LogsArgument
 
 _SESSION = typer.Option(metavar="FOLDER", help="Folder for the session.")
 _BROWSER = typer.Option("--browser/--no-browser", help="Open the page in the browser.")

@@ -220,9 +220,9 @@ def c(
     (undertow observe --save writes its file from a log). With --check nothing is written; the exit code is 1
     if the code no longer matches the files.
     """
-    from undertow.control.api import library_of
     from undertow.control.gains import load_gains
     from undertow.control.guidance.mission import load_mission
+    from undertow.control.update import library_of
     from undertow.model.loading import load_vehicle
     from undertow.observer.design import load_observer
 

@@ -27,8 +27,8 @@ from ..control.linearize import held
 
 if TYPE_CHECKING:
     from undertow.codegen.manifest import Report
-    from undertow.control.api import Update
     from undertow.control.linear.report import Change, Snapshot
+    from undertow.control.update import Update
 
 _GAINS = typer.Option(
     metavar="GAINS",
@@ -50,8 +50,8 @@ def update(
     out: Annotated[Path, _OUT] = Path("build"),
     effects: EffectsOption = None,
 ) -> None:
-    from undertow.control.api import last_update
-    from undertow.control.api import update as updated
+    from undertow.control.update import last_update
+    from undertow.control.update import update as updated
     from undertow.model.loading import load_vehicle
 
     with progress("updating") as report:

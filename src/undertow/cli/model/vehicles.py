@@ -69,6 +69,7 @@ def _content(vehicle: Vehicle) -> dict[str, Any]:
                 "wrench": list(t.wrench),
                 "thrust_per_command": t.thrust_per_command.value,
                 "limit": t.limit,
+                "lowest": t.lowest,
             }
             for t in vehicle.thrusters
         ],

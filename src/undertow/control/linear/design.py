@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 import tomlkit
 
-from undertow.codegen import Functions
+from undertow.codegen.functions import Functions
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LAWS
 from undertow.errors import UndertowError, nearest

@@ -12,8 +12,7 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
-from undertow.model.loading import read_vehicle_table, resolve_vehicle
-from undertow.model.saving import last_covariance
+from undertow.model.loading import last_covariance, read_vehicle_table, resolve_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design
 from undertow.typing import Array

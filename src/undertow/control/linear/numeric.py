@@ -11,8 +11,8 @@ import casadi as ca
 import control as ct
 import numpy as np
 
-from undertow.codegen import Functions
 from undertow.codegen.compiler import Evaluator
+from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import describe
 from undertow.errors import UndertowError
 from undertow.model.effect import Actuation

@@ -125,9 +125,9 @@ class Balance:
 
     def bounds(self) -> list[tuple[float | None, float | None]]:
         """Limits of each unknown: what thrusters can give."""
-        limits = self.numeric.vehicle.command_limits if self._limited else {}
-        most = [limits.get(self.names[i]) for i in self.unknown]
-        return [(None, None) if m is None else (-m, m) for m in most]
+        vehicle, names = self.numeric.vehicle, [self.names[i] for i in self.unknown]
+        lowest, highest = (vehicle.lowest_commands, vehicle.largest_commands) if self._limited else ({}, {})
+        return [(lowest.get(n), highest.get(n)) for n in names]
 
     def split(self, y: Array) -> tuple[Array, Array]:
         """State and commands for values of the unknowns."""

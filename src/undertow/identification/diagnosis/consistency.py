@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -21,6 +22,8 @@ from .bench import Bench
 from .candidates import Candidate
 from .evidence import FoundEffect, fitted
 from .settings import DEFAULT, Settings
+from .validation import SimulationValidator
+from .worth import Worth, best_in_resamples, compared, gained
 
 
 # --- whether it says the same everywhere ----------------------------------------------------------
@@ -167,6 +170,65 @@ def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
 def _levels(values: Array, settings: Settings) -> Index:
     edges = np.quantile(values, np.arange(1, settings.size_parts) / settings.size_parts)
     return np.digitize(values, edges).astype(np.intp)
+
+
+# --- whether it stays the same beside another force ------------------------------------------------
+class Kept(NamedTuple):
+    """Size and improvement of effects with another one in the model, relative to those without it.
+
+    size: of their parameters.
+    gain: of their improvement of predictions.
+    """
+
+    size: float
+    gain: float
+
+
+def kept_beside(
+    effect: FoundEffect,
+    other: FoundEffect,
+    before: Fitted,
+    bench: Bench,
+    validator: SimulationValidator,
+) -> Kept:
+    """Size and gain that an effect keeps with another one in the model.
+
+    All of it where predictions are clearly worse with that one alone: what stands in for something predicts
+    no better than it. All of its size where predictions do not get better with the other one beside it.
+
+    before: the model without either, fitted like the final result.
+    """
+    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
+
+    def final(findings: Sequence[FoundEffect]) -> Fitted:
+        return validator.final(fitted(vehicle, findings, bench).fit)[0]
+
+    def worth(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> Worth:
+        return gained(without, with_it, [effect], validator)
+
+    given = final([effect])
+    ahead, rival = validator.squares_ahead(given), validator.squares_ahead(final([other]))
+    pair = [compared(each, [effect], validator) for each in (ahead, rival)]
+    if best_in_resamples(pair, settings)[0] >= settings.best_share:
+        return Kept(1.0, 1.0)
+    both = final([other, effect])
+    joint = validator.squares_ahead(both)
+    alone = worth(validator.squares_ahead(before), ahead).gain
+    gain = worth(rival, joint).gain / alone if alone > 0.0 else 1.0
+    if not worth(ahead, joint).enough(settings.worth):
+        return Kept(1.0, gain)
+    names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
+    own = [n for n in given.model.free if plain(n) in names]
+    return Kept(_size(given, both, [n for n in own if names[plain(n)]] or own), gain)
+
+
+def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
+    """Parameters in a second fit relative to those in the first, weighted by the precision of the first."""
+    errors = given.standard_errors
+    own = [n for n in names if errors[n] > 0.0 and np.isfinite(errors[n])]
+    weight = np.array([given.values[n] / errors[n] ** 2 for n in own])
+    first, second = (np.array([f.values[n] for n in own]) for f in (given, both))
+    return float(weight @ second / max(weight @ first, 1e-300))
 
 
 # --- whether these logs show what is special about it -----------------------------------------------

@@ -129,6 +129,19 @@ class FoundEffect:
         return issubclass(self.trial.candidate.effect, Measurement)
 
 
+def reconciles_sensors(finding: FoundEffect, bench: Bench) -> bool:
+    """Whether an error of the sensors explains most of the contradiction between pose and velocities.
+
+    They follow from each other without a force, so that no force explains that, known or unknown.
+    """
+    if not finding.of_sensors:
+        return False
+    n = len(bench.test.names) // 2
+    before, after = comparable_mean_squares(bench.base_score, finding.trial.score, bench.test)
+    share = explained(before[n:], after[n:], bench.noise_level[n:], bench.settings)
+    return share >= bench.settings.own_share
+
+
 IsNoise = Callable[[WeakFit, WeakData], bool]
 
 

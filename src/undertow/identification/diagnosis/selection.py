@@ -10,13 +10,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
-from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
@@ -32,7 +29,16 @@ from .consistency import (
     own_variables,
     vanished_inertia,
 )
-from .evidence import FoundEffect, as_good, fitted, in_its_place, inclusion, linear, with_effects
+from .evidence import (
+    FoundEffect,
+    as_good,
+    fitted,
+    in_its_place,
+    inclusion,
+    linear,
+    reconciles_sensors,
+    with_effects,
+)
 from .parallel import mapped
 from .reference import captured
 from .rounds import Round, try_all
@@ -80,9 +86,13 @@ class Selection:
 
     @property
     def established(self) -> list[Graded]:
-        """The effects up to the first one in doubt: later ones may only compensate for that."""
-        doubted = next((i for i, g in enumerate(self.graded) if g.doubt), len(self.graded))
-        return self.graded[:doubted]
+        """The effects that are not in doubt."""
+        return [g for g in self.graded if not g.doubt]
+
+    @property
+    def established_first(self) -> Selection:
+        """The same, the effects in doubt after the others."""
+        return replace(self, graded=sorted(self.graded, key=lambda g: bool(g.doubt)))
 
     @property
     def all_but_one_established(self) -> bool:
@@ -124,64 +134,6 @@ def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
 
 #: What the second of two effects is worth on top of the first.
 Beside = Callable[[FoundEffect, FoundEffect], Worth]
-
-
-class Kept(NamedTuple):
-    """Size and improvement of effects with another one in the model, relative to those without it.
-
-    size: of their parameters.
-    gain: of their improvement of predictions.
-    """
-
-    size: float
-    gain: float
-
-
-def kept_beside(
-    effect: FoundEffect,
-    other: FoundEffect,
-    before: Fitted,
-    bench: Bench,
-    validator: SimulationValidator,
-) -> Kept:
-    """Size and gain that an effect keeps with another one in the model.
-
-    All of it if the other one does not improve predictions further, or if predictions are clearly worse with
-    that one alone: a proxy predicts no better than the effect it stands for.
-
-    before: the model without either, fitted like the final result.
-    """
-    vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-
-    def final(findings: Sequence[FoundEffect]) -> Fitted:
-        return validator.final(fitted(vehicle, findings, bench).fit)[0]
-
-    def worth(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> Worth:
-        return gained(without, with_it, [effect], validator)
-
-    given = final([effect])
-    ahead, rival = validator.squares_ahead(given), validator.squares_ahead(final([other]))
-    pair = [compared(each, [effect], validator) for each in (ahead, rival)]
-    if best_in_resamples(pair, settings)[0] >= settings.best_share:
-        return Kept(1.0, 1.0)
-    both = final([other, effect])
-    joint = validator.squares_ahead(both)
-    if not worth(ahead, joint).enough(settings.worth):
-        return Kept(1.0, 1.0)
-    names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
-    own = [n for n in given.model.free if plain(n) in names]
-    size = _size(given, both, [n for n in own if names[plain(n)]] or own)
-    alone = worth(validator.squares_ahead(before), ahead).gain
-    return Kept(size, worth(rival, joint).gain / alone if alone > 0.0 else 1.0)
-
-
-def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
-    """Parameters in a second fit relative to those in the first, weighted by the precision of the first."""
-    errors = given.standard_errors
-    own = [n for n in names if errors[n] > 0.0 and np.isfinite(errors[n])]
-    weight = np.array([given.values[n] / errors[n] ** 2 for n in own])
-    first, second = (np.array([f.values[n] for n in own]) for f in (given, both))
-    return float(weight @ second / max(weight @ first, 1e-300))
 
 
 def alternatives(
@@ -252,10 +204,10 @@ class _Selector:
         """The effects; if the first is in doubt, it is reassessed with those found after it."""
         found = self._forward()
         self._later = [g.chosen for g in found.graded[1:]]
-        if not self._later or found.established:
-            return found
-        again = self._forward()
-        return again if again.established else found
+        if self._later and found.graded[0].doubt:
+            again = self._forward()
+            found = max(found, again, key=lambda s: len(s.established))
+        return found.established_first
 
     def _forward(self) -> Selection:
         self._reasons, self._worth = {}, {}
@@ -340,7 +292,7 @@ class _Selector:
         """The best candidate that improves predictions enough, with its rivals; an established one leads.
 
         After an effect in doubt, or one of too many equivalents, none is established: it may compensate for
-        that.
+        that. A contradiction between pose and velocities is due to the sensors, whatever forces are missing.
         """
         bench, least = current.bench, self._settings.worth
         found = {f.id: f for f in self._screened(current)}
@@ -356,9 +308,11 @@ class _Selector:
         many = self._settings.most_equivalent
         doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
         if worthy and doubtful:
-            best = worthy[0]
             doubt = f"it was identified together with {doubtful}, which is not established either"
-            return Graded(best, [], worth[best.id], doubt)
+            in_doubt = Graded(worthy[0], [], worth[worthy[0].id], doubt)
+            worthy = [f for f in worthy if reconciles_sensors(f, bench)]
+            if not worthy:
+                return in_doubt
         doubts = {}
         for f in (*leading, *near) if worthy else ():
             forces = self._shows_in_forces(f, before, ahead[f.id])
@@ -375,7 +329,7 @@ class _Selector:
         chosen = next((f for f in worthy if not doubts[f.id]), worthy[0])
         doubt = doubts[chosen.id]
         if doubt:
-            return Graded(chosen, [], worth[chosen.id], doubt)
+            return in_doubt if doubtful else Graded(chosen, [], worth[chosen.id], doubt)
         others = [f for i, f in found.items() if f is not chosen and worth[i].enough(least)]
         plain = {chosen.id, *(f.id for f in others if not doubts.get(f.id))}
         alone = self._in_its_place(chosen, current, plain, before, ahead)
@@ -447,10 +401,12 @@ class _Selector:
         def better(best: FoundEffect, other: FoundEffect) -> float:
             return float(self._often([best, other], ahead, bench)[0])
 
-        if not worthy or _stands(worthy[0], doubts[worthy[0].id], bench):
-            return {}
-        sure = [f for f in worthy[1:] if not doubts[f.id]]
-        return dominated(worthy[0], sure, better, self._beside(ahead, bench), self._settings)
+        sure, beside = [f for f in worthy if not doubts[f.id]], self._beside(ahead, bench)
+        doubted = [f for f in worthy if not _stands(f, doubts[f.id], bench)]
+        found: dict[str, str] = {}
+        for best in reversed(doubted):  # what is said is of the best of them
+            found |= dominated(best, sure, better, beside, self._settings)
+        return found
 
     def _beside(self, ahead: Mapping[str, dict[float, Array]], bench: Bench) -> Beside:
         """Improvement by a candidate in addition to another."""

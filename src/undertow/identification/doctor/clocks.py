@@ -44,6 +44,7 @@ class ClockSettings:
     starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
     # Standard errors by which a motion before its commands contradicts a choice of which source is late.
     acausal: float = 3.0
+    known: float = 1.0  # standard error of a delay of commands, s, from which it says nothing
     gained: float = 0.1  # share of the misfit that a drift of commands must explain
 
 
@@ -296,9 +297,9 @@ def delay_edits(one: Latency, mapping: LogMapping) -> Edits:
 def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     """Delay of the motion after the commands, or its drift along the logs.
 
-    None if there is neither, unless commands are a series with its own time stamps. A constant delay is an
-    effect (actuation_delay), which real vehicles have; a motion before its command, or a drifting delay, is a
-    clock error.
+    None if there is neither, unless commands are a series with its own time stamps, and the delay is known. A
+    constant delay is an effect (actuation_delay), which real vehicles have; a motion before its command, or a
+    drifting delay, is a clock error.
     """
     step = at.runs[0].step
     near = _refitted_near(at)
@@ -320,7 +321,8 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     explains = (certain or acausal) and _explains(at, delay)
     if certain and explains:
         return _late(at, delay, sigma, mapping)
-    if acausal or any(run.reported for run in at.runs):
+    known = sigma < SETTINGS.known and any(run.reported for run in at.runs)
+    if acausal or known:
         return _prompt(delay, sigma, acausal=acausal, shifted=acausal and explains)
     return None
 

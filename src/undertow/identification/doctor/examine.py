@@ -42,6 +42,7 @@ from .mistakes import (
     other_time_unit,
     reading_mistakes,
 )
+from .quotients import finding_on_quotients, without
 from .sampling import DROP, excitation, excitation_findings, held_channels, read_when_new, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
 from .signs import WIRING, by_signs, lost_signs, signs_of, suspected
@@ -157,6 +158,7 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
         examiner = _of_one(vehicle, run)
         unmeasured = sensors.without_measurement(examiner.kinematics, [run]) if examiner.kinematics else None
         refused = _refused(examiner)
+        unmeasured = examiner.unmeasured or unmeasured
         if not examiner.is_timed:
             bursts = next(f.text for f in examiner.findings if f.id == "bursts")
             raise UndertowError(f"log {bursts}, or {after_all}")
@@ -207,6 +209,7 @@ class _Examiner:
         self.findings: list[Finding] = []
         self.edits: list[Edit] = []
         self.refused: Finding | None = None
+        self.unmeasured: Finding | None = None
 
     @property
     def is_timed(self) -> bool:
@@ -218,10 +221,23 @@ class _Examiner:
         self.findings += sampling(self.runs, names, self.mapping)
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
+        self._drop_quotients()
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
             text = f"{unit.clause}: only then are pose rates and velocities of the same size"
             self._undo(Explanation(unit, text, {}), impossible=True)
         self._mend_angles([n for n in self.vehicle.pose_names if n not in self.kinematics.rows])
+
+    def _drop_quotients(self) -> None:
+        """Derive anew what was divided by steps that jitter: everything else would be judged by its noise."""
+        if not (self.kinematics and self.is_timed):
+            return
+        found, names = finding_on_quotients(self.runs, self.kinematics)
+        if found is not None:
+            self.findings.append(found)
+            self.unmeasured = found if found.severity == "mistake" else None
+            dofs = self.vehicle.degrees_of_freedom
+            self.runs = [velocities_from_pose(without(run, names), dofs) for run in self.runs]
+            self.kinematics = Kinematics(self.runs, self.vehicle)
 
     def undo_repeats(self) -> None:
         """Read sensors that are slower than the log where they are new: held values look like a delay."""

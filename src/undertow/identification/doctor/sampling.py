@@ -91,7 +91,7 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
     usual = float(np.median(step))
     yield from _disorder(run, mapping)
     yield from _bursts(step, usual) or _lost_rows(run, step, usual)
-    jitter = float(np.std(step[step < 1.5 * usual]) / usual)
+    jitter = jitter_of(run.clock)
     if jitter > SETTINGS.jitter:
         yield Finding(
             id="jitter",
@@ -102,6 +102,13 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
         )
     yield from _dense(usual, mapping)
     yield from _absent(run, channels)
+
+
+def jitter_of(clock: Array) -> float:
+    """Spread of the steps of a clock, without its gaps, as a share of the usual one."""
+    step = np.diff(clock)
+    usual = float(np.median(step)) if len(step) else 1.0
+    return float(np.std(step[step < 1.5 * usual]) / usual) if len(step) else 0.0
 
 
 def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:
@@ -411,12 +418,12 @@ def _excitation_of(vehicle: Vehicle, place: int, motion: _Motion, runs: Sequence
 def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | None:
     """Span of the commanded force over the largest span that limits allow."""
     gains = {t.name: t.wrench[row] * t.thrust_per_command.value for t in vehicle.thrusters if t.wrench[row]}
-    limits = {t.name: t.limit for t in vehicle.thrusters}
-    largest = sum(abs(g) * (limits[n] or np.inf) for n, g in gains.items())
+    limits, lowest = vehicle.command_limits, vehicle.lowest_commands
+    largest = sum(abs(g) * (limits[n] - lowest[n] if n in limits else np.inf) for n, g in gains.items())
     if not gains or not np.isfinite(largest) or any(vehicle.laws):
         return None
     force = np.concatenate([sum(g * r.channels[n] for n, g in gains.items()) for r in runs])
-    return float((np.nanmax(force) - np.nanmin(force)) / (2 * largest))
+    return float((np.nanmax(force) - np.nanmin(force)) / largest)
 
 
 def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 
-from .decimation import decimated
 from .formats.fieldlog import Window
 from .mapping import CommandPolicy, LogMapping
 from .opening import (
@@ -33,7 +32,7 @@ from .opening import (
     stretches_of,
     times_of,
 )
-from .reading import run_of_table
+from .reading import decimated, run_of_table
 from .run import Run, later_than_before
 from .table import (
     DAMAGED,

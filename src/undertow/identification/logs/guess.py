@@ -14,10 +14,11 @@ from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
 from undertow.model.symbols import DOFS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.tables import TURNS
+from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .guess_clock import clock_of, times_of_rows
+from .guess_clock import clock_by_motion, clock_of, times_of_rows
 from .guess_frames import (
     Axes,
     Guess,
@@ -28,6 +29,7 @@ from .guess_frames import (
     quaternion_in,
     rate_of_heading,
     unit_of_heading,
+    unnamed_quaternion,
 )
 from .guess_names import (
     NO_FIT,
@@ -77,8 +79,8 @@ SETTINGS = GuessSettings()
 # --- from a table -----------------------------------------------------------------------------------
 def guess_mapping(path: Path, vehicle: Vehicle | None = None) -> GuessedMapping:
     """Guess what the columns of a log (CSV, CSV.gz or Parquet) mean."""
-    table, reading = _table(path)
-    return guess_table(table, path, vehicle, reading)
+    table, reading = whole_table(path)
+    return guess_table(table.head(SETTINGS.rows), path, vehicle, reading)
 
 
 def guess_table(
@@ -95,10 +97,17 @@ def guess_table(
     its time is where that is known.
     """
     reading = reading or LogMapping()
-    data = {name: column for name in table.columns if (column := _column(table, name, reading)) is not None}
+    data = {
+        name: column for name in table.columns if (column := numbers_of(table, name, reading)) is not None
+    }
     time = clock or clock_of(table, data, f"log {path}")
     t = times_of_rows(table, data, time, f"log {path}")
-    plain = [_name(table, c, reading) for c in data if c != time.column and not part_of_quaternion(c, data)]
+    if not clock and (moved := _in_si(data, time.column)):
+        time, t = clock_by_motion(time, t, moved)
+    named = quaternion_in(data)
+    unnamed = () if named else unnamed_quaternion({n: c for n, c in data.items() if n != time.column})
+    rotation = {time.column, *unnamed, *(c for c in data if part_of_quaternion(c, data))}
+    plain = [_name(table, c, reading) for c in data if c not in rotation]
     names = with_sides(with_axes(plain))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
@@ -107,7 +116,7 @@ def guess_table(
     driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = _motions(motion, names, data, flags, t)
-    turned = () if {*motion} & {*POSE[3:]} else quaternion_in(data)
+    turned = () if {*motion} & {*POSE[3:]} else named or unnamed
     attitude = angles(*(data[n] for n in turned)) if turned else {}
     globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
     place = place_of(*((n, data[n]) for n in globe)) if globe else {}
@@ -116,7 +125,7 @@ def guess_table(
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {channel: values for channel, (_, values) in place.items()}
     axes = axes_of(known | attitude, t, along_earth=along_earth)
-    read += _attitude(turned) + _place(globe, place)
+    read += _attitude(turned, _UNNAMED if unnamed else "") + _place(globe, place)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     axes_of_commands = _axes(vehicle) if vehicle else {}
     read += [
@@ -136,11 +145,28 @@ def guess_table(
         tuple(read),
         axes,
         _ignored(
-            table.columns, used, names, dead, only, {*motion} - {g.channel for g in read}, _no_degrees(data)
+            table.columns,
+            used,
+            names,
+            dead,
+            only,
+            {*motion} - {g.channel for g in read},
+            (_no_degrees(data), rotation),
         ),
         reading,
         (*questions, *gaps),
     )
+
+
+def _in_si(data: Mapping[str, Array], time: str) -> dict[str, Array]:
+    """Position and horizontal speeds, m and m/s, as far as names and units of columns say."""
+    names = with_sides(with_axes([Name.of(c) for c in data if c != time]))
+    globe = latitude_and_longitude(data)
+    found = {c: v for c, (_, v) in place_of(*((n, data[n]) for n in globe)).items()} if globe else {}
+    for channel, name in _best([n for n in names if not _is_dead(data[n.column])], None).items():
+        if channel in ("x", "y", "u", "v"):
+            found[channel] = data[name.column] * scale_offset(name.unit or UNITS[channel], UNITS[channel])[0]
+    return found
 
 
 def _with_gaps(
@@ -198,11 +224,18 @@ _FLAG = (
 )
 
 
-def _attitude(quaternion: Sequence[str]) -> list[Guess]:
+_UNNAMED = "squares add up to one: read as w, x, y, z of a quaternion in the order written here: are they?"
+
+
+def _attitude(quaternion: Sequence[str], doubt: str = "") -> list[Guess]:
     """Roll, pitch and yaw from the columns w, x, y, z of a quaternion; nothing from none."""
     entries = formulas(quaternion) if quaternion else {}
     return [
-        Guess(", ".join(quaternion), {"channel": channel, "expression": text, "unit": "rad"})
+        Guess(
+            ", ".join(quaternion),
+            {"channel": channel, "expression": text, "unit": "rad"},
+            doubt if channel == "phi" else "",
+        )
         for channel, text in entries.items()
     ]
 
@@ -235,15 +268,15 @@ def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) ->
     return unit_of_heading(data[name.column], plain, t) or _unit("psi", data[name.column])[0]
 
 
-def _table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
-    """The first rows of a log, and how its text is written."""
+def whole_table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
+    """The rows of a log, and how its text is written."""
     reading, data, where = LogMapping(), file_bytes(path), f"log {path}"
     table = read_table(data, reading, where, path)
     sign = _delimiter(table) if len(table.columns) == 1 else None
     if sign is not None:
         reading = LogMapping(delimiter=sign)
         table = read_table(data, reading, where, path)
-    return table.head(SETTINGS.rows), reading
+    return table, reading
 
 
 def _delimiter(table: pl.DataFrame) -> str | None:
@@ -253,7 +286,7 @@ def _delimiter(table: pl.DataFrame) -> str | None:
     return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
 
 
-def _column(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
+def numbers_of(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
     """The numbers of a column; None where it is one of dates, or has more texts than numbers."""
     if is_dates(table, name):
         return None
@@ -303,7 +336,9 @@ def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) ->
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
         rows = rows_by_number(n.column for n in driving)
         beside = {column for row in rows if not dead.issuperset(row) for column in row}
-        return {n.force or n.column: n for n in driving if n.column not in dead or n.column in beside}
+        likely = sorted(driving, key=lambda n: n.rank, reverse=True)  # of one force the plainest is the last
+        kept = {n.force or n.column: n for n in likely if n.column not in dead or n.column in beside}
+        return {c: kept[c] for c in dict.fromkeys(n.force or n.column for n in driving) if c in kept}
     names = sorted(names, key=lambda n: n.column in dead)
     found: dict[str, Name] = {}
     axes = _axes(vehicle)
@@ -367,6 +402,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
             )
     if name.is_upward and channel in ("z", "w"):
         entry["scale"] = -1
+        if name.is_height:
+            doubt += f"{' ' if doubt else ''}read as a height above a level, so that z is minus it: is it?"
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
     return Guess(name.column, entry, doubt)
@@ -397,8 +434,13 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
 
 
 def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
-    """The column that flags new values of a sensor slower than its log; the column itself without one."""
-    new = np.concatenate([[False], np.diff(values) != 0]) & np.isfinite(values)
+    """The column that flags new values of a sensor slower than its log; the column itself without one.
+
+    If a sensor has rows of its own, only these are considered.
+    """
+    there = np.isfinite(values)
+    values, flags = values[there], {flag: column[there] for flag, column in flags.items()}
+    new = np.concatenate([[False], np.diff(values) != 0])
     if len(values) < 2 or not 0 < np.mean(new) < 1.0 - SETTINGS.repeated:
         return ""
     for flag, column in flags.items():
@@ -470,8 +512,6 @@ def _rate_in_si(unit: str) -> float:
 
 def _factor(guess: Guess) -> float:
     """SI units in one unit of a column of pose or velocity."""
-    from undertow.model.units import scale_offset
-
     return scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
 
 
@@ -485,7 +525,8 @@ def _command(
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
-    doubt, asked = "", "" if name.is_surely(command, axes) else f"is it command '{command}'? "
+    sure = not axes or command == name.column or name.is_surely(command, axes)
+    doubt, asked = "", "" if sure else f"is it command '{command}'? "
     low, high = SETTINGS.pulse
     pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off
     if command in FORCES:
@@ -547,20 +588,25 @@ def _ignored(
     dead: set[str],
     only: int | None,
     foreign: set[str],
-    no_degrees: Sequence[str],
+    other: tuple[Sequence[str], set[str]],
 ) -> dict[str, tuple[str, ...]]:
-    """Columns that are left out, by the reason; `foreign`: channels that the vehicle does not have."""
+    """Columns that are left out, by the reason.
+
+    `foreign` are channels that the vehicle does not have, `other` columns of places that are not in degrees,
+    and of quaternions.
+    """
+    no_degrees, rotation = other
     found: dict[str, list[str]] = {}
     by_column = {name.column: name for name in names}
     for column in columns:
         if column in used:
             continue
         name = by_column.get(column, Name.of(column))
-        if column not in by_column and not part_of_quaternion(column, columns):
+        if column not in by_column and column not in rotation:
             reason = "not numbers"
         elif column in dead:
             reason = "never changes: measured by nothing, or held"
-        elif set(name.words) & WANTED:
+        elif set(name.words) & WANTED and not name.motion(only):
             reason = "a set-point, or something else"
         elif name.motion(only) in foreign:
             reason = "a motion that the vehicle does not have"
@@ -568,7 +614,7 @@ def _ignored(
             reason = "a force on the vehicle, which its thrusters make"
         elif column in no_degrees:
             reason = "? a latitude or longitude that is not in degrees (degrees and minutes as 4854.6?)"
-        elif name.motion(only) or column in latitude_and_longitude(columns):
+        elif name.motion(only) or column in rotation or column in latitude_and_longitude(columns):
             reason = "another column looks more like the measurement"
         else:
             reason = "? meaning unknown"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import polars as pl
@@ -24,6 +25,13 @@ class ClockSettings:
 
     # Share of rows that may be no later than one before, of a clock that rises all the same.
     late: float = 0.05
+    # Rows over which changes of position are taken, as many as are needed for noise to be small against them:
+    # over twice as many, the position then changes about as fast.
+    spans: tuple[int, ...] = (10, 20, 40, 80, 160, 320)
+    steady: float = 1.2
+    same: float = 1.5  # factor within which they and the speed are the same
+    fastest: float = 50.0  # m/s that no vehicle in water goes
+    slowest: float = 0.01  # m/s that one does that is worth a log
 
 
 SETTINGS = ClockSettings()
@@ -54,6 +62,70 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
         entry["disorder"] = "drop"
         asked.append(f"{late:.2%} of the rows are not later than an earlier one: leave them out?")
     return Guess(found, entry, " ".join(asked))
+
+
+def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
+    """Times of the rows, s, those of dates since 1970."""
+    if time.column in data:
+        return data[time.column] * SECONDS[str(time.entry["unit"])]
+    if table[time.column].dtype in (pl.Datetime, pl.Date):
+        table = table.with_columns(pl.col(time.column).cast(pl.Datetime("ns")))
+    t, first, origin = seconds(table, time.column, where)
+    return t + float(origin) * 1e-9 if first else t
+
+
+def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[Guess, Array]:
+    """The clock, and times in s, in the unit in which the change of position is that of its speed.
+
+    Minutes, hours and days are tried where no name states a unit: one in which position and speed (m, m/s)
+    agree, or in which a vehicle can go as far where no speed was logged.
+    """
+    unit = str(time.entry["unit"])
+    if unit == "iso" or unit_of_clock(time.column):
+        return time, t
+    pace = _pace(t, moved)
+    speed = np.hypot(moved.get("u", np.nan * t), moved.get("v", 0.0 * t)) if "u" in moved else t * np.nan
+    logged = float(np.nanmedian(speed)) if np.isfinite(speed).any() else np.nan
+    others = {u: pace * SECONDS[unit] / SECONDS[u] for u in ("min", "h", "day") if u != unit}
+    fits = _agreeing if np.isfinite(logged) else _possible
+    if not pace > 0 or fits(pace, logged):
+        return time, t
+    known = (
+        f"the speed column says {logged:.3g}" if np.isfinite(logged) else "no vehicle goes as fast or slow"
+    )
+    asked = f"in {unit}, the position would change by {pace:.3g} m/s, and {known}"
+    better = next((u for u, p in others.items() if fits(p, logged)), "")
+    if not better:
+        either = " or the speed" if np.isfinite(logged) else ""
+        return replace(
+            time, doubt=f"{time.doubt} {asked}: is the time, the position{either} in another unit?"
+        ), t
+    asked += f": read in {better}, in which it changes by {others[better]:.3g} m/s: is it?"
+    scale = SECONDS[better] / SECONDS[unit]
+    return Guess(time.column, {**time.entry, "unit": better}, asked), t * scale
+
+
+def _agreeing(pace: float, speed: float) -> bool:
+    return 1.0 / SETTINGS.same < pace / max(speed, 1e-12) < SETTINGS.same
+
+
+def _possible(pace: float, speed: float) -> bool:
+    return SETTINGS.slowest < pace < SETTINGS.fastest
+
+
+def _pace(t: Array, moved: Mapping[str, Array]) -> float:
+    """Change of position by time, m/s, its median; 0 where there is no position, or only its noise."""
+    if not {"x", "y"} <= moved.keys():
+        return 0.0
+    there = np.isfinite(t) & np.isfinite(moved["x"]) & np.isfinite(moved["y"])
+    x, y, t = moved["x"][there], moved["y"][there], t[there]
+    paces = [_over(step, x, y, t) for step in SETTINGS.spans if len(t) > 2 * step]
+    return next((a for a, b in pairwise(paces) if a < SETTINGS.steady * b), 0.0)
+
+
+def _over(step: int, x: Array, y: Array, t: Array) -> float:
+    far, long = np.hypot(x[step:] - x[:-step], y[step:] - y[:-step]), t[step:] - t[:-step]
+    return float(np.median(far / np.maximum(long, 1e-12)))
 
 
 def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:

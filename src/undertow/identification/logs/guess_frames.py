@@ -27,6 +27,7 @@ class FrameSettings:
     jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
     like: float = 0.9  # correlation of a rate with the change of the heading
     rounded: float = 1e-2  # how far the length of a quaternion may be from one
+    upright: float = 0.01  # mean square of a part of a quaternion that says nothing of its place
 
 
 SETTINGS = FrameSettings()
@@ -202,6 +203,40 @@ def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
         if found and all(n in data for n in found) and _is_unit([data[n] for n in found]):
             return found
     return ()
+
+
+def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
+    """Columns w, x, y, z of a quaternion that only their numbers show; none: ().
+
+    They stand beside each other, are called alike but for a letter or a number, and are of length one.
+    """
+    names = [*data]
+    for four in zip(names, names[1:], names[2:], names[3:], strict=False):
+        columns = [data[n] for n in four]
+        if (
+            len({_LAST.sub("", n) for n in four}) == 1
+            and _is_unit(columns)
+            and not all(map(_is_flag, columns))
+        ):
+            return (four[3], *four[:3]) if _scalar_is_last(columns) else four
+    return ()
+
+
+def _scalar_is_last(columns: Sequence[Array]) -> bool:
+    """Whether they are x, y, z, w and not w, x, y, z: a vehicle in water is about upright, x and y are small.
+
+    Where it heads north both are: then w is one.
+    """
+    first, _, third, last = (float(np.nanmean(column**2)) for column in columns)
+    return last > first if max(first, third) < SETTINGS.upright else first < third
+
+
+_LAST = re.compile(r"(\d+|[A-Za-z])(?=[^A-Za-z0-9]*$)")  # what tells one column of a vector from the next
+
+
+def _is_flag(values: Array) -> bool:
+    """Whether a column is never anything but zero or one."""
+    return bool(np.isin(values[np.isfinite(values)], (0.0, 1.0)).all())
 
 
 def _is_unit(columns: Sequence[Array]) -> bool:

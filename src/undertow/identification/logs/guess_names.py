@@ -53,11 +53,13 @@ _OF_RATE = {"rate", "rates", "dot", "gyro", "angular", "omega", "angvel", "rotat
 _OF_VECTOR = {*_OF_TURN, *_OF_SPEED, *_OF_RATE, "position", "pos"}
 # Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
 WANTED = {
-    "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err",
+    "des", "desired", "ref", "reference", "sp", "setpoint", "target", "goal", "wp", "waypoint", "err", "diff",
     "error", "std", "var", "cov", "sigma", "acc", "accel", "acceleration", "ship", "alt", "altitude", "limit",
 }  # fmt: skip
+# A height above a level that stays (the sea, where it was armed), and not above the bottom, grows upwards.
+_HEIGHTS, _LEVELS = {"alt", "altitude", "height"}, {"relative", "rel", "home", "amsl", "msl", "baro"}
 # Less direct than the measurement where the log has both.
-_RANK = {"meas": 0, "measured": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
+_RANK = {"meas": 0, "measured": 0, "actual": 0, "filt": 2, "filtered": 2, "est": 3, "estimated": 3, "raw": 4}
 _PLAIN = {
     "pos", "position", "pose", "att", "attitude", "imu", "gps", "dvl", "nav", "body", "vel", "angle", "enu",
     "ned",
@@ -66,6 +68,8 @@ _DRIVES = {
     "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
     "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
+# What a motor consumes or how warm it is drives nothing.
+_CONSUMED = {"voltage", "current", "power", "battery", "charge", "temp", "temperature", "error", "status"}
 _CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller", "actuator"}
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
@@ -150,7 +154,8 @@ class Name:
     def rank(self) -> tuple[int, int]:
         """Distance of the name from that of a plain measurement; the least wins."""
         known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN, *_EARTH_SPEEDS}
-        return max((_RANK.get(w, 1) for w in self.words), default=1), len(set(self.words) - known)
+        least = 2 if self.is_height else 1  # a depth is what the vehicle feels
+        return max((_RANK.get(w, least) for w in self.words), default=least), len(set(self.words) - known)
 
     @property
     def stem(self) -> tuple[str, ...]:
@@ -162,7 +167,8 @@ class Name:
 
         `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
         """
-        if set(self.words) & {*WANTED, *_DRIVES, *_ABOUT_ELSE} or self.force:
+        wanted = WANTED - _HEIGHTS if self.is_height else WANTED
+        if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE} or self.force:
             return ""
         found = self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
@@ -177,7 +183,12 @@ class Name:
     @property
     def is_upward(self) -> bool:
         """Whether it grows upwards."""
-        return bool({"up", "vu"} & self._with_pairs)
+        return self.is_height or bool({"up", "vu"} & self._with_pairs)
+
+    @property
+    def is_height(self) -> bool:
+        """Whether it is a height above a level, such as "altitudeRelative" or "alt_msl_m"."""
+        return bool(_HEIGHTS & set(self.words) and _LEVELS & set(self.words))
 
     @property
     def _along_earth(self) -> int | None:
@@ -185,6 +196,8 @@ class Name:
         words = set(self.words)
         if self.unit in RATES or words & _OF_RATE:
             return None
+        if "ned" in words and (words & _OF_SPEED or self.unit in _SPEEDS):
+            return next((_PLACES[w] for w in self.words if w in "xyz"), None)
         if words & {"v", *_OF_SPEED} or self.unit in _SPEEDS:
             return next((_EARTH[w] for w in self.words if w in _EARTH), self._earth_speed)
         return self._earth_speed
@@ -200,6 +213,8 @@ class Name:
 
     def _axis(self, only: int | None) -> str:
         words = set(self.words)
+        if self.is_height:
+            return "" if words & {*_OF_SPEED, *_OF_RATE} else "z"
         if self._along_earth is not None:
             return VELOCITY[self._along_earth]
         speed = self.unit in _SPEEDS or bool(words & _OF_SPEED)
@@ -272,7 +287,8 @@ class Name:
         if set(wanted) <= set(self.words):
             return 1.0
         if self.force and command in axes:
-            return 2.0 if self.force == axes[command] else NO_FIT
+            both = "tau" in wanted and "tau" in self.words
+            return NO_FIT if self.force != axes[command] else 1.0 if both else 2.0
         known = [k for k, other in enumerate(also) if other in self.words]
         if known:
             return 2.0 + 0.1 * known[0]
@@ -290,7 +306,7 @@ class Name:
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
         single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
         drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
-        return drives and "limit" not in self.words
+        return drives and not {"limit", *_CONSUMED} & {*self.words}
 
     @property
     def unnumbered(self) -> list[str]:

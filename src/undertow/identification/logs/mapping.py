@@ -333,7 +333,7 @@ def _negated(channels: Mapping[str, NDArray[np.float64]], names: tuple[str, ...]
 class FormulaLimits:
     """Limits of a formula: anything longer is a program, or a mistake."""
 
-    characters: int = 500
+    characters: int = 2000  # an attitude has ten names of columns in it
     parts: int = 200  # numbers, names and operations
 
 

@@ -31,7 +31,6 @@ from .table import (
     Origin,
     elapsed,
     file_bytes,
-    file_hash,
     is_dates,
     lacking_zeros,
     numbers,
@@ -288,7 +287,7 @@ def opened_field_log(
     low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
     table = log.table(columns_read(meaning), (low, high))
     said = (f"read as {log.format}", *log.notes, *(() if mapping else log.remarks))
-    return Opened(table, meaning, file_hash(log.path), said)
+    return Opened(table, meaning, log.sha256, said)
 
 
 def opened_table(path: Path, mapping: LogMapping | None, limits: LogLimits = WHOLE) -> Opened:

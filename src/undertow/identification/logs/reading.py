@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,10 +32,10 @@ from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE,
 from undertow.model.tables import TURNS
 from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Flags, Progress
+from undertow.typing import Array, Flags, Index, Progress
 
-from .decimation import decimated
 from .formats.fieldlog import Window
+from .formats.tables import one_run
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,
@@ -77,7 +77,7 @@ Commands = dict[str, float]
 
 
 def read_log(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     mapping: LogMapping | None = None,
     channels: Iterable[str] = (),
     *,
@@ -95,9 +95,12 @@ def read_log(
     mapping a vehicle's own log means what its format says, and the columns of a table must have the channel
     names and SI units of undertow. The window, in s, is on the clock of the run (None: no limit). What is
     larger than the limits is refused before it is held in memory. Of a log of several segments the longest
-    is taken, and its notes say so.
+    is used, and its notes say so. Several paths are tables of one run, each on its own clock.
     """
     asked = _Asked(mapping, tuple(channels), window, missing_commands, tuple(also), limits)
+    if not isinstance(path, str | Path):
+        log = one_run([Path(file) for file in path])
+        path, asked = log.path, replace(asked, field_logs={log.path: log})
     runs = _runs_of(Path(path), asked)
     longest = max(runs, key=lambda run: float(run.t[-1] - run.t[0]))
     others = len(runs) - 1
@@ -569,3 +572,43 @@ def _checked(
         text = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
         notes.append(f"constant channels (unused, or a dead sensor): {text}")
     return replace(run, channels=filled).with_notes(*notes)
+
+
+# --- every so many-th row, without losing what reports more rarely than that ----------------------
+def decimated(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
+    """Every so many-th row of tables that follow each other.
+
+    In a table of sensors with clocks of their own, what reports more rarely would be lost with the rows in
+    between, and a command would be held beyond its next one. So a row in between is kept if it has a report
+    of a column of which none was kept for so many rows.
+    """
+    before, last = 0, dict[str, int]()
+    for table in tables:
+        place = before + np.arange(table.height)
+        kept = place % every == 0
+        for name in table.columns:
+            reports = place[_there(table[name])]
+            late = _late(reports, every, last.get(name, -every))
+            kept[late - before] = True
+            last[name] = max((last.get(name, -every), *late[-1:], *reports[reports % every == 0][-1:]))
+        yield table.filter(kept)
+        before += table.height
+
+
+def _late(reports: Index, every: int, last: int) -> Index:
+    """Those of the reports that come so many rows, or more, after the last that is kept."""
+    regular = np.where(reports % every == 0, reports, last)
+    since = np.maximum.accumulate(regular) if len(regular) else regular
+    between = reports - since >= every
+    found: list[int] = []
+    for report, regularly in zip(reports[between], since[between], strict=True):
+        if report - max((regularly, *found[-1:])) >= every:
+            found.append(int(report))
+    return np.array(found, dtype=np.intp)
+
+
+def _there(column: pl.Series) -> Flags:
+    there = column.is_not_null()
+    if column.dtype.is_float():
+        there &= column.is_not_nan().fill_null(value=False)
+    return there.to_numpy()

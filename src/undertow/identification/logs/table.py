@@ -248,9 +248,7 @@ def file_bytes(path: Path, limits: LogLimits = WHOLE) -> bytes:
 def refuse_no_file(path: Path) -> None:
     """Refuse what is no file, and a file without a byte."""
     if path.is_dir():
-        several = len([*path.glob("*.csv")]) > 1
-        joined = "; merge the tables of one run into one, sorted by time, with empty cells" if several else ""
-        raise UndertowError(f"log {path} is a folder, not a file: give the path of a file in it{joined}")
+        raise UndertowError(f"log {path} is a folder without tables: give the path of a log in it")
     if not path.is_file():
         there = [p.name for p in path.parent.iterdir() if p.is_file()] if path.parent.is_dir() else []
         alike = nearest(path.name, there)
@@ -280,7 +278,12 @@ def file_hash(path: Path) -> str:
     """SHA-256 of the bytes of a file, or of all files of a folder in the order of their names."""
     if not path.is_dir():
         return sha256_of(path)
-    hashes = (sha256_of(file) for file in sorted(path.rglob("*")) if file.is_file())
+    return hash_of(file for file in sorted(path.rglob("*")) if file.is_file())
+
+
+def hash_of(files: Iterable[Path]) -> str:
+    """SHA-256 of the bytes of several files, in their order."""
+    hashes = (sha256_of(file) for file in files)
     return hashlib.sha256(b"".join(map(bytes.fromhex, hashes))).hexdigest()
 
 

@@ -34,6 +34,9 @@ class ManoeuvreSettings:
     trim_rounds: int = 60
     balanced: float = 1e-6  # N or N m: less is rounding
     trim_share: float = 0.95  # of the limit of an actuator that balancing the weight may take
+    # Share of half the range of a command that it may go to either side of rest, below which it goes about
+    # the middle of its range instead: a propeller that cannot reverse has nothing below rest.
+    room: float = 0.05
 
 
 SETTINGS = ManoeuvreSettings()
@@ -131,18 +134,18 @@ class Axis:
     pattern: Array  # (k,) commands at full deflection
 
 
-def pushes(functions: Functions, limits: Array, depth: float = 0.0) -> Array:
+def pushes(functions: Functions, limits: CommandLimits, depth: float = 0.0) -> Array:
     """Force or moment of one unit of every command in every motion, (n, k), at rest.
 
-    That of a thruster with a curve or a propeller law is the mean slope from full reverse to full ahead:
-    about zero many do nothing.
+    That of a thruster with a curve or a propeller law is the mean slope from the lowest to the highest
+    command: about zero many do nothing.
     """
     table, at_rest = allocation(functions.vehicle), _at_rest(functions, depth)
     for i, thruster in enumerate(functions.vehicle.thrusters):
         if thruster.law is not None:
-            full = np.zeros(len(limits))
-            full[i] = limits[i]
-            table[:, i] = (at_rest(full) - at_rest(-full)) / max(2 * limits[i], 1e-12)
+            one = np.arange(len(limits.low)) == i
+            change = at_rest(one * limits.high) - at_rest(one * limits.low)
+            table[:, i] = change / max(limits.high[i] - limits.low[i], 1e-12)
     return table
 
 
@@ -187,9 +190,9 @@ class Trim:
     left: dict[str, float]
 
 
-def trim(functions: Functions, limits: Array, table: Array, depth: float = 0.0) -> Trim:
+def trim(functions: Functions, bounds: CommandLimits, table: Array, depth: float = 0.0) -> Trim:
     """Balance heave, roll and pitch at rest and level, without pushing any other way."""
-    vehicle = functions.vehicle
+    vehicle, limits = functions.vehicle, bounds.value
     rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in ("heave", "roll", "pitch")]
     commands = np.zeros(len(limits))
     if not rows or not len(limits):
@@ -197,10 +200,11 @@ def trim(functions: Functions, limits: Array, table: Array, depth: float = 0.0) 
     at_rest = _at_rest(functions, depth)
     size = np.maximum(np.abs(table) @ limits, 1e-12)
     scaled = table * limits / size[:, None]
+    box = tuple(SETTINGS.trim_share * edge / limits for edge in (bounds.low, bounds.high))
     for _ in range(SETTINGS.trim_rounds):
         wanted = np.zeros(len(table))
         wanted[rows] = (table @ commands - at_rest(commands))[rows] / size[rows]
-        commands = lsq_linear(scaled, wanted, (-SETTINGS.trim_share, SETTINGS.trim_share)).x * limits
+        commands = lsq_linear(scaled, wanted, box).x * limits
     commands[np.abs(commands) < 1e-6 * limits] = 0.0
     rest = at_rest(commands)
     least = np.maximum(1e-3 * size, SETTINGS.balanced)
@@ -244,7 +248,7 @@ class Family:
         duration = float(t[-1] + (t[1] - t[0]))
         waves = [self._wave(t / duration, duration, i, own) for i, own in enumerate(self._split(numbers))]
         patterns = np.array([a.pattern for a in self.axes]) * np.reshape(sizes, (-1, 1))
-        return np.asarray(_ends(t, duration)[:, None] * (np.column_stack(waves) @ patterns))
+        return np.asarray(ends(t)[:, None] * (np.column_stack(waves) @ patterns))
 
     def _split(self, numbers: Array) -> list[Array]:
         return np.split(numbers, np.cumsum([1 + s.size for s in self.shapes])[:-1])
@@ -257,8 +261,9 @@ class Family:
         return np.asarray(np.where(inside, wave, 0.0) * own[0] * self.reach[i])
 
 
-def _ends(t: Array, duration: float) -> Array:
-    """From 0 to 1 and back to 0 without a jump."""
+def ends(t: Array) -> Array:
+    """From 0 to 1 and back to 0 without a jump, at times from 0."""
+    duration = float(t[-1] + (t[1] - t[0]))
     length = min(SETTINGS.ends, SETTINGS.share_of_ends * duration)
     nearest = np.clip(np.minimum(t, t[-1] - t) / length, 0.0, 1.0)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * nearest))
@@ -332,10 +337,25 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """Largest magnitude of every command."""
+    """Lowest and highest value of every command, in its unit; zero is between them."""
 
-    value: Array  # (k,) in the unit of the command
+    low: Array  # (k,), zero of what cannot reverse
+    high: Array  # (k,)
     source: tuple[str, ...]  # where each comes from
+
+    @property
+    def value(self) -> Array:
+        """Largest magnitudes, (k,)."""
+        return np.maximum(self.high, -self.low)
+
+    def about(self, rest: Array) -> tuple[Array, Array]:
+        """What commands go about, seen from rest, and how far to either side of it, (k,) each.
+
+        That is rest itself, or the middle of the range where rest is at its edge.
+        """
+        room, half = np.minimum(self.high - rest, rest - self.low), (self.high - self.low) / 2
+        edge = room < SETTINGS.room * half
+        return np.where(edge, (self.high + self.low) / 2 - rest, 0.0), np.where(edge, half, room)
 
 
 def can_be_planned(vehicle: Vehicle) -> bool:
@@ -343,8 +363,13 @@ def can_be_planned(vehicle: Vehicle) -> bool:
     return bool(vehicle.command_names) and not vehicle.inputs
 
 
-def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[Run]) -> CommandLimits:
-    """Largest commands: asked for, else of the vehicle file, of the logs, or at the ends of curves.
+Limit = float | tuple[float, float]
+"""The largest magnitude of a command, or the lowest and the highest value that it may have."""
+Bounds = tuple[float, float]
+
+
+def command_limits(vehicle: Vehicle, asked: Mapping[str, Limit], runs: Sequence[Run]) -> CommandLimits:
+    """Limits of commands: asked for, else of the vehicle file, of the logs, or at the ends of curves.
 
     The key "" stands for all that are not named; a limit of the vehicle file may be lowered, never raised.
     """
@@ -356,37 +381,57 @@ def command_limits(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[
         if name not in ("", *vehicle.command_names):
             have = ", ".join(vehicle.command_names)
             raise UndertowError(f"--limit names the command '{name}', which is not there: there are {have}")
-        if not (value > 0 and np.isfinite(value)):
+        low, high = value if isinstance(value, tuple) else (-value, value)
+        if not (low <= 0 <= high and low < high and np.isfinite([low, high]).all()):
             raise UndertowError(
-                f"--limit {name or 'of all'} = {value:g} is not a limit: give a positive value"
+                f"--limit {name or 'of all'} = {limit_text((low, high))} is not a limit: give a positive "
+                "value, or LOWEST:HIGHEST with zero between them"
             )
-    stated, ends = vehicle.command_limits, vehicle.largest_commands
-    found = [_limit(n, asked, stated.get(n), ends.get(n), runs) for n in vehicle.command_names]
-    return CommandLimits(np.array([v for v, _ in found]), tuple(s for _, s in found))
+    found = [_limit(n, vehicle, asked.get(n, asked.get("")), runs) for n in vehicle.command_names]
+    lows, highs = np.array([bounds for bounds, _ in found]).reshape(-1, 2).T
+    return CommandLimits(lows, highs, tuple(s for _, s in found))
 
 
-def _limit(
-    name: str, asked: Mapping[str, float], stated: float | None, end: float | None, runs: Sequence[Run]
-) -> tuple[float, str]:
-    """The largest command and what says so; `end` is that of its curve."""
-    given = asked.get(name, asked.get(""))
-    if given is not None and stated is not None and given > stated:
-        raise UndertowError(
-            f"--limit {given:g} for '{name}' is above its limit in the vehicle file, {stated:g}"
-        )
+def limit_text(bounds: Bounds) -> str:
+    """A limit in words: one number where it is the same both ways."""
+    low, high = bounds
+    return f"{high:.3g}" if low == -high else f"{low:.3g} to {high:.3g}"
+
+
+def _limit(name: str, vehicle: Vehicle, given: Limit | None, runs: Sequence[Run]) -> tuple[Bounds, str]:
+    """The range of a command, and what says so."""
+    stated, end = vehicle.command_limits.get(name), vehicle.largest_commands.get(name)
+    lowest = vehicle.lowest_commands.get(name, -np.inf)
     if given is not None:
-        return given, "asked for"
+        most = np.inf if stated is None else stated
+        low, high = given if isinstance(given, tuple) else (max(-given, lowest), given)
+        if high > most or low < lowest:
+            of_file = limit_text((lowest, most))
+            raise UndertowError(
+                f"--limit {limit_text((low, high))} for '{name}' is beyond its limit in the vehicle file, "
+                f"{of_file}"
+            )
+        return (low, high), "asked for"
     if stated is not None:
-        return stated, "vehicle file"
-    largest = [float(np.nanmax(np.abs(r.channels[name]))) for r in runs if r.has(name)]
-    if end is not None and not max(largest, default=0.0) > 0:
-        return end, "end of its curve"
-    if not largest or not max(largest) > 0:
+        return (lowest, stated), "vehicle file"
+    spans = [_span(run.channels[name]) for run in runs if run.has(name)]
+    seen = min((low for low, _ in spans), default=0.0), max((high for _, high in spans), default=0.0)
+    if end is not None and seen == (0.0, 0.0):
+        return (lowest, end), "end of its curve"
+    if seen == (0.0, 0.0):
         raise UndertowError(
             f"no limit is known for the command '{name}': give --limit {name}=VALUE (or --limit "
             "VALUE for all), or write limit = ... into the vehicle file"
         )
-    return max(largest), "largest in the logs"
+    most = max(seen[1], -seen[0])
+    if name in {t.name for t in vehicle.thrusters} - {*vehicle.angle_names} and 0.0 in seen:
+        return seen, "range in the logs"
+    return (max(-most, lowest), most), "largest in the logs"
+
+
+def _span(command: Array) -> Bounds:
+    """Lowest and highest value of a command, and zero if that is beyond both."""
+    return float(np.nanmin(command, initial=0.0)), float(np.nanmax(command, initial=0.0))
 
 
 def exceeded(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:

@@ -58,8 +58,8 @@ def plan_picture(planned: Planned) -> Figure:
 def _draw_commands(axis: Any, planned: Planned, unit: str) -> None:
     plan = planned.plan
     chosen = [i for i, c in enumerate(plan.commands) if c.unit == unit]
-    largest = max(plan.commands[i].limit for i in chosen)
-    for bound in (-largest, largest):
+    least, most = min(plan.commands[i].least for i in chosen), max(plan.commands[i].limit for i in chosen)
+    for bound in (least, most):
         axis.axhline(bound, color=FAINT, linewidth=0.8, linestyle=":")
     label = "command" if unit == "command" else f"command [{unit}]"
     columns, names = planned.manoeuvre.u[:, chosen], [plan.commands[i].name for i in chosen]
@@ -166,7 +166,7 @@ def command_csv(planned: Planned) -> str:
     commands, manoeuvre = planned.plan.commands, planned.manoeuvre
     columns = [[f"{t:.9g}" for t in manoeuvre.t]]
     for i, command in enumerate(commands):
-        places = max(_DIGITS - 1 - math.floor(math.log10(command.limit)), 0)
+        places = max(_DIGITS - 1 - math.floor(math.log10(max(command.limit, -command.least))), 0)
         cut = np.trunc(manoeuvre.u[:, i] * 10.0**places) / 10.0**places
         columns.append([f"{value:.{places}f}" for value in (cut + 0.0).tolist()])
     head = ",".join(["t", *(c.name for c in commands)])

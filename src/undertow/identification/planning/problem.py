@@ -30,8 +30,10 @@ from .manoeuvres import (
     Axis,
     Design,
     Family,
+    Limit,
     MotionLimits,
     command_limits,
+    ends,
     every_axis,
     exceeded,
     extremes,
@@ -257,8 +259,8 @@ class PlanRequest:
 
     duration: float = 60.0  # length, s
     rate: float = 20.0  # samples per second, of the commands and of the log to come
-    # Largest commands by name; "" for all that are not named.
-    limits: Mapping[str, float] = field(default_factory=dict)
+    # Largest commands, or lowest and highest ones, by name; "" for all that are not named.
+    limits: Mapping[str, Limit] = field(default_factory=dict)
     # Standard deviation of the noise by channel, SI; inf for one that is not measured.
     noise: Mapping[str, float] = field(default_factory=dict)
     motion: MotionLimits = field(default_factory=MotionLimits)  # largest motions
@@ -312,8 +314,9 @@ class PlanningProblem:
                 f"'{vehicle.name}' has no thruster and no known force, so nothing can be planned"
             )
         self.noise = planned_noise(vehicle, request.noise, runs)
-        self.push = pushes(plants[0].functions, self.limits.value, self.depth)
-        self.trim = trim(plants[0].functions, self.limits.value, self.push, self.depth)
+        self.push = pushes(plants[0].functions, self.limits, self.depth)
+        self.trim = trim(plants[0].functions, self.limits, self.push, self.depth)
+        self.bias, self._room = self.limits.about(self.trim.commands)
         self.t = np.arange(round(request.duration * request.rate)) / request.rate
         self.names = (*vehicle.pose_names, *vehicle.velocity_names)
         self._start = np.array([self.depth if n == "z" else 0.0 for n in self.names])
@@ -335,9 +338,7 @@ class PlanningProblem:
     @cached_property
     def families(self) -> list[Family]:
         """All manoeuvres that can be carried out."""
-        motions, actuators = every_axis(
-            self.vehicle, self.push, self.limits.value - np.abs(self.trim.commands)
-        )
+        motions, actuators = every_axis(self.vehicle, self.push, self._room)
         return families([(axes, self.reach(axes)) for axes in (motions, actuators) if axes])
 
     def tries(self, columns: int, calls: int = 1) -> int:
@@ -363,18 +364,27 @@ class PlanningProblem:
 
     # --- manoeuvres ---------------------------------------------------------------------------
     def commands(self, excitation: Array) -> Array:
-        """Trim and excitation, the latter shrunk as a whole until no command exceeds its limit."""
-        at_rest, limits = self.trim.commands, self.limits.value
-        room = np.where(excitation > 0, limits - at_rest, limits + at_rest)
-        strain = np.max(np.abs(excitation) / room, initial=1.0)
-        return np.clip(at_rest + excitation / strain, -limits, limits)
+        """Trim and excitation, the latter shrunk as a whole until no command exceeds its limit.
+
+        What rests at its limit stays there rather.
+        """
+        at_rest, low, high = self.trim.commands, self.limits.low, self.limits.high
+        room = np.where(excitation > 0, high - at_rest, at_rest - low)
+        held = (self.bias != 0.0) & (excitation * self.bias < 0.0)
+        strain = np.max(np.abs(excitation) / np.where(held, np.inf, np.maximum(room, 1e-300)), initial=1.0)
+        return np.clip(at_rest + excitation / strain, low, high)
+
+    def excitation(self, design: Design, sizes: Array) -> Array:
+        """Commands of a manoeuvre beside the trim, about what they go about, (n, k)."""
+        about = np.min(sizes) * ends(self.t)[:, None] * self.about
+        return about + design.family.excitation(self.t, design.numbers, sizes)
 
     def simulated(self, design: Design) -> Manoeuvre:
         """The manoeuvre, as large as the limits of the motion allow: first the axes to blame give way."""
         family, s = design.family, SETTINGS
         sizes = np.ones(len(family.axes))
         for _ in range(s.corrections):
-            u = self.commands(family.excitation(self.t, design.numbers, sizes))
+            u = self.commands(self.excitation(design, sizes))
             manoeuvre = self.manoeuvres([u])[0]
             if manoeuvre.safe:
                 return manoeuvre
@@ -383,7 +393,7 @@ class PlanningProblem:
             share = max(s.inside / strain, s.least) if np.isfinite(strain) else s.least
             to_blame = np.array([_drives(axis.name, manoeuvre.limit) for axis in family.axes])
             sizes = np.where(to_blame, share * sizes, sizes)
-        excitation = family.excitation(self.t, design.numbers, sizes)
+        excitation = self.excitation(design, sizes)
         smaller = self.manoeuvres([self.commands(share * excitation) for share in s.shares])
         return next((manoeuvre for manoeuvre in smaller if manoeuvre.safe), smaller[-1])
 
@@ -422,14 +432,19 @@ class PlanningProblem:
     # --- reach --------------------------------------------------------------------------------
     def reach(self, axes: Sequence[Axis]) -> Array:
         """Largest deflection of every axis, held for a while, that keeps speed, rate and tilt in bounds."""
-        t = self.t[: max(int(np.searchsorted(self.t, SETTINGS.held)), 3)]
-        bounds = self.without_drift().motion
-        return np.array([self._reach(axis, t, bounds) for axis in axes])
+        return np.array([self._reach(axis.pattern, self.about) for axis in axes])
 
-    def _reach(self, axis: Axis, t: Array, bounds: MotionLimits) -> float:
-        tried = SETTINGS.reaches
-        shares = [(share, sign) for share in tried for sign in (1.0, -1.0)]
-        u = [np.tile(self.commands(sign * share * axis.pattern[None]), (len(t), 1)) for share, sign in shares]
+    @cached_property
+    def about(self) -> Array:
+        """What commands go about, (k,): as much of the bias as keeps the motion in bounds."""
+        return self.bias * self._reach(self.bias, 0.0 * self.bias) if np.any(self.bias) else self.bias
+
+    def _reach(self, pattern: Array, about: Array) -> float:
+        """Largest share of a deflection either way, held about some commands, that is in bounds."""
+        t = self.t[: max(int(np.searchsorted(self.t, SETTINGS.held)), 3)]
+        bounds, tried = self.without_drift().motion, SETTINGS.reaches
+        held = [min(2 * share, 1.0) * about + sign * share * pattern for share in tried for sign in (1, -1)]
+        u = [np.tile(self.commands(one[None]), (len(t), 1)) for one in held]
         strain = np.zeros(len(u))
         for plant in self.plants:
             y = self.predicted(plant, t, u)
@@ -480,11 +495,15 @@ Goal = Literal["parameters", "separate"]
 
 
 class PlannedCommand(ResultTable):
-    """A command: its limit and where that comes from, its value at rest, and what the plan uses."""
+    """A command: its limit and where that comes from, its value at rest, and what the plan uses.
+
+    `least` is the lowest value that it may have, minus `limit` unless it is one-sided.
+    """
 
     name: str
     unit: str
     limit: float
+    least: float
     limit_from: str
     trim: float
     lowest: float
@@ -585,7 +604,8 @@ def commands_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> list[PlannedC
         PlannedCommand(
             name=name,
             unit=problem.vehicle.input_units[name],
-            limit=float(problem.limits.value[i]),
+            limit=float(problem.limits.high[i]),
+            least=float(problem.limits.low[i]),
             limit_from=problem.limits.source[i],
             trim=float(problem.trim.commands[i]),
             lowest=float(manoeuvre.u[:, i].min()),

@@ -13,15 +13,20 @@ from undertow.identification.logs.guess import SETTINGS, guess_table, no_column,
 from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
 from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
-from undertow.identification.logs.run import MEASURED, UNITS
+from undertow.identification.logs.run import FORCES, MEASURED, UNITS
 from undertow.model.catalogue import catalogue, logged_quantities
-from undertow.model.symbols import VELOCITY
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 
-from .fieldlog import TIME, FieldLog, Series
+from .fieldlog import CLOCK, HELD, TIME, FieldLog, Series
 
 _TIME = "time [s]"
+# Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
+_SIX_MOVES = ("surge", "sway", "heave", "p", "q", "r")
+SIX = {"eta": POSE, "pose": POSE, "nu": _SIX_MOVES, "tau": tuple(name[4:] for name in FORCES)}
+TURNED = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
+LINEAR = {"pos", "position", "vel", "velocity", "acc", "acceleration", "gyro", "omega", "rates"}
 Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
 
 
@@ -47,7 +52,7 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
         notes += [*doubts, *(guess.axes.questions if number == 0 and new else ())]
         if number == 0 and not known:
             frames = Frames.model_validate(guess.axes.entry)
-    return LogMapping(columns=columns, frames=frames), _numbered(driving, columns), notes
+    return LogMapping(columns=columns, frames=frames), numbered(driving, columns), notes
 
 
 def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMapping:
@@ -58,17 +63,16 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     """
     meaning = log.mapping_for(vehicle.command_names if vehicle else ())
     every = [f"{one.name}.{column}" for one in log.series.values() for column in one.columns]
-    held, clock = LogMapping(missing_commands="hold"), Guess(TIME, {"column": TIME, "unit": "s"})
     known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
-    if not MEASURED & {guess.channel for guess in known}:
-        return guess_table(log.table(every), log.path, vehicle, held, clock)
+    if log.by_name or not MEASURED & {guess.channel for guess in known}:
+        return guess_table(log.beginning(), log.path, vehicle, HELD, CLOCK)
     moving = _may_move(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]
     left = [n for n in every if lacking and n not in meaning.columns and _may_drive(n, lacking)]
     if lacking and log.actuators:  # they are as many as the vehicle has not
         left = [name for name, _ in log.actuators]
-    guessed = guess_table(log.table(left), log.path, vehicle, held, clock).columns if left else ()
+    guessed = guess_table(log.table(left), log.path, vehicle, HELD, CLOCK).columns if left else ()
     found = [guess for guess in guessed if guess.channel in lacking]
     unknown = [c for c in lacking if c not in {guess.channel for guess in found}]
     others = tuple(n for n in left if unknown and n not in {guess.column for guess in found})
@@ -78,7 +82,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
         (*known, *found),
         Axes(meaning.frames.model_dump(exclude_none=True, exclude_defaults=True)),
         {reason: left for reason, left in (("? may drive the vehicle", others), (_MOVES, moving)) if left},
-        held if found else meaning,
+        HELD if found else meaning,
         (
             *([] if moving else without_motion(vehicle, {guess.channel for guess in known})),
             *(_motors(log, unknown) if log.actuators else no_column(unknown)),
@@ -168,7 +172,23 @@ def _column(one: Series, guess: Guess) -> Column:
     return Column.model_validate(entry)
 
 
-def _numbered(names: Sequence[str], columns: Mapping[str, Column]) -> tuple[tuple[str, Column], ...]:
-    """Of columns whose names differ in their last number the most numerous, in its order."""
+def numbered(
+    names: Sequence[str], columns: Mapping[str, Column], known: Mapping[str, Column] | None = None
+) -> tuple[tuple[str, Column], ...]:
+    """Of columns whose names differ in their last number the most numerous, in its order, as is known."""
     most = max(rows_by_number(n for n in names if n not in columns), key=len, default=[])
-    return tuple((name, Column(channel=f"motor{k}")) for k, name in enumerate(most, 1))
+    plain = known or {}
+    return tuple(
+        (name, plain.get(name, Column(channel=name)).model_copy(update={"channel": f"motor{k}"}))
+        for k, name in enumerate(most, 1)
+    )
+
+
+def names_of_columns(name: str, width: int) -> list[str]:
+    """What the columns of a matrix are called: by axis where they are three or six, else by number."""
+    if width == 6 and name.lower() in SIX:
+        return [f"{name}_{axis}" for axis in SIX[name.lower()]]
+    if width == 3:
+        axes = ("phi", "theta", "psi") if set(Name.of(name).words) & TURNED else ("x", "y", "z")
+        return [f"{name}_{axis}" for axis in axes]
+    return [name] if width == 1 else [f"{name}{k}" for k in range(1, width + 1)]

@@ -20,9 +20,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
+from undertow.identification.logs.guess_frames import Guess
 from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.identification.logs.run import later_than_before
-from undertow.identification.logs.table import Helper, refuse_no_file
+from undertow.identification.logs.table import Helper, file_hash, hash_of, refuse_no_file
 from undertow.typing import Array, Flags
 
 Places = NDArray[np.intp]
@@ -51,6 +52,8 @@ class UnionSettings:
     cells: int = 50_000_000
     # s that are read on either side of a part of a log: what is held there was sent before it begins.
     margin: float = 10.0
+    looked_at: int = 20_000  # samples from which the meaning of columns is guessed; more change no guess
+    since: float = 1e6  # s; a clock that begins later does not begin with the log
 
 
 SETTINGS = UnionSettings()
@@ -95,6 +98,8 @@ class FieldLog:
     notes: tuple[str, ...] = ()  # what was left out, repaired or looked odd, one line each
     # what was chosen or is not sure of `mapping`: of no interest where another one is given
     remarks: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()  # what the log consists of, if that is not what is at its path
+    by_name: bool = False  # whether all that is understood of it was guessed from names
 
     def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
         """The known mapping, with the commands of a vehicle as its columns.
@@ -156,6 +161,20 @@ class FieldLog:
                 table[f"{name}.{column}"] = cells
         return pl.DataFrame(table, nan_to_null=True)
 
+    def beginning(self) -> pl.DataFrame:
+        """All columns side by side, as many rows as tell what they mean."""
+        every = np.sort(np.concatenate([one.t[rising(one.t)] for one in self.series.values()]))
+        end = float(every[min(SETTINGS.looked_at, len(every)) - 1])
+        table = self.table(
+            [f"{s.name}.{column}" for s in self.series.values() for column in s.columns], (None, end)
+        )
+        return table.filter(pl.col(TIME) <= end)
+
+    @property
+    def sha256(self) -> str:
+        """Of the bytes of its files."""
+        return hash_of(self.files) if self.files else file_hash(self.path)
+
     def _rows(
         self, asked: Mapping[str, Sequence[str]], window: Window
     ) -> tuple[dict[str, Places], Array, list[Places]]:
@@ -201,6 +220,20 @@ class FieldLog:
     def drive(self) -> tuple[Array, Array] | None:
         """Times, s, (n,), and commands, (n, motors), of motors."""
         return outputs_of(self.series, self.actuators)
+
+
+HELD = LogMapping(missing_commands="hold")
+"""How commands are read that stand in rows of their own."""
+CLOCK = Guess(TIME, {"column": TIME, "unit": "s"})
+"""The clock of the table of a log."""
+
+
+def from_one_begin(found: Sequence[Series]) -> list[Series]:
+    """Clocks since 1970 begin with the first of them; others beside them begin with the log."""
+    firsts = [float(np.nanmin(one.t)) for one in found]
+    late = [first for first in firsts if abs(first) > SETTINGS.since]
+    begins = [min(late) if abs(first) > SETTINGS.since else 0.0 for first in firsts]
+    return [replace(one, t=one.t - begin) for one, begin in zip(found, begins, strict=True)]
 
 
 def in_order(log: FieldLog) -> FieldLog:

@@ -1,4 +1,4 @@
-"""MATLAB: .mat of all versions, with tables and timetables, by mat-io.
+"""MATLAB: .mat of all versions, with tables, timetables and timeseries, by mat-io.
 
 The workspace and every struct in it are series: vectors as long as a vector of time are their columns. A
 struct without its own time uses that of its parent. Columns of matrices are numbered from one as in MATLAB
@@ -9,30 +9,23 @@ from their names.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS
-from undertow.identification.logs.run import FORCES
-from undertow.model.symbols import POSE
 from undertow.typing import Array
 
-from .by_name import guessed
-from .fieldlog import FieldLog, Format, Series, library
+from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns
+from .fieldlog import FieldLog, Format, Series, from_one_begin, library
 
 _WORKSPACE = "workspace"
-# Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
-_MOVES = ("surge", "sway", "heave", "p", "q", "r")
-_SIX = {"eta": POSE, "pose": POSE, "nu": _MOVES, "tau": tuple(name[4:] for name in FORCES)}
-_TURNS = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
-_LINEAR = {"pos", "position", "vel", "velocity", "acc", "acceleration", "gyro", "omega", "rates"}
 _ITSELF = {"values", "value", "data"}  # a member that is what its struct is called
 
 
@@ -43,7 +36,6 @@ class MatlabSettings:
     widest: int = 16  # columns of a matrix that are measurements of their own
     # Numbers of days that are dates (datenum): from 1970 to 2100.
     dates: tuple[float, float] = (719_529.0, 767_011.0)
-    since: float = 1e6  # s; a clock that begins later does not begin with the log
 
 
 SETTINGS = MatlabSettings()
@@ -56,14 +48,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         raw = matio.load_from_mat(str(path), spmatrix=False)
     objects: list[str] = []
     content = {n: _plain(value, n, objects) for n, value in raw.items() if not n.startswith("__")}
-    notes = [
-        f"{name} is an object of MATLAB: save it as a struct, for a table or timetable by S = "
-        f"table2struct(timetable2table({name}), 'ToScalar', true)"
-        for name in objects
-    ]
+    notes = _on_objects(objects)
     found = list(_series(_WORKSPACE, content, {}))
     if not found:
-        cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and hasattr(v[0], "size")}
+        cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and _is_long(v[0])}
         if cells:
             name = max(cells, key=lambda n: cells[n])
             notes = [f"{name} is a cell array: save each run in a file of its own, such as {name}{{1}}"]
@@ -73,19 +61,20 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             f"log {path} has no time vector with other vectors of the same length (it has {names}): call "
             f"one of them time or t.{what}"
         )
-    # Clocks since 1970 begin with the first of them; others beside them begin with the log.
-    firsts = [float(np.nanmin(one.t)) for one in found]
-    late = [first for first in firsts if abs(first) > SETTINGS.since]
-    if late:
-        begins = (min(late) if abs(first) > SETTINGS.since else 0.0 for first in firsts)
-        found = [
-            Series(one.name, one.t - begin, one.columns, one.units)
-            for one, begin in zip(found, begins, strict=True)
-        ]
+    found = from_one_begin(found)
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
     about, asked = tuple(notes), tuple(questions)
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked)
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked, by_name=True)
+
+
+def _on_objects(names: Sequence[str]) -> list[str]:
+    """One note on objects that only MATLAB can read."""
+    if not names:
+        return []
+    them, one = ("it as a struct", "is an object") if len(names) == 1 else ("them as structs", "are objects")
+    how = f"a table or timetable by S = table2struct(timetable2table({names[0]}), 'ToScalar', true)"
+    return [f"{listed(names)} {one} of MATLAB: save {them}, {how}"]
 
 
 # --- from the file to names and arrays ------------------------------------------------------------
@@ -93,6 +82,8 @@ def _plain(value: Any, name: str, objects: list[str]) -> Any:
     """Structs and tables as dictionaries, cells as lists, vectors flat; objects are `objects` by name."""
     if hasattr(value, "columns"):
         return _members(value)
+    if getattr(value, "classname", "") == "timeseries":
+        return _of_timeseries(value.properties)
     if not isinstance(value, np.ndarray):
         objects.append(name)
         return None
@@ -123,11 +114,40 @@ def _members(frame: Any) -> dict[str, Any]:
     return _joined(columns)
 
 
+def _of_timeseries(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Time and data of a timeseries, as Simulink and the toolbox for ROS make them.
+
+    The latter keeps the names of fields of messages as `UserData`.
+    """
+    clock = parts["TimeInfo"].properties
+    t = np.ravel(clock["Time_"])
+    if not t.size:
+        t = _one(clock["Start_"], 0.0) + _one(clock["Increment_"], 1.0) * np.arange(
+            _one(clock["Length"], 0.0)
+        )
+    unit = unit_of_clock(f"time ({_one(clock['Units'], 'seconds')})") or "s"
+    data = np.asarray(parts["Data_"])
+    data = data if _one(parts["IsTimeFirst_"], True) else np.moveaxis(data, -1, 0)
+    flat = data.reshape(len(data), -1)
+    cells = parts["DataInfo"].properties.get("UserData", np.zeros(0))
+    names = [str(_one(cell, "")) for cell in cells.ravel()] if cells.dtype.kind == "O" else []
+    named = (
+        dict(zip(names, flat.T, strict=True)) if len(names) == flat.shape[1] else {"data": np.squeeze(flat)}
+    )
+    return {"time (s)": SECONDS[unit] * t, **named}
+
+
+def _one(value: Any, otherwise: Any) -> Any:
+    """The first element of an array, if there is one."""
+    cells = np.ravel(value)
+    return cells[0] if cells.size else otherwise
+
+
 def _joined(columns: dict[str, Any]) -> dict[str, Any]:
     """Variables of several columns put together again, which mat-io numbers (``eta_1`` …)."""
     for first in [name for name in columns if name.endswith("_1")]:
         base = first[:-2]
-        width = 6 if base.lower() in _SIX else 3 if {*Name.of(base).words} & (_TURNS | _LINEAR) else 0
+        width = 6 if base.lower() in SIX else 3 if {*Name.of(base).words} & (TURNED | LINEAR) else 0
         parts = [f"{base}_{k}" for k in range(1, width + 1)]
         if parts and all(part in columns for part in parts):
             columns[base] = np.column_stack([columns.pop(part) for part in parts])
@@ -172,6 +192,11 @@ def _structs(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
     return []
 
 
+def _is_long(value: Any) -> bool:
+    """Whether it may be a run: more numbers than a name has."""
+    return isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1
+
+
 def _numbers(value: Any) -> Array | None:
     """Vectors and matrices of real numbers."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf" or value.ndim not in (1, 2):
@@ -198,16 +223,7 @@ def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int,
     rows, width = upright.shape
     if width > SETTINGS.widest:
         return rows, {}
-    return rows, dict(zip(_names(name, width), upright.T, strict=True))
-
-
-def _names(name: str, width: int) -> list[str]:
-    if width == 6 and name.lower() in _SIX:
-        return [f"{name}_{axis}" for axis in _SIX[name.lower()]]
-    if width == 3:
-        axes = ("phi", "theta", "psi") if set(Name.of(name).words) & _TURNS else ("x", "y", "z")
-        return [f"{name}_{axis}" for axis in axes]
-    return [name] if width == 1 else [f"{name}{k}" for k in range(1, width + 1)]
+    return rows, dict(zip(names_of_columns(name, width), upright.T, strict=True))
 
 
 def _accepts(path: Path, head: bytes) -> bool:

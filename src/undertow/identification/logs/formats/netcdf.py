@@ -22,13 +22,14 @@ from undertow.identification.logs.mapping import Column, north_east
 from undertow.model.units import scale_offset
 from undertow.typing import Array
 
-from .by_name import fits, guessed
+from .by_name import fits, guessed, names_of_columns
 from .fieldlog import FieldLog, Format, Series, library
 from .glider import KNOWN as SLOCUM
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = (b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _SUFFIXES = (".nc", ".nc4", ".cdf", ".netcdf")
+_PHONY = "phony_dim"
 _WIDEST = 16  # columns of a variable with a second dimension that are measurements of their own
 _BAD = (4, 8, 9)  # flags of quality: bad, interpolated, missing
 # Names of CF, and the sign by which they are ours: NED and forward-starboard-down.
@@ -89,7 +90,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             if meant and meant.channel not in {column.channel for column in known.values()}:
                 known[f"{name}.{variable.name}"] = meant
     mapping, actuators, questions = guessed(path, list(series.values()), known)
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, remarks=tuple(questions))
+    by_name = not known and not any(one.units for one in series.values())
+    asked = tuple(questions)
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, remarks=asked, by_name=by_name)
 
 
 # --- from the file to variables -------------------------------------------------------------------
@@ -100,7 +103,9 @@ def _along_time(group: Any, prefix: str) -> Iterator[tuple[str, tuple[float, Arr
         clock = min((v for v in along if _counts(v)), key=lambda v: _rank(v, name), default=None)
         if clock is not None and len(clock) > 1:
             variables = [one for v in along if v is not clock for one in _variables(v, group)]
-            yield f"{prefix}{name}", _seconds(clock), [*variables, *_fixes(variables)]
+            # Plain HDF5 has no names of dimensions.
+            called = prefix.rstrip("/") if prefix and name.startswith(_PHONY) else f"{prefix}{name}"
+            yield called, _seconds(clock), [*variables, *_fixes(variables)]
     for name, inner in group.groups.items():
         yield from _along_time(inner, f"{prefix}{name}/")
 
@@ -153,8 +158,8 @@ def _variables(variable: Any, group: Any) -> Iterator[_Variable]:
     if values.ndim == 1:
         yield _Variable(variable.name, values, standard, unit)
         return
-    for k, column in enumerate(values.T, 1):
-        yield _Variable(f"{variable.name}{k}", column, standard, unit)
+    for name, column in zip(names_of_columns(variable.name, values.shape[1]), values.T, strict=True):
+        yield _Variable(name, column, standard, unit)
 
 
 def _unit(text: str) -> str:

@@ -655,7 +655,8 @@ def _spread(known: Array, there: Flags) -> Array:
 
 def _accepts(path: Path, head: bytes) -> bool:
     if not head:
-        return (path / "metadata.yaml").is_file()
+        bags = (file for end in ("*.db3*", "*.mcap*") for file in path.glob(end))
+        return (path / "metadata.yaml").is_file() and any(bags)
     return path.suffix in FORMAT.suffixes or head.startswith((b"#ROSBAG V", b"\x89MCAP0\r\n"))
 
 

@@ -1,0 +1,106 @@
+"""Velocities that somebody got by dividing changes of the pose by steps of a clock that jitters.
+
+Such a velocity measures nothing that the pose does not, and where a stamp is late by a part of a step the
+quotient is wrong by as much: on average too large, and at short steps by any factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from undertow.identification.findings import Finding, Severity, percent
+from undertow.identification.logs.run import Run
+from undertow.model.symbols import POSE, VELOCITY
+from undertow.typing import Array
+
+from .kinematics import Kinematics, jacobian
+from .sampling import jitter_of
+
+
+@dataclass(frozen=True)
+class QuotientSettings:
+    """From where on a velocity is a quotient of the pose."""
+
+    around: int = 11  # samples whose median is what a quotient strays from
+    same: float = 0.1  # share of that straying by which the velocity may differ from the quotient
+    rows: float = 0.8  # share of the rows in which it has to be as near
+    fewest: int = 50  # rows that show it
+    jitter: float = 0.05  # spread of the steps, as a share of the usual one, without which it does no harm
+    worth: float = 2e-3  # mismatch with the pose, as a share of the motion, below which it is not reported
+    gross: float = 0.05  # mismatch from which a fit is refused
+
+
+SETTINGS = QuotientSettings()
+
+
+def divided(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
+    """Velocities of a run that are its pose's changes divided by steps that jitter."""
+    if jitter_of(run.clock) < SETTINGS.jitter or len(run.t) < SETTINGS.fewest:
+        return ()
+    zero = np.zeros(len(run.t))
+    pose = np.column_stack([run.channels[n] if n in kinematics.channels else zero for n in POSE])
+    quotients = [np.linalg.solve(jacobian(pose), rate[:, :, None])[:, :, 0] for rate in _rates(run.t, pose)]
+    own = [n for n in VELOCITY if n in kinematics.channels and _compared(n, kinematics.rows)]
+    return tuple(n for n in own if any(_same(run.channels[n], q[:, VELOCITY.index(n)]) for q in quotients))
+
+
+def _compared(velocity: str, rows: Sequence[str]) -> bool:
+    """Whether the pose of a velocity was measured."""
+    places = ("x", "y") if velocity in ("u", "v") else (POSE[VELOCITY.index(velocity)],)
+    return {*places} <= {*rows}
+
+
+def _rates(t: Array, pose: Array) -> Iterator[Array]:
+    """Changes over one step by the step, seen from its end and from its beginning, and over two."""
+    step = np.diff(t)[:, None]
+    quotient = np.diff(pose, axis=0) / step
+    nothing = np.full((1, pose.shape[1]), np.nan)
+    behind, ahead = np.concatenate([nothing, quotient]), np.concatenate([quotient, nothing])
+    yield behind
+    yield ahead
+    two = (pose[2:] - pose[:-2]) / (t[2:] - t[:-2])[:, None]
+    yield np.concatenate([nothing, two, nothing])
+    weight = step[1:] / (step[1:] + step[:-1])  # the parabola through three samples, as numpy.gradient has it
+    yield np.concatenate([nothing, weight * quotient[:-1] + (1.0 - weight) * quotient[1:], nothing])
+
+
+def _same(velocity: Array, quotient: NDArray[np.floating]) -> bool:
+    """Whether a velocity strays with a quotient from what it is on average."""
+    there = np.isfinite(velocity) & np.isfinite(quotient)
+    v, q = velocity[there], quotient[there]
+    if len(q) < SETTINGS.fewest:
+        return False
+    strays = np.abs(q - median_filter(q, SETTINGS.around))
+    far = strays > max(float(np.median(strays)), 1e-12)
+    return bool(far.any() and np.mean(np.abs(v - q)[far] < SETTINGS.same * strays[far]) > SETTINGS.rows)
+
+
+def without(run: Run, names: Sequence[str]) -> Run:
+    """A run without some channels."""
+    return replace(run, channels={n: data for n, data in run.channels.items() if n not in names})
+
+
+def finding_on_quotients(
+    runs: Sequence[Run], kinematics: Kinematics
+) -> tuple[Finding | None, tuple[str, ...]]:
+    """What is said of velocities that are quotients in any run, and their names; None without any."""
+    names = tuple(dict.fromkeys(n for run in runs for n in divided(run, kinematics)))
+    excess = float(np.max(kinematics.mismatch(runs).excess)) if names else 0.0
+    if excess < SETTINGS.worth:
+        return None, ()
+    pose = ", ".join(kinematics.rows)
+    text = (
+        f"{', '.join(names)} are changes of {pose} divided by single steps of the clock, which vary by "
+        f"{max(jitter_of(run.clock) for run in runs):.0%}: they measure nothing else, and disagree with the "
+        f"pose by {percent(excess)} of the motion (mean square) where stamps are late; leave them out "
+        "(remove their columns from the mapping file, and put them into its `ignore`); they are then "
+        "derived from the pose over many steps"
+    )
+    severity: Severity = "mistake" if excess > SETTINGS.gross else "warning"
+    evidence = {"mismatch": excess}
+    return Finding(id="divided_by_jitter", severity=severity, text=text, evidence=evidence), names

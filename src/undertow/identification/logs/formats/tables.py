@@ -1,0 +1,259 @@
+"""A run in several tables, CSV or Parquet, as a vehicle writes one for each topic: a folder of them.
+
+Every file is a series on its own clock, called by what its name does not share with the others. What columns
+mean is guessed from the names of file and column. A clock is the stamp of the messages, also where seconds
+and nanoseconds stand in two columns (``header.stamp.sec``), else the column that counts the time.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
+from os.path import commonpath
+from pathlib import Path
+
+import numpy as np
+
+from undertow.errors import UndertowError, listed
+from undertow.identification.logs.guess import guess_table, numbers_of, whole_table
+from undertow.identification.logs.guess_clock import absolute_times, clock_of, unit_by_steps
+from undertow.identification.logs.guess_names import Name, unit_of_clock
+from undertow.identification.logs.mapping import SECONDS, Column
+from undertow.identification.logs.run import UNITS, later_than_before
+from undertow.identification.logs.table import refuse_no_file
+from undertow.typing import Array
+
+from .by_name import numbered
+from .fieldlog import (
+    CLOCK,
+    HELD,
+    FieldLog,
+    Format,
+    Series,
+    format_of,
+    from_one_begin,
+    in_order,
+    read_field_log,
+)
+
+ENDS = (".csv", ".csv.gz", ".parquet")
+"""Ends of the names of tables."""
+
+
+@dataclass(frozen=True)
+class TableSettings:
+    """Numbers that decide how the tables of a run are read."""
+
+    late: float = 0.05  # share of stamps that may be no later than one before
+    since: float = 1e8  # s since 1970; stamps of messages are later
+    apart: float = 10.0  # s by which stamps may differ from the recording: else another clock made them
+    quarter: float = 900.0  # s, by a number of which clocks of two time zones differ
+    named: int = 3  # files that are named of those left out
+    deep: int = 4  # folders in each other that are looked into
+
+
+SETTINGS = TableSettings()
+
+
+def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
+    """The tables of one run; `path` is their folder.
+
+    Raises
+    ------
+    UndertowError
+        If none of them has a time, or all have the same columns of motions, as several runs have.
+    """
+    path, files = path or Path(commonpath([file.parent for file in files])), sorted(files)
+    found: list[Series] = []
+    reasons: list[str] = []
+    for file, name in zip(files, _names(files, path), strict=True):
+        try:
+            found.append(_series(file, name))
+        except UndertowError as error:
+            reasons.append(f"{file.relative_to(path)} ({_reason(error, file)})")
+    if not found:
+        raise UndertowError(f"log {path} has no table with a time: {reasons[0]}")
+    _refuse_runs(path, files, found)
+    found = from_one_begin(found)
+    _refuse_apart(path, found)
+    series = {one.name: one for one in found}
+    more = len(reasons) - SETTINGS.named
+    named = reasons[: SETTINGS.named] + [f"and {more} more"] * (more > 0)
+    notes = (f"left out: {', '.join(named)}",) if reasons else ()
+    log = FieldLog(path, FORMAT.name, series, notes=notes, files=tuple(files), by_name=True)
+    return in_order(_guessed(log))
+
+
+def _reason(error: UndertowError, file: Path) -> str:
+    """Why a file is left out, in a few words."""
+    return re.split(r": |; ", str(error).removeprefix(f"log {file}").lstrip(": "))[0].removeprefix("is ")
+
+
+def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
+    """The log of one run, which may be several tables.
+
+    Raises
+    ------
+    UndertowError
+        If one of several is no table, or a single one is: that is no vehicle's own log.
+    """
+    if len(paths) == 1:
+        return read_field_log(paths[0], messages)
+    for path in paths:
+        refuse_no_file(path)
+        if (known := format_of(path)) is not None:
+            raise UndertowError(
+                f"log {path} is {known.name}, and only tables can be several files of one run: give it alone"
+            )
+    return read_tables(paths)
+
+
+def _guessed(log: FieldLog) -> FieldLog:
+    """The log with what its columns mean by their names, commands apart from motions."""
+    guess = guess_table(log.beginning(), log.path, None, HELD, CLOCK)
+    meaning = guess.meaning
+    driving = [n for n, column in meaning.columns.items() if column.channel not in UNITS]
+    columns = {n: column for n, column in meaning.columns.items() if n not in driving}
+    known = {n: _plain(meaning.columns[n]) for n in driving}
+    mapping = meaning.model_copy(update={"columns": columns, "ignore": ()})
+    return replace(
+        log, mapping=mapping, actuators=numbered(driving, columns, known), remarks=tuple(guess.asked)
+    )
+
+
+def _plain(column: Column) -> Column:
+    return column.model_copy(update={"unit": None})
+
+
+def _names(files: Sequence[Path], folder: Path) -> list[str]:
+    """Names of files with the folders that they are in, or less the words that all begin or end with."""
+    inside = [file.relative_to(folder) for file in files]
+    stems = [".".join((*one.parts[:-1], one.name.split(".")[0])) for one in inside]
+    words = [re.split(r"[ _-]+", stem) for stem in stems]
+    for end in (0, -1):
+        while len(words) > 1 and min(map(len, words)) > 1 and len({w[end] for w in words}) == 1:
+            words = [w[1:] if end == 0 else w[:-1] for w in words]
+    short = ["_".join(w) for w in words]
+    flat = all(len(one.parts) == 1 for one in inside)
+    return short if flat and len({*short}) == len(short) else stems
+
+
+def _series(file: Path, name: str) -> Series:
+    table, reading = whole_table(file)
+    data = {c: values for c in table.columns if (values := numbers_of(table, c, reading)) is not None}
+    stamps, parts = _stamps(data)
+    try:
+        clock = clock_of(table, data, f"log {file}")
+    except UndertowError:
+        if stamps is None:
+            raise
+        return Series(name, stamps, _without(data, parts))
+    t = absolute_times(table, data, clock, f"log {file}")
+    if stamps is not None:
+        # The recording may count in local time, as the other tables of the run do.
+        late = float(np.nanmedian(t - stamps))
+        zone = SETTINGS.quarter * round(late / SETTINGS.quarter)
+        if abs(late - zone) < SETTINGS.apart:
+            return Series(name, stamps + zone, _without(data, {*parts, clock.column}))
+    return Series(name, t, _without(data, {clock.column}))
+
+
+def _without(data: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array]:
+    left = {*names}
+    return {name: values for name, values in data.items() if name not in left}
+
+
+def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
+    """Times, s, of stamps of messages, since 1970, and the columns that they are in; None without any."""
+    for columns in (*_seconds_and_nanoseconds(data), *((n,) for n in data if "stamp" in Name.of(n).words)):
+        whole, *parts = (data[n] for n in columns)
+        counted = whole + 1e-9 * parts[0] if parts else whole
+        there = counted[np.isfinite(counted)]
+        if len(there) < 2 or np.mean(later_than_before(there)) <= 1.0 - SETTINGS.late:
+            continue
+        t = counted if parts else counted * SECONDS[_unit(columns[0], there)]
+        if np.nanmin(t) > SETTINGS.since:
+            return t, columns
+    return None, ()
+
+
+def _seconds_and_nanoseconds(data: Mapping[str, Array]) -> Iterator[tuple[str, str]]:
+    """Columns that are alike but for these words."""
+    for name in data:
+        if found := re.fullmatch(r"(.*?)(?:secs?|seconds)", name):
+            others = (found[1] + end for end in ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds"))
+            yield from ((name, other) for other in others if other in data)
+
+
+def _unit(name: str, stamps: Array) -> str:
+    return unit_of_clock(name) or unit_by_steps(stamps, float(np.nanmedian(np.diff(stamps))))
+
+
+def _refuse_runs(path: Path, files: Sequence[Path], found: Sequence[Series]) -> None:
+    """Refuse tables that are runs of their own: all with the same columns, and motions among them."""
+    alike = all({*a.columns} == {*b.columns} for a, b in pairwise(found))
+    moving = [column for column in found[0].columns if Name.of(column).motion()]
+    if len(found) > 1 and alike and moving:
+        raise UndertowError(
+            f"log {path}: {listed([file.name for file in files])} have the same columns ({listed(moving)}), "
+            "as several runs have: give each of them as a log, or only the files of one run"
+        )
+
+
+def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
+    """Refuse tables with motions that do not overlap in time: they are of several runs."""
+    spans = sorted(
+        (float(np.nanmin(one.t)), float(np.nanmax(one.t)), one.name) for one in found if _moves(one)
+    )
+    for (_, end, before), (begin, _, after) in zip(_until_now(spans), spans[1:], strict=False):
+        if begin > end:
+            raise UndertowError(
+                f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are of "
+                "several runs; give the tables of each as a log"
+            )
+
+
+def _until_now(spans: Sequence[tuple[float, float, str]]) -> Iterator[tuple[float, float, str]]:
+    """Of spans in the order of their beginnings the one that ends last, of all up to each."""
+    return accumulate(spans, lambda a, b: max(a, b, key=lambda span: span[1]))
+
+
+def _moves(one: Series) -> bool:
+    return any(Name.of(f"{one.name}.{column}").motion() for column in one.columns)
+
+
+def tables_in(folder: Path, deep: int = SETTINGS.deep) -> list[Path]:
+    """The tables of a folder and of those in it, in the order of their names."""
+    inside = sorted(folder.iterdir())
+    found = [file for file in inside if file.name.lower().endswith(ENDS) and file.is_file()]
+    folders = [one for one in inside if deep > 1 and one.is_dir() and not one.name.startswith(".")]
+    return sorted([*found, *(file for one in folders for file in tables_in(one, deep - 1))])
+
+
+def _read(path: Path, messages: Path | None) -> FieldLog:
+    files = tables_in(path)
+    _refuse_folders(path, files)
+    return read_tables(files, path)
+
+
+def _refuse_folders(path: Path, files: Sequence[Path]) -> None:
+    """Refuse a folder of folders with files of the same names: each is a run of its own."""
+    inside = [file.relative_to(path) for file in files]
+    names: dict[str, set[Path]] = {}
+    for one in inside:
+        names.setdefault(one.parts[0], set()).add(Path(*one.parts[1:]))
+    apart = all(len(one.parts) > 1 for one in inside) and len(names) > 1
+    if apart and len(set.union(*names.values())) < 2 * min(map(len, names.values())):
+        raise UndertowError(
+            f"log {path}: its folders {listed(sorted(names))} have files of the same names, as several runs "
+            "have: give each of them as a log"
+        )
+
+
+def _accepts(path: Path, head: bytes) -> bool:
+    return not head and path.is_dir() and bool(tables_in(path))
+
+
+FORMAT = Format("tables of one run", ("folder of .csv or .parquet",), _accepts, _read)

@@ -1,0 +1,188 @@
+"""A run that a vehicle writes into several tables: each on its own clock, together one log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.spatial.transform import Rotation
+
+from undertow.cli.main import main
+from undertow.errors import UndertowError
+from undertow.identification.logs.formats.by_name import first_mapping
+from undertow.identification.logs.formats.fieldlog import read_field_log
+from undertow.identification.logs.formats.tables import one_run
+from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.reading import read_log
+from undertow.typing import Array
+
+COMMANDS = ("left_motor", "right_motor")
+BEGIN = 1_700_000_000.25
+
+
+def _motion(t: Array) -> dict[str, Array]:
+    """A vehicle that swings on its way, at any times."""
+    turn = 0.8 * np.sin(0.3 * t)
+    return {"x": t + 0.2 * np.sin(t), "y": 2 * np.cos(0.4 * t), "psi": turn, "r": 0.24 * np.cos(0.3 * t)}
+
+
+def _thrust(t: Array) -> dict[str, Array]:
+    return {"left_motor": np.sin(0.5 * t), "right_motor": np.cos(0.5 * t)}
+
+
+def _folder(folder: Path, prefix: str = "") -> tuple[Array, Array, Array]:
+    """Pose at 10, gyro at 25, motors at 4 samples a second: dates, nanoseconds, stamps in two parts."""
+    rng = np.random.default_rng(3)
+    pose, gyro, motor = np.arange(0, 40, 0.1), np.arange(0.013, 40, 0.04), np.arange(0.5, 40, 0.25)
+    at = _motion(pose)
+    turned = np.column_stack([at["psi"], 0 * pose, 0 * pose])
+    quaternion = Rotation.from_euler("ZYX", turned).as_quat(scalar_first=True).T
+    dates = np.datetime64("2023-11-14T22:13:20.250") + np.round(1e3 * pose).astype("timedelta64[ms]")
+    columns = {"position.x": at["x"], "position.y": at["y"]}
+    columns |= {f"orientation.{n}": q for n, q in zip("wxyz", quaternion, strict=True)}
+    _write(folder / f"{prefix}pose.csv", {"time": dates.astype(str)} | columns)
+    _write(folder / f"{prefix}gyro.csv", {"t_ns": _whole(gyro), "r [rad/s]": _motion(gyro)["r"]})
+    arrival = motor + 0.2 * rng.random(len(motor))
+    stamped = {"log_time_ns": _whole(arrival), "stamp.sec": _whole(motor) // 10**9}
+    stamped |= {"stamp.nanosec": _whole(motor) % 10**9}
+    _write(folder / f"{prefix}motors.csv", stamped | _thrust(motor))
+    return pose, gyro, motor
+
+
+def _whole(t: Array) -> Array:
+    return (int(BEGIN * 1e9) + np.round(1e9 * t)).astype(np.int64)
+
+
+def _write(path: Path, columns: Mapping[str, Array]) -> None:
+    pl.DataFrame(dict(columns)).write_csv(path)
+
+
+def test_a_folder_is_one_log_with_every_sample_at_its_own_time(tmp_path: Path) -> None:
+    pose, gyro, motor = _folder(tmp_path)
+    log = read_field_log(tmp_path)
+    assert [*log.series] == ["gyro", "motors", "pose"]
+    for name, t in (("pose", pose), ("gyro", gyro), ("motors", motor)):
+        np.testing.assert_allclose(log.series[name].t, t, atol=1e-6)
+    run = read_log(tmp_path, channels=COMMANDS)
+    for name, values in _motion(run.t).items():
+        there = np.isfinite(run.reports(name))
+        assert np.count_nonzero(there) > 0.9 * len(gyro if name == "r" else pose)
+        np.testing.assert_allclose(run.reports(name)[there], values[there], atol=1e-6)
+    held = np.searchsorted(motor, run.t + 1e-6) - 1
+    for name, values in _thrust(motor).items():  # rows in which one changes have its mean
+        assert np.mean(np.isclose(run.channels[name], values[held], atol=1e-9)) > 0.9
+
+
+def test_several_files_are_the_same_log_whatever_they_are_called(tmp_path: Path) -> None:
+    _folder(tmp_path, "dive 7_")
+    files = [*tmp_path.glob("*.csv")]
+    folder, alone = read_log(tmp_path, channels=COMMANDS), read_log(files, channels=COMMANDS)
+    assert [*one_run(files).series] == ["gyro", "motors", "pose"], "what all names share is no part of them"
+    assert folder.sha256 == alone.sha256
+    for name, values in folder.channels.items():
+        np.testing.assert_array_equal(values, alone.channels[name])
+
+
+def test_map_and_import_make_one_table_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _folder(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    files = ["pose.csv", "gyro.csv", "motors.csv"]
+    assert main(["map", "new", *files, "--out", "log.toml"]) == 0
+    assert "does the heading grow clockwise" in Path("log.toml").read_text()
+    assert main(["import", *files, "--map", "log.toml", "--out", "own/dive.parquet"]) == 2, "no such folder"
+    assert main(["import", *files, "--map", "log.toml", "--out", "dive.parquet"]) == 0
+    imported = read_log(Path("dive.parquet"), read_mapping(Path("dive.toml")))
+    direct = read_log([Path(file) for file in files], read_mapping(Path("log.toml")))
+    assert {"x", "y", "psi", "r"} < {*imported.channels}
+    for name, values in imported.channels.items():
+        np.testing.assert_allclose(values, direct.channels[name], atol=1e-9)
+
+
+def test_what_is_no_table_with_a_time_is_left_out_and_named(tmp_path: Path) -> None:
+    _folder(tmp_path)
+    (tmp_path / "parameters.csv").write_text("name,value\nm,12\nI_z,3\n")
+    (tmp_path / "notes.txt").write_text("calm")
+    (note,) = read_field_log(tmp_path).notes
+    assert note.startswith("left out: parameters.csv (no column contains the time")
+
+
+def test_runs_are_not_joined(tmp_path: Path) -> None:
+    for name in ("monday.csv", "tuesday.csv"):
+        _write(tmp_path / name, {"t": np.arange(9.0), "x": np.arange(9.0), "u": np.ones(9)})
+    with pytest.raises(
+        UndertowError, match=r"monday.csv and tuesday.csv have the same columns .* as several"
+    ):
+        read_log(tmp_path)
+
+
+def test_folders_in_a_folder_are_topics_of_its_run(tmp_path: Path) -> None:
+    """Recorded in local time, two hours ahead of the stamps; what has no stamp is in local time alone."""
+    t, zone = np.arange(0, 40, 0.1), 7200.0
+    at = _motion(t)
+    stamps = {"header_stamp_secs": _whole(t) // 10**9, "header_stamp_nsecs": _whole(t) % 10**9}
+    for name, late, columns in (
+        ("navigation/pose", 0.3, stamps | {"position_x": at["x"], "position_y": at["y"]}),
+        ("navigation/twist_ned", 0.5, stamps | {"linear_x": np.gradient(at["x"], t)}),
+        ("actuators/left/thruster", 0.0, {"throttle": np.sin(t), "current": np.cos(t)}),
+        ("actuators/right/thruster", 0.0, {"throttle": np.cos(t), "current": np.sin(t)}),
+    ):
+        path = tmp_path / f"{name}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write(path, {"time_ns": _whole(t + zone + late)} | columns)
+    (tmp_path / "navigation" / "events.csv").write_text("")
+    log = read_field_log(tmp_path)
+    assert [*log.series] == [
+        "actuators.left.thruster", "actuators.right.thruster", "navigation.pose", "navigation.twist_ned",
+    ]  # fmt: skip
+    for one in log.series.values():
+        np.testing.assert_allclose(one.t, t, atol=1e-6)
+    assert log.notes == ("left out: navigation/events.csv (empty (0 bytes))",)
+    guessed = {g.column: g.channel for g in first_mapping(log).columns}
+    assert guessed["navigation.pose.position_x"] == "x"
+    assert not [column for column in guessed if column.endswith("current")]
+
+
+def test_runs_in_folders_of_a_folder_are_not_joined(tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        (tmp_path / name).mkdir()
+        _folder(tmp_path / name)
+    with pytest.raises(UndertowError, match="folders monday and tuesday have files of the same names, as"):
+        read_log(tmp_path)
+    assert read_log(tmp_path / "monday").name == "monday"
+    late = pl.read_csv(tmp_path / "monday" / "gyro.csv").with_columns(pl.col("t_ns") + 3600 * 10**9)
+    late.write_csv(tmp_path / "monday" / "gyro.csv")
+    with pytest.raises(UndertowError, match=r"table 'pose' ends 3.56e.03 s before 'gyro' begins: they"):
+        read_log(tmp_path / "monday")
+
+
+def test_one_thruster_a_file_is_no_run_of_its_own(tmp_path: Path) -> None:
+    """As topics with one number each are written: the columns are the same, the files are not."""
+    pose, *_ = _folder(tmp_path)
+    (tmp_path / "motors.csv").unlink()
+    late = 0.05 * np.random.default_rng(1).random(len(pose))
+    for k, (name, values) in enumerate(_thrust(pose).items()):
+        stamps = {"%time": _whole(pose + late), "field.header.stamp": _whole(pose + 0.01 * k)}
+        _write(tmp_path / f"{name}.csv", stamps | {"field.data": values})
+    log = read_field_log(tmp_path)
+    assert {"left_motor", "right_motor"} < {*log.series}
+    np.testing.assert_allclose(log.series["right_motor"].t, pose + 0.01, atol=1e-6)
+    assert [*log.series["right_motor"].columns] == ["field.data"]
+    run = read_log(tmp_path, channels=COMMANDS)
+    there = run.t > 0.02
+    np.testing.assert_allclose(run.channels["left_motor"][there], np.sin(0.5 * run.t[there]), atol=0.06)
+
+
+def test_only_tables_can_be_several_files(tmp_path: Path) -> None:
+    _folder(tmp_path)
+    (tmp_path / "dive.alog").write_text("%%% LOG FILE\n1.0 NAV_X a 2.0\n")
+    with pytest.raises(UndertowError, match=r"dive.alog is MOOS, and only tables can be several files"):
+        read_log([tmp_path / "pose.csv", tmp_path / "dive.alog"])
+    with pytest.raises(UndertowError, match="does not exist"):
+        read_log([tmp_path / "pose.csv", tmp_path / "gone.csv"])
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(UndertowError, match="is a folder without tables: give the path of a log in it"):
+        read_log(empty)
