@@ -386,7 +386,7 @@ def test_a_quaternion_shows_by_its_length(
     table = pl.DataFrame({"t": t, **gear, **dict(zip(names, parts, strict=True)), "u": np.sin(t)})
     table.write_csv(tmp_path / "own.csv")
     found = guess_mapping(tmp_path / "own.csv")
-    assert any("squares add up to one" in question for question in found.asked)
+    assert any("squares sum to one" in question for question in found.asked)
     (tmp_path / "log.toml").write_text(found.text())
     run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
     for name, values in true.items():
@@ -402,7 +402,7 @@ def test_a_height_above_a_level_grows_upwards(tmp_path: Path) -> None:
     found = guess_table(table, Path("own.csv"))
     (depth,) = [g for g in found.columns if g.channel == "z"]
     assert (depth.column, depth.entry["scale"]) == ("altitudeRelative", -1)
-    assert "read as a height above a level, so that z is minus it: is it?" in depth.doubt
+    assert "read as a height above a fixed level (z = -height): is it?" in depth.doubt
     both = guess_table(table.with_columns(depth=-pl.col("altitudeRelative")), Path("own.csv"))
     assert [g.column for g in both.columns if g.channel == "z"] == ["depth"]
 

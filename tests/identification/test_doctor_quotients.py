@@ -49,7 +49,7 @@ def test_steps_that_jitter_are_no_divisors(ship: Vehicle) -> None:
     examined = examine(ship, [run])
     (finding,) = [f for f in examined.result.findings if f.id in MATTERS]
     assert (finding.id, finding.severity) == ("divided_by_jitter", "mistake")
-    assert finding.text.startswith("u, v, r are changes of x, y, psi divided by single steps of the clock")
+    assert finding.text.startswith("u, v, r are differences of x, y, psi over single time steps")
     assert {"u", "v", "r"} <= examined.mended[0].derived
     anew, true = (
         velocities_from_pose(without(run, ("u", "v", "r")), ship.degrees_of_freedom),

@@ -255,8 +255,12 @@ REFUSED = [
     ('"2.5 N"', '"2.5 kg"', "thruster 'bow' thrust_per_command: '2.5 kg' has the dimension"),
     ('value = "2.5 N"', "forward = 1, backward = 2", "thruster 'bow' thrust_per_command needs a 'value'"),
     ("limit = 1.0", "limit = -1", "thruster 'bow' limit = -1 is impossible"),
-    ("limit = 1.0", "limit = 1\nlowest = -2", "thruster 'bow' lowest = -2 is not from -1 to 0: give 0 for"),
-    ("limit = 1.0", "limit = 1\nlowest = 0.1", "thruster 'bow' lowest = 0.1 is not from -1 to 0"),
+    (
+        "limit = 1.0",
+        "limit = 1\nlowest = -2",
+        "thruster 'bow' lowest = -2 is not between -1 and 0: give 0 for",
+    ),
+    ("limit = 1.0", "limit = 1\nlowest = 0.1", "thruster 'bow' lowest = 0.1 is not between -1 and 0"),
 ]
 
 

@@ -351,15 +351,15 @@ def allocation_of(gains: GainSet) -> Allocation:
 
 
 def _refuse_one_sided(vehicle: Vehicle) -> None:
-    """Refuse thrusters that give less in reverse than ahead: the allocation reckons with both alike."""
+    """Refuse thrusters with less thrust astern than ahead: the allocation assumes symmetric limits."""
     one_sided = [
         t.name for t in vehicle.thrusters if t.lowest is not None and t.lowest != -(t.limit or np.inf)
     ]
     if one_sided:
         raise UndertowError(
-            f"thruster '{one_sided[0]}' of '{vehicle.name}' has a lowest command of its own, and control "
-            "laws share forces among thrusters with the same limit both ways: remove `lowest` from the "
-            "file for the controller, and keep its forces positive by the set-point"
+            f"thruster '{one_sided[0]}' of '{vehicle.name}' has its own lowest command, and control "
+            "laws allocate forces to thrusters with symmetric limits only: remove `lowest` from the "
+            "file for the controller, and choose set-points that keep its thrust positive"
         )
 
 

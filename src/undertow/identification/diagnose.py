@@ -254,9 +254,9 @@ def diagnose(
 
 
 def _tell_mistakes(examined: Examination) -> None:
-    """Say what is wrong with the logs before minutes go into a search on them; it goes on all the same."""
+    """Warn of mistakes in the logs before a search that takes minutes; it continues all the same."""
     for finding in examined.mistakes:
-        _log.warning("%s (found by the doctor, who says how to correct it; the search goes on)", finding.text)
+        _log.warning("%s (undertow doctor says how to correct it; the search continues)", finding.text)
 
 
 def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool) -> Diagnosis:

@@ -381,7 +381,7 @@ def _lowest(place: str, lowest: Any, limit: float | None) -> float | None:
     least = -math.inf if limit is None else -limit
     if not least <= value <= 0.0:
         raise UndertowError(
-            f"{place} lowest = {value:g} is not from {least:g} to 0: give 0 for what cannot reverse"
+            f"{place} lowest = {value:g} is not between {least:g} and 0: give 0 for one that cannot reverse"
         )
     return value
 

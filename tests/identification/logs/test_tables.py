@@ -113,7 +113,7 @@ def test_runs_are_not_joined(tmp_path: Path) -> None:
     for name in ("monday.csv", "tuesday.csv"):
         _write(tmp_path / name, {"t": np.arange(9.0), "x": np.arange(9.0), "u": np.ones(9)})
     with pytest.raises(
-        UndertowError, match=r"monday.csv and tuesday.csv have the same columns .* as several"
+        UndertowError, match=r"monday.csv and tuesday.csv have the same columns .* so they are separate"
     ):
         read_log(tmp_path)
 
@@ -149,7 +149,7 @@ def test_runs_in_folders_of_a_folder_are_not_joined(tmp_path: Path) -> None:
     for name in ("monday", "tuesday"):
         (tmp_path / name).mkdir()
         _folder(tmp_path / name)
-    with pytest.raises(UndertowError, match="folders monday and tuesday have files of the same names, as"):
+    with pytest.raises(UndertowError, match="folders monday and tuesday have files of the same names, so"):
         read_log(tmp_path)
     assert read_log(tmp_path / "monday").name == "monday"
     late = pl.read_csv(tmp_path / "monday" / "gyro.csv").with_columns(pl.col("t_ns") + 3600 * 10**9)
@@ -178,7 +178,9 @@ def test_one_thruster_a_file_is_no_run_of_its_own(tmp_path: Path) -> None:
 def test_only_tables_can_be_several_files(tmp_path: Path) -> None:
     _folder(tmp_path)
     (tmp_path / "dive.alog").write_text("%%% LOG FILE\n1.0 NAV_X a 2.0\n")
-    with pytest.raises(UndertowError, match=r"dive.alog is MOOS, and only tables can be several files"):
+    with pytest.raises(
+        UndertowError, match=r"dive.alog is MOOS, and only tables can be given as several files"
+    ):
         read_log([tmp_path / "pose.csv", tmp_path / "dive.alog"])
     with pytest.raises(UndertowError, match="does not exist"):
         read_log([tmp_path / "pose.csv", tmp_path / "gone.csv"])

@@ -55,7 +55,7 @@ _DIAGNOSIS = typer.Option(metavar="FILE.json", help="Take the effects to tell ap
 _ONLY = typer.Option(metavar="NAME,NAME", help="Parameters to determine; all by default.")
 _LIMIT = typer.Option(
     metavar="VALUE|NAME=VALUE",
-    help="Largest command: VALUE for all, or NAME=VALUE; LOWEST:HIGHEST if it is not the same both ways.",
+    help="Largest command: VALUE for all, or NAME=VALUE; LOWEST:HIGHEST if the limits are asymmetric.",
     show_default="as in the vehicle file, or the largest in the logs",
 )
 _NOISE = typer.Option(

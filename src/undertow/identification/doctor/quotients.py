@@ -1,6 +1,6 @@
-"""Velocities that somebody got by dividing changes of the pose by steps of a clock that jitters.
+"""Velocities computed as differences of the pose over the time steps of a jittering clock.
 
-Such a velocity measures nothing that the pose does not, and where a stamp is late by a part of a step the
+Such a velocity carries no information beyond the pose, and where a stamp is late by a fraction of a step the
 quotient is wrong by as much: on average too large, and at short steps by any factor.
 """
 
@@ -24,13 +24,13 @@ from .sampling import jitter_of
 
 @dataclass(frozen=True)
 class QuotientSettings:
-    """From where on a velocity is a quotient of the pose."""
+    """When a velocity counts as a quotient of the pose."""
 
-    around: int = 11  # samples whose median is what a quotient strays from
-    same: float = 0.1  # share of that straying by which the velocity may differ from the quotient
-    rows: float = 0.8  # share of the rows in which it has to be as near
+    around: int = 11  # samples in the median from which deviations of a quotient are taken
+    same: float = 0.1  # share of that deviation by which the velocity may differ from the quotient
+    rows: float = 0.8  # share of the rows in which it must be that close
     fewest: int = 50  # rows that show it
-    jitter: float = 0.05  # spread of the steps, as a share of the usual one, without which it does no harm
+    jitter: float = 0.05  # spread of the steps, as a share of the usual one, below which it does no harm
     worth: float = 2e-3  # mismatch with the pose, as a share of the motion, below which it is not reported
     gross: float = 0.05  # mismatch from which a fit is refused
 
@@ -39,7 +39,7 @@ SETTINGS = QuotientSettings()
 
 
 def divided(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
-    """Velocities of a run that are its pose's changes divided by steps that jitter."""
+    """Velocities of a run that are differences of its pose over jittering time steps."""
     if jitter_of(run.clock) < SETTINGS.jitter or len(run.t) < SETTINGS.fewest:
         return ()
     zero = np.zeros(len(run.t))
@@ -56,7 +56,7 @@ def _compared(velocity: str, rows: Sequence[str]) -> bool:
 
 
 def _rates(t: Array, pose: Array) -> Iterator[Array]:
-    """Changes over one step by the step, seen from its end and from its beginning, and over two."""
+    """Backward, forward and central differences of the pose, and those of a parabola, per second."""
     step = np.diff(t)[:, None]
     quotient = np.diff(pose, axis=0) / step
     nothing = np.full((1, pose.shape[1]), np.nan)
@@ -70,7 +70,7 @@ def _rates(t: Array, pose: Array) -> Iterator[Array]:
 
 
 def _same(velocity: Array, quotient: NDArray[np.floating]) -> bool:
-    """Whether a velocity strays with a quotient from what it is on average."""
+    """Whether a velocity follows the deviations of a quotient from its local median."""
     there = np.isfinite(velocity) & np.isfinite(quotient)
     v, q = velocity[there], quotient[there]
     if len(q) < SETTINGS.fewest:
@@ -88,18 +88,18 @@ def without(run: Run, names: Sequence[str]) -> Run:
 def finding_on_quotients(
     runs: Sequence[Run], kinematics: Kinematics
 ) -> tuple[Finding | None, tuple[str, ...]]:
-    """What is said of velocities that are quotients in any run, and their names; None without any."""
+    """The finding on velocities that are quotients in any run, and their names; None without any."""
     names = tuple(dict.fromkeys(n for run in runs for n in divided(run, kinematics)))
     excess = float(np.max(kinematics.mismatch(runs).excess)) if names else 0.0
     if excess < SETTINGS.worth:
         return None, ()
     pose = ", ".join(kinematics.rows)
     text = (
-        f"{', '.join(names)} are changes of {pose} divided by single steps of the clock, which vary by "
-        f"{max(jitter_of(run.clock) for run in runs):.0%}: they measure nothing else, and disagree with the "
+        f"{', '.join(names)} are differences of {pose} over single time steps, which vary by "
+        f"{max(jitter_of(run.clock) for run in runs):.0%}: they add no information, and disagree with the "
         f"pose by {percent(excess)} of the motion (mean square) where stamps are late; leave them out "
-        "(remove their columns from the mapping file, and put them into its `ignore`); they are then "
-        "derived from the pose over many steps"
+        "(move their columns in the mapping file to `ignore`); they are then derived from the pose over "
+        "many steps"
     )
     severity: Severity = "mistake" if excess > SETTINGS.gross else "warning"
     evidence = {"mismatch": excess}

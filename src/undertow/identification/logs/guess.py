@@ -224,7 +224,7 @@ _FLAG = (
 )
 
 
-_UNNAMED = "squares add up to one: read as w, x, y, z of a quaternion in the order written here: are they?"
+_UNNAMED = "squares sum to one: read as quaternion w, x, y, z in the order written here: is that right?"
 
 
 def _attitude(quaternion: Sequence[str], doubt: str = "") -> list[Guess]:
@@ -403,7 +403,7 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
     if name.is_upward and channel in ("z", "w"):
         entry["scale"] = -1
         if name.is_height:
-            doubt += f"{' ' if doubt else ''}read as a height above a level, so that z is minus it: is it?"
+            doubt += f"{' ' if doubt else ''}read as a height above a fixed level (z = -height): is it?"
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
     return Guess(name.column, entry, doubt)

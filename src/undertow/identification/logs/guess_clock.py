@@ -90,9 +90,7 @@ def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[
     fits = _agreeing if np.isfinite(logged) else _possible
     if not pace > 0 or fits(pace, logged):
         return time, t
-    known = (
-        f"the speed column says {logged:.3g}" if np.isfinite(logged) else "no vehicle goes as fast or slow"
-    )
+    known = f"the speed column says {logged:.3g}" if np.isfinite(logged) else "no vehicle is as fast or slow"
     asked = f"in {unit}, the position would change by {pace:.3g} m/s, and {known}"
     better = next((u for u, p in others.items() if fits(p, logged)), "")
     if not better:

@@ -1,8 +1,8 @@
-"""A run in several tables, CSV or Parquet, as a vehicle writes one for each topic: a folder of them.
+"""A run in several tables, CSV or Parquet, one for each topic: a folder of them.
 
-Every file is a series on its own clock, called by what its name does not share with the others. What columns
-mean is guessed from the names of file and column. A clock is the stamp of the messages, also where seconds
-and nanoseconds stand in two columns (``header.stamp.sec``), else the column that counts the time.
+Every file is a series on its own clock, named by the part of its name that the others do not share. The
+meaning of columns is guessed from the names of file and column. The clock is the stamp of the messages, also
+with seconds and nanoseconds in two columns (``header.stamp.sec``), else the time column.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class TableSettings:
 
     late: float = 0.05  # share of stamps that may be no later than one before
     since: float = 1e8  # s since 1970; stamps of messages are later
-    apart: float = 10.0  # s by which stamps may differ from the recording: else another clock made them
-    quarter: float = 900.0  # s, by a number of which clocks of two time zones differ
-    named: int = 3  # files that are named of those left out
-    deep: int = 4  # folders in each other that are looked into
+    apart: float = 10.0  # s by which stamps of the same clock may differ from the recording
+    quarter: float = 900.0  # s; clocks of two time zones differ by a multiple of it
+    named: int = 3  # how many of the files left out are named
+    deep: int = 4  # depth of nested folders that is searched
 
 
 SETTINGS = TableSettings()
@@ -105,7 +105,7 @@ def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
         refuse_no_file(path)
         if (known := format_of(path)) is not None:
             raise UndertowError(
-                f"log {path} is {known.name}, and only tables can be several files of one run: give it alone"
+                f"log {path} is {known.name}, and only tables can be given as several files: give it alone"
             )
     return read_tables(paths)
 
@@ -128,7 +128,7 @@ def _plain(column: Column) -> Column:
 
 
 def _names(files: Sequence[Path], folder: Path) -> list[str]:
-    """Names of files with the folders that they are in, or less the words that all begin or end with."""
+    """Names of files with their folders, or without the words that all names begin or end with."""
     inside = [file.relative_to(folder) for file in files]
     stems = [".".join((*one.parts[:-1], one.name.split(".")[0])) for one in inside]
     words = [re.split(r"[ _-]+", stem) for stem in stems]
@@ -166,7 +166,7 @@ def _without(data: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array
 
 
 def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
-    """Times, s, of stamps of messages, since 1970, and the columns that they are in; None without any."""
+    """Times of message stamps, s since 1970, and the columns that they are in; None without any."""
     for columns in (*_seconds_and_nanoseconds(data), *((n,) for n in data if "stamp" in Name.of(n).words)):
         whole, *parts = (data[n] for n in columns)
         counted = whole + 1e-9 * parts[0] if parts else whole
@@ -180,7 +180,7 @@ def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
 
 
 def _seconds_and_nanoseconds(data: Mapping[str, Array]) -> Iterator[tuple[str, str]]:
-    """Columns that are alike but for these words."""
+    """Pairs of columns whose names differ only in these words."""
     for name in data:
         if found := re.fullmatch(r"(.*?)(?:secs?|seconds)", name):
             others = (found[1] + end for end in ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds"))
@@ -192,31 +192,31 @@ def _unit(name: str, stamps: Array) -> str:
 
 
 def _refuse_runs(path: Path, files: Sequence[Path], found: Sequence[Series]) -> None:
-    """Refuse tables that are runs of their own: all with the same columns, and motions among them."""
+    """Refuse tables that are separate runs: all with the same columns, and motions among them."""
     alike = all({*a.columns} == {*b.columns} for a, b in pairwise(found))
     moving = [column for column in found[0].columns if Name.of(column).motion()]
     if len(found) > 1 and alike and moving:
         raise UndertowError(
             f"log {path}: {listed([file.name for file in files])} have the same columns ({listed(moving)}), "
-            "as several runs have: give each of them as a log, or only the files of one run"
+            "so they are separate runs: give each as a log, or only the files of one run"
         )
 
 
 def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
-    """Refuse tables with motions that do not overlap in time: they are of several runs."""
+    """Refuse tables with motions that do not overlap in time: they are separate runs."""
     spans = sorted(
         (float(np.nanmin(one.t)), float(np.nanmax(one.t)), one.name) for one in found if _moves(one)
     )
     for (_, end, before), (begin, _, after) in zip(_until_now(spans), spans[1:], strict=False):
         if begin > end:
             raise UndertowError(
-                f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are of "
-                "several runs; give the tables of each as a log"
+                f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are "
+                "separate runs; give the tables of each as one log"
             )
 
 
 def _until_now(spans: Sequence[tuple[float, float, str]]) -> Iterator[tuple[float, float, str]]:
-    """Of spans in the order of their beginnings the one that ends last, of all up to each."""
+    """For each span, in the order of their starts, the one that ends last of all up to it."""
     return accumulate(spans, lambda a, b: max(a, b, key=lambda span: span[1]))
 
 
@@ -239,7 +239,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 
 def _refuse_folders(path: Path, files: Sequence[Path]) -> None:
-    """Refuse a folder of folders with files of the same names: each is a run of its own."""
+    """Refuse a folder of folders with files of the same names: each is a separate run."""
     inside = [file.relative_to(path) for file in files]
     names: dict[str, set[Path]] = {}
     for one in inside:
@@ -247,8 +247,8 @@ def _refuse_folders(path: Path, files: Sequence[Path]) -> None:
     apart = all(len(one.parts) > 1 for one in inside) and len(names) > 1
     if apart and len(set.union(*names.values())) < 2 * min(map(len, names.values())):
         raise UndertowError(
-            f"log {path}: its folders {listed(sorted(names))} have files of the same names, as several runs "
-            "have: give each of them as a log"
+            f"log {path}: its folders {listed(sorted(names))} have files of the same names, so they are "
+            "separate runs: give each as a log"
         )
 
 
