@@ -24,7 +24,7 @@ def test_the_page_has_what_the_commands_said() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["dive.bin", "dive.nc", "dive.alog"])
+@pytest.mark.parametrize("name", ["dive-2026-05-01.bin", "dive-2026-05-01.nc", "dive-2026-05-01.alog"])
 def test_commands_still_say_so(tmp_path: Path, name: str) -> None:
     known = json.loads(RESULTS.read_text(encoding="utf-8"))
     (kind,) = (one for one in KINDS if one.name == name)
