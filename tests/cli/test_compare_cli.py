@@ -173,7 +173,7 @@ def test_fit_needs_something_to_estimate(case: Path, capsys: pytest.CaptureFixtu
     text = (case / "usv.toml").read_text().replace("estimate = true", "estimate = false")
     (case / "known.toml").write_text(text)
     assert main(["fit", "known.toml", "train.csv"]) == 2
-    assert "no parameter of 'usv' is to be estimated" in capsys.readouterr().err
+    assert "no parameter of 'usv' is marked for estimation" in capsys.readouterr().err
 
 
 def test_an_unknown_method_is_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:

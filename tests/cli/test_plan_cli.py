@@ -196,4 +196,4 @@ def test_nothing_to_estimate_is_refused(case: Path, capsys: Capture) -> None:
     text = (case / "usv.toml").read_text().replace("estimate = true", "estimate = false")
     (case / "known.toml").write_text(text)
     line = refusal(["plan", "known.toml", *QUICK], capsys, case)
-    assert "no parameter of 'usv' is to be estimated" in line
+    assert "no parameter of 'usv' is marked for estimation" in line

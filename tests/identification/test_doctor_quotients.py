@@ -59,9 +59,7 @@ def test_steps_that_jitter_are_no_divisors(ship: Vehicle) -> None:
         before, after = (np.nanstd(one.channels[name] - true.channels[name]) for one in (run, anew))
         assert after < 0.01 * before
         assert np.mean(np.isfinite(anew.channels[name])) > 0.95
-    with pytest.raises(
-        UndertowError, match=r"u, v, r are changes of x, y, psi .+ put them into its `ignore`"
-    ):
+    with pytest.raises(UndertowError, match=r"u, v, r are differences of x, y, psi .+ to `ignore`"):
         refuse_impossible(ship, [run])
     refuse_impossible(ship, [run], trust_log=True)
 

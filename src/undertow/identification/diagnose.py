@@ -28,7 +28,7 @@ from .diagnosis.bench import noise_ratio
 from .diagnosis.parallel import in_background, one_thread
 from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
-from .diagnosis.selection import Selection, select, selected
+from .diagnosis.selection import Selection, found_beside, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.validation import SimulationValidator
@@ -83,13 +83,20 @@ def _far_from_noise(found: Search, validator: SimulationValidator) -> bool:
 def _confirmed(
     vehicle: Vehicle, found: Search, validator: SimulationValidator, known: Catalogue, selection: Selection
 ) -> ResultBuilder:
-    """The result with those selected effects that also improve predictions in the final fits."""
-    builder = ResultBuilder(vehicle, selected(found, selection), validator, known, selection)
+    """The result with those selected effects that also improve predictions in the final fits.
+
+    Established effects come first; one that improves them only with effects in doubt is in doubt, too.
+    """
+    ordered = selection.established_first
+    builder = ResultBuilder(vehicle, selected(found, ordered), validator, known, ordered)
     worth = builder.worth()
     least = builder.settings.worth
-    lacking = next((i for i, w in enumerate(worth) if not w.enough(least)), None)
+    lacking = next((g for g, w in zip(ordered.graded, worth, strict=True) if not w.enough(least)), None)
     if lacking is not None:
-        return _confirmed(vehicle, found, validator, known, selection.without(lacking))
+        beside = "" if lacking.doubt else selection.doubted_before(lacking)
+        doubted = selection.doubting(lacking, found_beside(beside))
+        rest = doubted if beside else selection.without(lacking)
+        return _confirmed(vehicle, found, validator, known, rest)
     builder.regrade(worth)
     return builder
 

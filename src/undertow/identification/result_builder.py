@@ -41,7 +41,7 @@ from .diagnosis.result import (
 )
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
-from .diagnosis.selection import Graded, Selection
+from .diagnosis.selection import Graded, Selection, found_beside
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,
@@ -126,8 +126,7 @@ class ResultBuilder:
             bench = replace(self.bench, base=self._weak[i])
             doubt = contradiction(effect, (self._weak[i], self._weak[i + 1]), bench, self.validator)
             if doubt:
-                beside = f"it was identified together with {effect.id}, which is not established either"
-                words = [doubt, *[beside] * (len(graded) - i - 1)]
+                words = [doubt, *[found_beside(effect.id)] * (len(graded) - i - 1)]
                 later = [replace(g, doubt=g.doubt or w) for g, w in zip(graded[i:], words, strict=True)]
                 return [*graded[:i], *later]
         return graded

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.by_name import first_mapping
-from undertow.identification.logs.formats.fieldlog import read_field_log
-from undertow.identification.logs.formats.tables import one_run
+from undertow.identification.logs.formats.fieldlog import one_run, read_field_log
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.typing import Array

@@ -63,7 +63,7 @@ def import_(
     force: NewForceOption = False,
 ) -> None:
     from undertow.identification.logs.formats.by_name import first_mapping
-    from undertow.identification.logs.formats.tables import one_run
+    from undertow.identification.logs.formats.fieldlog import one_run
     from undertow.identification.logs.mapping import LogMapping, mapping_text, read_mapping
     from undertow.identification.logs.opening import columns_read
     from undertow.model.loading import load_vehicle

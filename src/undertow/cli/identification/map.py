@@ -41,8 +41,7 @@ def new(
     """Guess what the columns of a log mean, and write a mapping file with open questions."""
     from undertow.files import write_whole
     from undertow.identification.logs.formats.by_name import first_mapping
-    from undertow.identification.logs.formats.fieldlog import format_of
-    from undertow.identification.logs.formats.tables import one_run
+    from undertow.identification.logs.formats.fieldlog import format_of, one_run
     from undertow.identification.logs.guess import guess_mapping
     from undertow.model.loading import load_vehicle
 

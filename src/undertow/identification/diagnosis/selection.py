@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -80,9 +81,9 @@ class Selection:
     reasons: dict[str, str]
     worth: dict[str, Worth]
 
-    def without(self, place: int) -> Selection:
+    def without(self, effect: Graded) -> Selection:
         """All effects but one."""
-        return replace(self, graded=[g for i, g in enumerate(self.graded) if i != place])
+        return replace(self, graded=[g for g in self.graded if g is not effect])
 
     @property
     def established(self) -> list[Graded]:
@@ -93,6 +94,16 @@ class Selection:
     def established_first(self) -> Selection:
         """The same, the effects in doubt after the others."""
         return replace(self, graded=sorted(self.graded, key=lambda g: bool(g.doubt)))
+
+    def doubted_before(self, effect: Graded) -> str:
+        """Id of the first effect in doubt that was found before one; empty for none."""
+        before = takewhile(lambda g: g is not effect, self.graded)
+        return next((g.chosen.id for g in before if g.doubt), "")
+
+    def doubting(self, effect: Graded, doubt: str) -> Selection:
+        """The same, with one more effect in doubt."""
+        doubted = replace(effect, doubt=doubt)
+        return replace(self, graded=[doubted if g is effect else g for g in self.graded])
 
     @property
     def all_but_one_established(self) -> bool:
@@ -110,10 +121,16 @@ def select(
     return _Selector(found, validator, known, report).run()
 
 
-def _stands(finding: FoundEffect, doubt: str, bench: Bench) -> bool:
-    """Whether there is no doubt about an effect other than one that predicts as well.
+def found_beside(effect: str) -> str:
+    """Doubt about an effect that may only compensate for another one in doubt."""
+    return f"it was identified together with {effect}, which is not established either"
 
-    A current on a constant heading is not refuted: these logs do not contain what distinguishes it.
+
+def _stands(finding: FoundEffect, doubt: str, bench: Bench) -> bool:
+    """Whether there is no evidence against an effect: its force is present, whatever the cause.
+
+    A current on a constant heading is not refuted: these logs do not contain what distinguishes it. Nor is
+    an effect that may be a slow disturbance.
     """
     return not doubt or doubt in (never_turned(finding, bench), by_slow_disturbance(finding, bench.settings))
 
@@ -207,7 +224,7 @@ class _Selector:
         if self._later and found.graded[0].doubt:
             again = self._forward()
             found = max(found, again, key=lambda s: len(s.established))
-        return found.established_first
+        return found
 
     def _forward(self) -> Selection:
         self._reasons, self._worth = {}, {}
@@ -291,7 +308,7 @@ class _Selector:
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate that improves predictions enough, with its rivals; an established one leads.
 
-        After an effect in doubt, or one of too many equivalents, none is established: it may compensate for
+        After a refuted effect, or one of too many equivalents, none is established: it may compensate for
         that. A contradiction between pose and velocities is due to the sensors, whatever forces are missing.
         """
         bench, least = current.bench, self._settings.worth
@@ -306,10 +323,12 @@ class _Selector:
         # What has run into a bound is not what it is called: to predict, too, others come first.
         worthy.sort(key=lambda f: bool(left_open(f, self._settings)))
         many = self._settings.most_equivalent
-        doubtful = next((g.chosen.id for g in graded if g.doubt or len(g.rivals) >= many), "")
+        doubtful = next(
+            (g.chosen.id for g in graded if not _stands(g.chosen, g.doubt, bench) or len(g.rivals) >= many),
+            "",
+        )
         if worthy and doubtful:
-            doubt = f"it was identified together with {doubtful}, which is not established either"
-            in_doubt = Graded(worthy[0], [], worth[worthy[0].id], doubt)
+            in_doubt = Graded(worthy[0], [], worth[worthy[0].id], found_beside(doubtful))
             worthy = [f for f in worthy if reconciles_sensors(f, bench)]
             if not worthy:
                 return in_doubt

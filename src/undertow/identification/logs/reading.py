@@ -34,8 +34,7 @@ from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
-from .formats.fieldlog import Window
-from .formats.tables import one_run
+from .formats.fieldlog import Window, one_run
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
 from .opening import (
     FieldLogs,

@@ -19,7 +19,10 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 
-from .fieldlog import CLOCK, HELD, TIME, FieldLog, Series
+from .fieldlog import HELD, TIME, FieldLog, Series
+
+CLOCK = Guess(TIME, {"column": TIME, "unit": "s"})
+"""The clock of the table of a log."""
 
 _TIME = "time [s]"
 # Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.

@@ -20,7 +20,6 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
-from undertow.identification.logs.guess_frames import Guess
 from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.identification.logs.run import later_than_before
 from undertow.identification.logs.table import Helper, file_hash, hash_of, refuse_no_file
@@ -224,8 +223,6 @@ class FieldLog:
 
 HELD = LogMapping(missing_commands="hold")
 """How commands are read that stand in rows of their own."""
-CLOCK = Guess(TIME, {"column": TIME, "unit": "s"})
-"""The clock of the table of a log."""
 
 
 def from_one_begin(found: Sequence[Series]) -> list[Series]:
@@ -309,6 +306,8 @@ class Format:
     shorter: str = "save it in shorter files, or with fewer variables"  # how a file is made smaller
     # whether its library hangs or breaks down with some damaged files, so that another process tries first
     hangs: bool = False
+    # the log of several files of one run, in the one format that has such logs
+    together: Callable[[Sequence[Path]], FieldLog] | None = None
 
 
 def library(name: str, what: str, extra: str = "field") -> ModuleType:
@@ -577,6 +576,25 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     if found is None:
         raise UndertowError(f"log {path} has an unknown format: {readable()}")
     return found
+
+
+def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
+    """The log of one run, which may be several tables.
+
+    Raises
+    ------
+    UndertowError
+        If one of several is no table, or a single one is: that is no vehicle's own log.
+    """
+    if len(paths) == 1:
+        return read_field_log(paths[0], messages)
+    for path in paths:
+        refuse_no_file(path)
+        if (known := format_of(path)) is not None:
+            raise UndertowError(
+                f"log {path} is {known.name}, and only tables can be given as several files: give it alone"
+            )
+    return next(one.together for one in formats() if one.together)(paths)
 
 
 def readable() -> str:

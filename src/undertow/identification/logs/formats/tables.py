@@ -22,21 +22,10 @@ from undertow.identification.logs.guess_clock import absolute_times, clock_of, u
 from undertow.identification.logs.guess_names import Name, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS, Column
 from undertow.identification.logs.run import UNITS, later_than_before
-from undertow.identification.logs.table import refuse_no_file
 from undertow.typing import Array
 
-from .by_name import numbered
-from .fieldlog import (
-    CLOCK,
-    HELD,
-    FieldLog,
-    Format,
-    Series,
-    format_of,
-    from_one_begin,
-    in_order,
-    read_field_log,
-)
+from .by_name import CLOCK, numbered
+from .fieldlog import HELD, FieldLog, Format, Series, from_one_begin, in_order
 
 ENDS = (".csv", ".csv.gz", ".parquet")
 """Ends of the names of tables."""
@@ -89,25 +78,6 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
 def _reason(error: UndertowError, file: Path) -> str:
     """Why a file is left out, in a few words."""
     return re.split(r": |; ", str(error).removeprefix(f"log {file}").lstrip(": "))[0].removeprefix("is ")
-
-
-def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
-    """The log of one run, which may be several tables.
-
-    Raises
-    ------
-    UndertowError
-        If one of several is no table, or a single one is: that is no vehicle's own log.
-    """
-    if len(paths) == 1:
-        return read_field_log(paths[0], messages)
-    for path in paths:
-        refuse_no_file(path)
-        if (known := format_of(path)) is not None:
-            raise UndertowError(
-                f"log {path} is {known.name}, and only tables can be given as several files: give it alone"
-            )
-    return read_tables(paths)
 
 
 def _guessed(log: FieldLog) -> FieldLog:
@@ -256,4 +226,4 @@ def _accepts(path: Path, head: bytes) -> bool:
     return not head and path.is_dir() and bool(tables_in(path))
 
 
-FORMAT = Format("tables of one run", ("folder of .csv or .parquet",), _accepts, _read)
+FORMAT = Format("tables of one run", ("folder of .csv or .parquet",), _accepts, _read, together=read_tables)
