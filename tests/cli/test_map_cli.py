@@ -165,6 +165,10 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("sway_m", "y", "m"),
         ("surge", "u", ""),
         ("tau_diff.x", "", ""),
+        ("heading.header_frame_id", "", ""),
+        ("heading.covariance_0", "", ""),
+        ("heading.data", "psi", ""),
+        ("body_frame.vx", "u", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
