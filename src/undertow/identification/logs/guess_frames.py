@@ -124,10 +124,12 @@ def _left_over(seconds: float, t: Array, channels: Mapping[str, Array]) -> dict[
 
 def unit_of_heading(psi: Array, channels: Mapping[str, Array], t: Array) -> str:
     """ "rad" or "deg" where jumps by a turn, or the change of position, tell; "" where nothing does."""
-    steps = np.abs(np.diff(psi[np.isfinite(psi)]))
-    jumps = float(np.median(steps[steps > np.pi])) if np.any(steps > np.pi) else 0.0
+    there = psi[np.isfinite(psi)]
+    steps, span = np.abs(np.diff(there)), float(np.ptp(there)) if len(there) else 0.0
     for unit, turn in (("rad", 2 * np.pi), ("deg", 360.0)):
-        if abs(jumps - turn) < SETTINGS.jump * turn:
+        # A heading that jumps by a turn has no wider range than that.
+        far = steps[steps > turn / 2] if span < (1.0 + SETTINGS.jump) * turn else steps[:0]
+        if len(far) and abs(float(np.median(far)) - turn) < SETTINGS.jump * turn:
             return unit
     if not {"x", "y", "u"} <= channels.keys():
         return ""
