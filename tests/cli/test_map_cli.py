@@ -82,6 +82,13 @@ def test_names_units_and_ranges_are_understood(case: Path, capsys: pytest.Captur
             },
             {"position": "NED", "body": "FRD", "velocity": "NED"},
         ),
+        (
+            {
+                "v": pl.col("u") * pl.col("psi").cos() - pl.col("v") * pl.col("psi").sin(),
+                "u": pl.col("u") * pl.col("psi").sin() + pl.col("v") * pl.col("psi").cos(),
+            },
+            {"position": "NED", "body": "FRD", "velocity": "ENU"},
+        ),
     ],
 )
 def test_axes_are_those_in_which_position_and_velocity_agree(
