@@ -82,6 +82,13 @@ def test_names_units_and_ranges_are_understood(case: Path, capsys: pytest.Captur
             },
             {"position": "NED", "body": "FRD", "velocity": "NED"},
         ),
+        (
+            {
+                "v": pl.col("u") * pl.col("psi").cos() - pl.col("v") * pl.col("psi").sin(),
+                "u": pl.col("u") * pl.col("psi").sin() + pl.col("v") * pl.col("psi").cos(),
+            },
+            {"position": "NED", "body": "FRD", "velocity": "ENU"},
+        ),
     ],
 )
 def test_axes_are_those_in_which_position_and_velocity_agree(
@@ -165,6 +172,10 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("sway_m", "y", "m"),
         ("surge", "u", ""),
         ("tau_diff.x", "", ""),
+        ("heading.header_frame_id", "", ""),
+        ("heading.covariance_0", "", ""),
+        ("heading.data", "psi", ""),
+        ("body_frame.vx", "u", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -261,6 +272,31 @@ def test_a_clock_has_the_unit_that_its_name_states_or_is_asked_about(
     rates = "0.0008333 from row to row: that is 1.2e+03 rows a second if it is in s, 20 in min"
     assert time.doubt.startswith("" if column != "t" else rates)
     assert not time.doubt or column == "t"
+
+
+def test_a_time_of_day_to_the_second_is_a_clock_with_repeats(tmp_path: Path) -> None:
+    """As ground stations write it, the date apart: four rows have the same second."""
+    t = np.arange(0.0, 100.0, 0.25)
+    day = [f"{9 + int(s // 60 + 59) // 60}:{int(s // 60 + 59) % 60:02d}:{int(s) % 60:02d} " for s in t]
+    table = pl.DataFrame({"Date": ["10/6/2020"] * len(t), "Time": day, "yaw": np.sin(t)})
+    table.write_csv(tmp_path / "own.csv")
+    found = guess_mapping(tmp_path / "own.csv")
+    assert found.time.entry == {"column": "Time", "unit": "iso", "disorder": "drop"}
+    assert found.time.doubt == "75.00% of the rows are not later than an earlier one: leave them out?"
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.t, np.arange(100.0))
+
+
+def test_a_heading_in_degrees_that_turns_by_six_of_them_a_row_is_not_in_radians() -> None:
+    """A drifting boat turns by about 2 pi degrees in a second, and seldom through north."""
+    t = np.arange(0.0, 300.0)
+    heading = 180.0 + 150.0 * np.sin(2 * np.pi / 150.0 * t) + 3.0 * (-1.0) ** t
+    found = guess_table(pl.DataFrame({"t": t, "heading": heading % 360.0}), Path("own.csv"))
+    (psi,) = found.columns
+    assert psi.entry["unit"] == "deg"
+    turning = guess_table(pl.DataFrame({"t": t, "heading": np.angle(np.exp(0.3j * t))}), Path("own.csv"))
+    assert turning.columns[0].entry["unit"] == "rad"
 
 
 def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None:

@@ -30,6 +30,7 @@ class QuotientSettings:
     same: float = 0.1  # share of that deviation by which the velocity may differ from the quotient
     rows: float = 0.8  # share of the rows in which it must be that close
     fewest: int = 50  # rows that show it
+    most: int = 20_000  # rows examined
     jitter: float = 0.05  # spread of the steps, as a share of the usual one, below which it does no harm
     worth: float = 2e-3  # mismatch with the pose, as a share of the motion, below which it is not reported
     gross: float = 0.05  # mismatch from which a fit is refused
@@ -42,6 +43,7 @@ def divided(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
     """Velocities of a run that are differences of its pose over jittering time steps."""
     if jitter_of(run.clock) < SETTINGS.jitter or len(run.t) < SETTINGS.fewest:
         return ()
+    run = run.head(SETTINGS.most)
     zero = np.zeros(len(run.t))
     pose = np.column_stack([run.channels[n] if n in kinematics.channels else zero for n in POSE])
     quotients = [np.linalg.solve(jacobian(pose), rate[:, :, None])[:, :, 0] for rate in _rates(run.t, pose)]

@@ -49,7 +49,8 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     dated = found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
-    stated, step = unit_of_clock(found), float(np.nanmedian(np.diff(times[sampled])))
+    kept = times[sampled & np.isfinite(times)]
+    stated, step = unit_of_clock(found), float(np.median(np.diff(kept[later_than_before(kept)])))
     unit = "iso" if dated else stated or unit_by_steps(times, step)
     rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"

@@ -33,29 +33,35 @@ class FrameSettings:
 SETTINGS = FrameSettings()
 
 _HERE, _EARTH = "the axes written here", "velocities along the axes of the position"
+_EAST = "velocities east and north, the position north and east"
 _WHICH = "north-east-down and forward-starboard-down, or all of it east-north-up and forward-left-up?"
 _HEADING = (
     "does the heading grow clockwise seen from above, as that of a compass? If it grows the other way: "
     'position = "ENU", body = "FLU"'
 )
-# Keys of [frames], and whether y and x change places, v changes sign, velocities are along earth axes.
-_ENTRIES: dict[str, tuple[dict[str, str], tuple[bool, bool, bool]]] = {
-    _HERE: ({"position": "NED", "body": "FRD"}, (False, False, False)),
+# Keys of [frames], whether y and x change places, v changes sign, velocities are along earth axes, and
+# whether these are east and north.
+_ENTRIES: dict[str, tuple[dict[str, str], tuple[bool, bool, bool, bool]]] = {
+    _HERE: ({"position": "NED", "body": "FRD"}, (False, False, False, False)),
     "x east and y north": (
         {"position": "ENU", "body": "FRD", "attitude": "NED"},
-        (True, False, False),
+        (True, False, False, False),
     ),
     "sway to port": (
         {"position": "NED", "body": "FLU", "attitude": "NED"},
-        (False, True, False),
+        (False, True, False, False),
     ),
     "x east, y north and sway to port": (
         {"position": "ENU", "body": "FLU", "attitude": "NED"},
-        (True, True, False),
+        (True, True, False, False),
     ),
     _EARTH: (
         {"position": "NED", "body": "FRD", "velocity": "NED"},
-        (False, False, True),
+        (False, False, True, False),
+    ),
+    _EAST: (
+        {"position": "NED", "body": "FRD", "velocity": "ENU"},
+        (False, False, True, True),
     ),
 }
 
@@ -91,7 +97,7 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
     finding = f"velocity and heading leave these shares of the change of position unexplained: {shares}"
     if left[best] > SETTINGS.agrees or left[best] > SETTINGS.clearly * left[other]:
         return Axes(questions=(f"{finding}. That is not decisive: which axes are they?", _HEADING))
-    doubts = [_HEADING] if best in (_HERE, _EARTH) else []
+    doubts = [_HEADING] if best in (_HERE, _EARTH, _EAST) else []
     return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes: is that right?", *doubts))
 
 
@@ -113,9 +119,10 @@ def _left_over(seconds: float, t: Array, channels: Mapping[str, Array]) -> dict[
         return {}
     motion = np.sqrt(np.mean(_change(x, step) ** 2 + _change(y, step) ** 2))
     found = {}
-    for name, (_, (swapped, port, earth)) in _ENTRIES.items():
+    for name, (_, (swapped, port, earth, east)) in _ENTRIES.items():
         side = -v if port else v
-        ahead, across = u + 1j * side, (1.0 if earth else np.exp(1j * psi))
+        ahead = v + 1j * u if east else u + 1j * side
+        across = 1.0 if earth else np.exp(1j * psi)
         moved = _change(_summed(ahead * across, t), step)
         went = _change(y + 1j * x if swapped else x + 1j * y, step)
         found[name] = float(np.sqrt(np.mean(np.abs(went - moved) ** 2)) / max(motion, 1e-12))
@@ -124,10 +131,12 @@ def _left_over(seconds: float, t: Array, channels: Mapping[str, Array]) -> dict[
 
 def unit_of_heading(psi: Array, channels: Mapping[str, Array], t: Array) -> str:
     """ "rad" or "deg" where jumps by a turn, or the change of position, tell; "" where nothing does."""
-    steps = np.abs(np.diff(psi[np.isfinite(psi)]))
-    jumps = float(np.median(steps[steps > np.pi])) if np.any(steps > np.pi) else 0.0
+    there = psi[np.isfinite(psi)]
+    steps, span = np.abs(np.diff(there)), float(np.ptp(there)) if len(there) else 0.0
     for unit, turn in (("rad", 2 * np.pi), ("deg", 360.0)):
-        if abs(jumps - turn) < SETTINGS.jump * turn:
+        # A heading that jumps by a turn has no wider range than that.
+        far = steps[steps > turn / 2] if span < (1.0 + SETTINGS.jump) * turn else steps[:0]
+        if len(far) and abs(float(np.median(far)) - turn) < SETTINGS.jump * turn:
             return unit
     if not {"x", "y", "u"} <= channels.keys():
         return ""

@@ -70,6 +70,7 @@ _DRIVES = {
 }  # fmt: skip
 # What a motor consumes or how warm it is drives nothing.
 _CONSUMED = {"voltage", "current", "power", "battery", "charge", "temp", "temperature", "error", "status"}
+_HEADER = {"header", "seq", "covariance", "status"}
 _CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller", "actuator"}
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
@@ -168,12 +169,17 @@ class Name:
         `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
         """
         wanted = WANTED - _HEIGHTS if self.is_height else WANTED
-        if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE} or self.force:
+        if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE} or self.force or self.of_header:
             return ""
         found = self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
         fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
         return found if found and (not self.unit or self.unit in fits[found]) else ""
+
+    @property
+    def of_header(self) -> bool:
+        """Whether it is of the head of a message, or says how good a measurement is."""
+        return bool(_HEADER & {*self.words}) or {"frame", "id"} <= {*self.words}
 
     @property
     def along_earth(self) -> bool:
@@ -306,7 +312,7 @@ class Name:
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
         single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
         drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
-        return drives and not {"limit", *_CONSUMED} & {*self.words}
+        return drives and not {"limit", *_CONSUMED} & {*self.words} and not self.of_header
 
     @property
     def unnumbered(self) -> list[str]:
