@@ -240,6 +240,11 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
     disturbance = "; the rest is a disturbance that no model of these signals can predict"
     use = disturbance if diagnosis.predictable else ", and can be used as it is"
+    not_the_cause = (
+        "it is not established as the cause: use it to predict, not to explain."
+        if len(diagnosis.helps) < 2
+        else "they are not established as the cause: use them to predict, not to explain."
+    )
     apart = (
         ": record the run that tells them apart before concluding that one of them is the cause"
         if _separable(diagnosis)
@@ -253,8 +258,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
         "missing_effect": f"{change}{also if helping else ''}.",
         "indistinguishable": f"{change}, but {_sets(diagnosis)} would "
         f"achieve the same, or most of it{apart}.",
-        "helps_prediction": f"{change}, but it is not established as the cause: use it to predict, not to "
-        "explain.",
+        "helps_prediction": f"{change}, but {not_the_cause}",
         "not_identifiable": f"Something is missing, but these logs do not say what: {left}; record a run "
         "with different motions.",
     }
