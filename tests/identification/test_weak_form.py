@@ -87,6 +87,14 @@ def test_noise_is_told_from_a_fast_signal_with_kinks(sigma: float) -> None:
     assert found == pytest.approx(sigma, rel=0.15)
 
 
+def test_noise_is_known_on_a_clock_without_two_steps_alike() -> None:
+    rng = np.random.default_rng(4)
+    t = np.cumsum(rng.exponential(0.08, 4000))
+    signal = 2.0 * np.sin(0.3 * t) + np.abs((t % 20.0) - 10.0)
+    found = white_noise(t, signal + 0.01 * rng.standard_normal(len(t)))
+    assert found == pytest.approx(0.01, rel=0.05)
+
+
 def test_noise_of_a_constant_channel_is_zero() -> None:
     assert white_noise(CLOCK, np.zeros(len(CLOCK))) == 0.0
 

@@ -14,7 +14,7 @@ from scipy.linalg import cholesky_banded
 from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.run import Run, noise_variance
+from undertow.identification.logs.run import Run, noise_variance, report_noise
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
@@ -97,6 +97,8 @@ class NoiseSettings:
     orders: tuple[int, ...] = (3, 4, 5, 6, 7, 8)
     samples_for_order: int = 4
     fewest: int = 10  # differences that a standard deviation is taken from
+    even: float = 0.2  # share of the usual step by which a step may be another and count as the same
+    in_row: float = 0.1  # share of the differences of the lowest order that such steps must leave
     # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
     clearly: float = 4.0
     # No channel counts as better known than this share of its change in 1 s: quadrature over samples is not
@@ -274,19 +276,29 @@ def white_noise(t: Array, y: Array) -> float:
 
 
 def noise_by_order(t: Array, y: Array) -> list[float]:
-    """Standard deviation of white noise by differences of increasing order; empty for too few samples."""
-    if len(t) <= NOISE.samples_for_order * NOISE.orders[0]:
+    """Standard deviation of white noise by differences of increasing order; empty for too few samples.
+
+    Where a clock has hardly two steps alike in a row, by divided differences.
+    """
+    orders = [k for k in NOISE.orders if len(y) > NOISE.samples_for_order * k]
+    if not orders:
         return []
-    steps = np.diff(t)
-    even = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
-    found = [_by_difference(y, even, k) for k in NOISE.orders if len(y) > NOISE.samples_for_order * k]
+    steps, there = np.diff(t), np.isfinite(y)
+    even = np.abs(steps - np.median(steps)) < NOISE.even * np.median(steps)
+    if np.mean(_in_row(even, orders[0])) < NOISE.in_row:
+        return [report_noise(t[there], y[there], k) for k in orders]
+    found = [_by_difference(y, even, k) for k in orders]
     return [f for f in found if np.isfinite(f)]
+
+
+def _in_row(even: Flags, order: int) -> Flags:
+    """Which differences of an order are over even steps."""
+    return np.convolve(even, np.ones(order), mode="valid") > order - 0.5
 
 
 def _by_difference(y: Array, even: Flags, order: int) -> float:
     difference = np.diff(y, n=order)
-    usable = np.convolve(even, np.ones(order), mode="valid") > order - 0.5
-    kept = difference[usable & np.isfinite(difference)]
+    kept = difference[_in_row(even, order) & np.isfinite(difference)]
     if len(kept) < NOISE.fewest:
         return np.inf
     return float(np.sqrt(noise_variance(kept) / comb(2 * order, order)))

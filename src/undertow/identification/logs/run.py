@@ -464,15 +464,15 @@ def _held(t: Array, one: Series, before: float) -> Array:
     return np.where(old, np.nan, held)
 
 
-def report_noise(t: Array, y: Array) -> float:
+def report_noise(t: Array, y: Array, order: int = SERIES.order) -> float:
     """Standard deviation of the white noise of reports (k,) at times that need not be even.
 
-    From divided differences: the combination of neighbours in which a parabola vanishes.
+    From divided differences: the combination of neighbours in which a polynomial below the order vanishes.
     """
-    count = SERIES.order + 1
+    count = order + 1
     if len(t) <= count:
         return 0.0
-    first = np.linspace(0, len(t) - count, min(len(t) - SERIES.order, SERIES.places)).astype(np.intp)
+    first = np.linspace(0, len(t) - count, min(len(t) - order, SERIES.places)).astype(np.intp)
     index = first[:, None] + np.arange(count)
     apart = t[index][:, :, None] - t[index][:, None, :]
     weight = 1.0 / np.prod(apart + np.eye(count), axis=2)
