@@ -805,3 +805,14 @@ def test_a_column_for_each_side_is_a_command_of_that_side(tmp_path: Path, pair: 
     assert guesses["port"].doubt.startswith("is it command 'port'?")
     alone, _ = _guesses(tmp_path, CATAMARAN, u_l=1.0, psi=1.0)
     assert alone["u"].column == "u_l"
+
+
+def test_a_speed_is_no_command_of_the_side_that_it_names() -> None:
+    usv = load_vehicle("otter")
+    t = np.arange(0.0, 20.0, 0.1)
+    columns = {"t": t, "Speed left (kn)": np.sin(t), "PWM L": 1500 + np.round(100 * np.sin(0.7 * t))}
+    columns |= {"PWM R": 1500 + np.round(100 * np.cos(0.7 * t)), "psi": 0.2 * np.sin(t)}
+    guess = guess_table(pl.DataFrame(columns), Path("log.csv"), usv)
+    read = {g.column: g.channel for g in guess.columns}
+    assert (read["PWM L"], read["PWM R"]) == ("port", "starboard")
+    assert "Speed left (kn)" not in read

@@ -187,3 +187,27 @@ def test_only_tables_can_be_several_files(tmp_path: Path) -> None:
     empty.mkdir()
     with pytest.raises(UndertowError, match="is a folder without tables: give the path of a log in it"):
         read_log(empty)
+
+
+@pytest.mark.parametrize("begin", [0, 1_700_000_000])
+def test_stamps_in_two_columns_are_the_clock_of_one_table_too(
+    begin: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(0.05, 40, 0.13)
+    columns = {"stamp.sec": begin + t.astype(int), "stamp.nanosec": np.round(1e9 * (t % 1.0)).astype(int)}
+    _write(tmp_path / "dive.csv", columns | _motion(t) | _thrust(t))
+    assert main(["map", "new", "dive.csv", "--out", "log.toml"]) == 0
+    mapping = read_mapping(tmp_path / "log.toml")
+    time = mapping.time
+    assert (time.column, time.nanoseconds, time.unit) == ("stamp.sec", "stamp.nanosec", "s")
+    run = read_log(tmp_path / "dive.csv", mapping, channels=COMMANDS)
+    np.testing.assert_allclose(np.diff(run.t), 0.13, atol=1e-9)
+    np.testing.assert_allclose(run.channels["x"], _motion(t)["x"], atol=1e-6)
+    (tmp_path / "folder").mkdir()
+    _write(tmp_path / "folder" / "dive.csv", columns | _motion(t))
+    np.testing.assert_allclose(np.diff(read_field_log(tmp_path / "folder").series["dive"].t), 0.13, atol=1e-6)
+    text = (tmp_path / "log.toml").read_text(encoding="utf-8")
+    (tmp_path / "ms.toml").write_text(text.replace('unit = "s"', 'unit = "ms"', 1), encoding="utf-8")
+    with pytest.raises(UndertowError, match=r"nanoseconds belong to a column in s, but unit is 'ms'"):
+        read_mapping(tmp_path / "ms.toml")

@@ -214,7 +214,8 @@ class LongLog:
         return run.with_notes(f"one row in {every} used") if every > 1 else run
 
     def _origin(self, table: pl.DataFrame) -> Origin:
-        must_have(self.mapping.time.column, table.columns, self._where, "time column")
+        for name in self.mapping.time.columns:
+            must_have(name, table.columns, self._where, "time column")
         rows = table if is_dated(table, self.mapping) else table.head(1)
         return times_of(rows, self.mapping, self._where)[1]
 

@@ -18,7 +18,7 @@ from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .guess_clock import clock_by_motion, clock_of, times_of_rows
+from .guess_clock import clock_by_motion, clock_of, columns_of, times_of_rows
 from .guess_frames import (
     Axes,
     Guess,
@@ -132,7 +132,7 @@ def guess_table(
         _command(command, name, data[name.column], units, axes_of_commands)
         for command, name in driving.items()
     ]
-    used = {time.column, *turned, *globe, *(g.column for g in read)}
+    used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
     questions += [_FLAG.format(f) for f, c in flags.items() if f not in used and len(np.unique(c)) > 1]

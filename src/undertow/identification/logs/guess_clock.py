@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -41,21 +42,56 @@ def times_of_rows(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, w
     """Times of the rows, s."""
     if time.column not in data:
         return seconds(table, time.column, where)[0]
-    return data[time.column] * SECONDS[str(time.entry["unit"])]
+    return _counted(data, time)
+
+
+def columns_of(time: Guess) -> tuple[str, ...]:
+    """The columns that a clock stands in: one, or those of seconds and nanoseconds."""
+    rest = time.entry.get("nanoseconds")
+    return (time.column,) if rest is None else (time.column, str(rest))
+
+
+def _counted(data: Mapping[str, Array], time: Guess) -> Array:
+    """Times, s, of a clock of numbers."""
+    name, *rest = columns_of(time)
+    halves = {name: rest[0]} if rest else {}
+    return with_nanoseconds(data, halves)[name] * SECONDS[str(time.entry["unit"])]
+
+
+def halves_of_stamps(names: Iterable[str]) -> dict[str, str]:
+    """Columns of seconds with those of the nanoseconds that belong to them: alike but for these words."""
+    there = [*names]
+    alike = {name: found[1] for name in there if (found := re.fullmatch(r"(.*?)(?:secs?|seconds)", name))}
+    ends = ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds")
+    return {
+        name: other
+        for name, begin in alike.items()
+        if (other := next((begin + end for end in ends if begin + end in there), ""))
+    }
+
+
+def with_nanoseconds(data: Mapping[str, Array], halves: Mapping[str, str]) -> dict[str, Array]:
+    """The columns, those of seconds with the nanoseconds added, which are no columns of their own then."""
+    whole = {name: data[name] + 1e-9 * data[other] for name, other in halves.items()}
+    return {n: whole.get(n, column) for n, column in data.items() if n not in halves.values()}
 
 
 def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Guess:
+    halves = halves_of_stamps(data)
+    data = with_nanoseconds(data, halves)
     found = _clock(table, data, where)
     dated = found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
     kept = times[sampled & np.isfinite(times)]
     stated, step = unit_of_clock(found), float(np.median(np.diff(kept[later_than_before(kept)])))
+    stated = "s" if found in halves else stated
     unit = "iso" if dated else stated or unit_by_steps(times, step)
     rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"
     said = "" if stated or dated else _asked_of_clock(step, unit, one)
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
+    entry |= {"nanoseconds": halves[found]} if found in halves else {}
     if rate > MEASURABLE.fast and np.all(sampled):
         asked.append(f"{rate:.3g} rows a second: every = {round(rate / MEASURABLE.enough)} would do at first")
     late = _late(times)
@@ -68,7 +104,7 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
 def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
     """Times of the rows, s, those of dates since 1970."""
     if time.column in data:
-        return data[time.column] * SECONDS[str(time.entry["unit"])]
+        return _counted(data, time)
     if table[time.column].dtype in (pl.Datetime, pl.Date):
         table = table.with_columns(pl.col(time.column).cast(pl.Datetime("ns")))
     t, first, origin = seconds(table, time.column, where)

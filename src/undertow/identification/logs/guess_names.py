@@ -23,6 +23,12 @@ _UNITS = {
 }  # fmt: skip
 _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
 _SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
+_NO_COMMANDS = {
+    *_LENGTHS,
+    *_SPEEDS,
+    "deg/s",
+    "m/s^2",
+}  # "SOG left (kn)" is a motion, and not the left thruster
 _PLACES = {
     "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
     "z": 2, "d": 2, "depth": 2, "down": 2, "up": 2,
@@ -290,6 +296,8 @@ class Name:
         also = [other for word in wanted for other in _ALSO.get(word, ())]
         if self.column.lower() == command.lower():
             return 0.0
+        if self.unit in _NO_COMMANDS:
+            return NO_FIT
         if set(wanted) <= set(self.words):
             return 1.0
         if self.force and command in axes:

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
@@ -101,6 +101,9 @@ class Time(_Strict):
 
     column: str = "t"  # name of the time column
     unit: str = "s"  # ``"s"``, ``"ms"``, ``"ns"``, ``"min"``, ``"h"``, ``"day"`` … or ``"iso"``
+    # Column of the nanoseconds that are added, where a stamp stands in two columns (``stamp.sec``,
+    # ``stamp.nanosec``).
+    nanoseconds: str | None = Field(default=None, min_length=1)
     offset: float = 0.0  # added to all times, s
     # What to do with rows whose time is not later than that of all rows before.
     disorder: Literal["refuse", "drop"] = "refuse"
@@ -110,6 +113,19 @@ class Time(_Strict):
     # Column that numbers the segments to use: each number is a separate run, rows without a number are left
     # out (vehicle on deck, estimator reset).
     stretch: str | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _nanoseconds_of_seconds(self) -> Self:
+        if self.nanoseconds is not None and self.unit != "s":
+            raise ValueError(
+                f'nanoseconds belong to a column in s, but unit is {self.unit!r}: write unit = "s"'
+            )
+        return self
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that the time stands in."""
+        return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
 
 
 class Frames(_Strict):

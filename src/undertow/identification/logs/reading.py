@@ -327,7 +327,8 @@ def _held(run: Run, stated: Held) -> tuple[str, ...]:
 
 def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], where: str) -> dict[str, Column]:
     """Say which columns are read, as what."""
-    must_have(mapping.time.column, names, where, "time column")
+    for name in mapping.time.columns:
+        must_have(name, names, where, "time column")
     for name, column in mapping.columns.items():
         if not column.optional or column.channel in commands:
             must_have(name, names, where, f"column for channel {column.channel!r},")
@@ -535,7 +536,7 @@ def _term(name: str, power: float) -> str:
 
 def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMapping) -> list[str]:
     flags = {column.fresh for column in sources.values()}
-    used = {*sources, *mapping.ignore, mapping.time.column, *flags}
+    used = {*sources, *mapping.ignore, *mapping.time.columns, *flags}
     used.update(n for channel in mapping.channels.values() for n in channel.formula.columns)
     left = [name for name in names if name not in used]
     return [f"columns not used: {', '.join(left)}"] if left else []

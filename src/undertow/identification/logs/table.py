@@ -553,9 +553,16 @@ def elapsed(
     exact = _exactly(table[name], mapping.decimal) if origin != 0.0 else None
     if origin is None:
         origin = float(raw[0]) if exact is None else exact.item(0)
+    rest = _nanoseconds(table, mapping, where)
     if exact is None or not isinstance(origin, Decimal):
-        return raw - float(origin), origin
-    return np.where(np.isnan(raw), np.nan, _from(exact, origin)), origin
+        return raw - float(origin) + rest, origin
+    return np.where(np.isnan(raw), np.nan, _from(exact, origin)) + rest, origin
+
+
+def _nanoseconds(table: pl.DataFrame, mapping: LogMapping, where: str) -> NDArray[np.float64] | float:
+    """What a second column adds to the times, s; nothing without one."""
+    name = mapping.time.nanoseconds
+    return 0.0 if name is None else 1e-9 * numbers(table, name, mapping, where)
 
 
 def _exactly(column: pl.Series, decimal: str) -> pl.Series | None:

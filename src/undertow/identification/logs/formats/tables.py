@@ -18,7 +18,14 @@ import numpy as np
 
 from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess import guess_table, numbers_of, whole_table
-from undertow.identification.logs.guess_clock import absolute_times, clock_of, unit_by_steps
+from undertow.identification.logs.guess_clock import (
+    absolute_times,
+    clock_of,
+    columns_of,
+    halves_of_stamps,
+    unit_by_steps,
+    with_nanoseconds,
+)
 from undertow.identification.logs.guess_names import Name, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS, Column
 from undertow.identification.logs.run import UNITS, later_than_before
@@ -126,8 +133,8 @@ def _series(file: Path, name: str) -> Series:
         late = float(np.nanmedian(t - stamps))
         zone = SETTINGS.quarter * round(late / SETTINGS.quarter)
         if abs(late - zone) < SETTINGS.apart:
-            return Series(name, stamps + zone, _without(data, {*parts, clock.column}))
-    return Series(name, t, _without(data, {clock.column}))
+            return Series(name, stamps + zone, _without(data, {*parts, *columns_of(clock)}))
+    return Series(name, t, _without(data, columns_of(clock)))
 
 
 def _without(data: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array]:
@@ -137,24 +144,17 @@ def _without(data: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array
 
 def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
     """Times of message stamps, s since 1970, and the columns that they are in; None without any."""
-    for columns in (*_seconds_and_nanoseconds(data), *((n,) for n in data if "stamp" in Name.of(n).words)):
-        whole, *parts = (data[n] for n in columns)
-        counted = whole + 1e-9 * parts[0] if parts else whole
+    halves = halves_of_stamps(data)
+    for name, counted in with_nanoseconds(data, halves).items():
+        if name not in halves and "stamp" not in Name.of(name).words:
+            continue
         there = counted[np.isfinite(counted)]
         if len(there) < 2 or np.mean(later_than_before(there)) <= 1.0 - SETTINGS.late:
             continue
-        t = counted if parts else counted * SECONDS[_unit(columns[0], there)]
+        t = counted if name in halves else counted * SECONDS[_unit(name, there)]
         if np.nanmin(t) > SETTINGS.since:
-            return t, columns
+            return t, (name, halves[name]) if name in halves else (name,)
     return None, ()
-
-
-def _seconds_and_nanoseconds(data: Mapping[str, Array]) -> Iterator[tuple[str, str]]:
-    """Pairs of columns whose names differ only in these words."""
-    for name in data:
-        if found := re.fullmatch(r"(.*?)(?:secs?|seconds)", name):
-            others = (found[1] + end for end in ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds"))
-            yield from ((name, other) for other in others if other in data)
 
 
 def _unit(name: str, stamps: Array) -> str:
