@@ -211,3 +211,11 @@ def test_what_cannot_be_is_refused(
     torpedo = words("torpedo")
     torpedo[-1] = "100"
     assert "a hull of these dimensions displaces" in refusal(torpedo, capsys, tmp_path)
+
+
+def test_a_misspelt_type_is_refused_with_those_that_there_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["vehicle", "new", "--type", "asvv", "--length", 2, "--beam", 1, "--height", 0.1, "--mass", 50]
+    line = refusal([*words, "--out", tmp_path / "boat.toml"], capsys, tmp_path)
+    assert line.startswith("error: Invalid value for '--type': 'asvv' is not one of 'rov6', 'rov8'")

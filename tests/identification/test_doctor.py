@@ -227,6 +227,16 @@ def test_a_mirrored_log_is_consistent_in_itself_and_given_away_by_the_commands(
     assert mistake.mapping == '[frames]\nposition = "ENU"\nbody = "FLU"'
 
 
+@pytest.mark.parametrize(("sway", "decides"), [(2.6, True), (6.0, False)])
+def test_a_little_more_left_of_one_equation_does_not_outweigh_another_that_is_explained(
+    sway: float, decides: bool
+) -> None:
+    """A boat in a current that its model lacks, read mirrored: in the right axes its sway is no better."""
+    names, moved = ("surge", "sway", "yaw"), np.ones(3, dtype=bool)
+    before, after = np.array([123.0, 1.9, 121.0]), np.array([119.0, sway, 0.6])
+    assert dynamics.Gain(names, before, after, moved).decisive == decides
+
+
 def test_velocities_along_the_earth_turn_with_the_position(usv: Case, read: Callable[..., Run]) -> None:
     """Gazebo's ground truth: pose and twist east-north-up, rates forward-left-up, read as north-east-down."""
 

@@ -187,7 +187,7 @@ def _report_failure(failure: BaseException) -> int:
 
 
 def _usage(failure: typer.TyperException) -> int:
-    message = failure.format_message()
+    message = failure.format_message().replace("Value error, ", "", 1)  # pydantic's, in front of the cause
     if not message.startswith("Usage:"):  # a bare group asks for its help to be shown
         context = getattr(failure, "ctx", None)
         path = context.command_path if context else "undertow"

@@ -453,11 +453,14 @@ def _show_uncertain(report: Report) -> None:
     sure = sum(r.box.verdict == r.ellipsoid.verdict == "holds for all" for r in uncertain)  # type: ignore[union-attr]
     failing = sum(r.verdict == "fails" for r in uncertain)
     without = sum(r.verdict == "no iota" for r in uncertain)
-    say(
-        f"  of {len(uncertain)} conditions with uncertain parameters {sure} hold for all, {failing} fail at "
-        f"the values of the file, {without} have no ι there, {len(uncertain) - sure - failing - without} in "
-        "between:"
-    )
+    counts = {
+        "hold for all": sure,
+        "fail at the values of the file": failing,
+        "have no ι there": without,
+        "in between": len(uncertain) - sure - failing - without,
+    }
+    counted = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+    say(f"  of {len(uncertain)} conditions with uncertain parameters {counted}{':' if open_rows else ''}")
     if open_rows:
         heads = ("condition", "channel", "parameters", "intervals", "ellipsoid", "fails at")
         console().print(table(heads, open_rows))

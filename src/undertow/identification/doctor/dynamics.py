@@ -60,6 +60,8 @@ class DynamicsSettings:
     enough: float = 4.0
     moved: float = 5.0  # spread of a velocity over its noise from which its equation of motion is evidence
     worse: float = 1.25  # no other equation may get worse by more than this factor
+    # Unless that costs less than this share of what is gained: what the model lacks makes some difference.
+    cost: float = 0.01
     unit: float = 5.0  # change of a channel's spread that only another unit explains
     small: float = 0.5  # excess over the noise that counts as none
     pwm_middle: float = 1500.0  # pulse width of a servo signal at rest, microseconds
@@ -227,7 +229,14 @@ class Gain:
         """Whether the change explains at least one equation of motion and spoils none."""
         needed = SETTINGS.enough if self.explained else SETTINGS.decisive
         wrong = (self.before > SETTINGS.unexplained) & self.moved
-        return bool(np.any(self.factors[wrong] >= needed) and np.all(self.factors > 1.0 / SETTINGS.worse))
+        return bool(np.any(self.factors[wrong] >= needed) and not np.any(self._spoiled))
+
+    @property
+    def _spoiled(self) -> NDArray[np.bool_]:
+        """Equations that get worse by more than goes along with what the others gain, (n,)."""
+        gained = np.sum(np.maximum(self.before - self.after, 0.0))
+        costly = self.after - self.before > SETTINGS.cost * gained
+        return np.asarray((self.factors <= 1.0 / SETTINGS.worse) & costly)
 
     @property
     def text(self) -> str:
