@@ -336,7 +336,8 @@ class GuessedMapping:
             for key in ("delimiter", "not_numbers", "missing_commands")
             if getattr(self.reading, key) != getattr(plain, key)
         ]
-        head += ["ignore = [", *(line for part in self._ignored() for line in part), "]"]
+        left = [line for part in self._ignored() for line in part]
+        head += ["ignore = [", *left, "]"] if left else []
         time = [f"{key} = {_toml(value)}" for key, value in self.time.entry.items()]
         asked = [f"# ? {self.time.doubt}"] if self.time.doubt else []
         frames = [f"# ? {question}" for question in self.axes.questions]
