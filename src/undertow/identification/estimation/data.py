@@ -98,6 +98,8 @@ class NoiseSettings:
     samples_for_order: int = 4
     fewest: int = 10  # differences that a standard deviation is taken from
     even: float = 0.2  # share of the usual step by which a step may be another and count as the same
+    # Differences of the lowest order over such steps that give a standard deviation to a tenth.
+    in_row: int = 100
     # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
     clearly: float = 4.0
     # No channel counts as better known than this share of its change in 1 s: quadrature over samples is not
@@ -284,7 +286,7 @@ def noise_by_order(t: Array, y: Array) -> list[float]:
         return []
     steps, there = np.diff(t), np.isfinite(y)
     even = np.abs(steps - np.median(steps)) < NOISE.even * np.median(steps)
-    if np.count_nonzero(_in_row(even, orders[0])) < NOISE.fewest:
+    if np.count_nonzero(_in_row(even, orders[0])) < NOISE.in_row:
         return [report_noise(t[there], y[there], k) for k in orders]
     found = [_by_difference(y, even, k) for k in orders]
     return [f for f in found if np.isfinite(f)]
