@@ -98,7 +98,8 @@ class NoiseSettings:
     samples_for_order: int = 4
     fewest: int = 10  # differences that a standard deviation is taken from
     even: float = 0.2  # share of the usual step by which a step may be another and count as the same
-    # Differences of the lowest order over such steps that give a standard deviation to a tenth.
+    # Differences of the lowest order over such steps that give a standard deviation to a tenth; of a short log
+    # half of them do.
     in_row: int = 100
     # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
     clearly: float = 4.0
@@ -286,7 +287,7 @@ def noise_by_order(t: Array, y: Array) -> list[float]:
         return []
     steps, there = np.diff(t), np.isfinite(y)
     even = np.abs(steps - np.median(steps)) < NOISE.even * np.median(steps)
-    if np.count_nonzero(_in_row(even, orders[0])) < NOISE.in_row:
+    if np.count_nonzero(_in_row(even, orders[0])) < min(NOISE.in_row, len(y) // 2):
         return [report_noise(t[there], y[there], k) for k in orders]
     found = [_by_difference(y, even, k) for k in orders]
     return [f for f in found if np.isfinite(f)]
