@@ -98,8 +98,8 @@ class NoiseSettings:
     samples_for_order: int = 4
     fewest: int = 10  # differences that a standard deviation is taken from
     even: float = 0.2  # share of the usual step by which a step may be another and count as the same
-    # Differences of the lowest order over such steps that give a standard deviation to a tenth; of a short log
-    # half of them do.
+    # Differences of the lowest order over such steps that give a standard deviation to a tenth; of a
+    # short log half of them do.
     in_row: int = 100
     # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
     clearly: float = 4.0
