@@ -55,6 +55,7 @@ class LogSet:
     injections, removals: names of what is injected, and ids of the effects that are taken out.
     also: of a removal, what is right beside it, since the vehicle is known to have it and its file does not,
         or since it is the very same equation for this vehicle.
+    documented: what the source of the logs says of the vehicle or its sensors, and the vehicle file lacks.
     """
 
     what: Judged
@@ -64,6 +65,7 @@ class LogSet:
     injections: tuple[str, ...] = ()
     removals: tuple[str, ...] = ()
     also: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    documented: tuple[str, ...] = ()
 
     def read(self, data: Path) -> tuple[Vehicle, list[Run], list[Run]]:
         """The vehicle as stated, the logs to fit to, and those to judge by (none: stretches are)."""
@@ -107,7 +109,8 @@ def _box(way: int) -> LogSet:
 
 
 def _rov(way: int) -> LogSet:
-    return LogSet(sf30k.WAYS[way], sf30k.FOLDER, (5.0, 30.0, 60.0))
+    # Its Doppler log is 0.54 m ahead of the origin and 0.56 m to port of it.
+    return LogSet(sf30k.WAYS[way], sf30k.FOLDER, (5.0, 30.0, 60.0), documented=("velocity_lever_arm",))
 
 
 #: Logs by the name that cases have; those with neither injections nor removals are diagnosed as they are.

@@ -271,8 +271,9 @@ moving ground: nothing in the water changes, so it is exact. So are the others, 
 noisy channels (a lever arm with the logged yaw rate). The table counts cases (in brackets those that count:
 adding the right effect lowers the error of the longest simulation by {100 * WORTH:g} % or more); of those
 that count, how often the effect is ranked first, and named alone or in a set of two; of all, how often a
-wrong cause, or also an effect not named for the original log, is named. If velocities are derived from the
-pose, a wrong pose is also a wrong velocity, and both names are right.
+wrong cause, or also an effect not named for the original log, is named (of the SUB-fighter 30k the place of
+its Doppler log is documented, and counts as neither). If velocities are derived from the pose, a wrong pose
+is also a wrong velocity, and both names are right.
 """
 PREDICTION = """\
 All methods are fitted to the same training runs and scored on the same windows of the same runs. In the last

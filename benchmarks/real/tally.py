@@ -11,6 +11,8 @@ from benchmarks.trust.measure import Record
 from benchmarks.trust.tally import Share, share
 from benchmarks.trust.verdicts import NAMING, Answer
 
+from .logs import SETS
+
 #: Least fall of the error of the longest simulation for an effect to count: less does not matter to its
 #: owner.
 WORTH = 0.15
@@ -95,8 +97,11 @@ class Graded:
 
     @property
     def new(self) -> set[str]:
-        """What is named, not right, in no set of two with it, and not named for the log as it is."""
-        known = causes(self.as_logged) if self.as_logged else set()
+        """What is named, not right, in no set of two with it, and neither named for the log as it is nor
+        documented of the vehicle.
+        """
+        logs = SETS.get(self.record["vehicle"])
+        known = (causes(self.as_logged) if self.as_logged else set()) | {*(logs.documented if logs else ())}
         return causes(self.answer) - self.right - known - (self.group if self.named else set())
 
     @property

@@ -149,7 +149,7 @@ def test_the_file_says_where_its_terms_come_from(undertow: Undertow, found: Path
     )
     assert "vehicle usv, logs a, undertow 0.1.0" in words
     assert "surge: 0.8 N rms remains above the noise" in words
-    assert "These are associations. Say here what makes the force" in words
+    assert "These are associations. State here what causes the force" in words
     assert "found.json" in cls.reference
     assert cls.specimen().parameters[0].unit == "N/((rad/s) (m/s))"
     text = (tmp_path / "turning_drag.py").read_text()

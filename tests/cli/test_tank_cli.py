@@ -63,7 +63,7 @@ def test_from_a_hull_to_a_vehicle_file(hull: Path, monkeypatch: pytest.MonkeyPat
     )
     stl(box_mesh((0.61, 0.42, 0.24)), hull / "other.stl")
     words[3] = "other.stl"
-    assert "made of a different hull (box.stl)" in refusal([*words, "--out", "no.toml"], capsys, hull)
+    assert "made with a different hull (box.stl)" in refusal([*words, "--out", "no.toml"], capsys, hull)
     # A log of the tank is a log as any other.
     logs = hull / "tank" / "logs"
     words = ["fit", "my.toml", logs / "surge-step-grid1.csv", "--map", logs / "surge-step-grid1.toml"]

@@ -50,7 +50,7 @@ def test_short_and_long_columns_mean_the_same(read):
         (TOP + "delimeter = ';'", ["key 'delimeter' is not known", "did you mean 'delimiter'?"]),
         (
             TOP + "[time]\nunits = 's'",
-            ["key 'time.units' is not known", "did you mean 'unit'?", "column, unit, offset"],
+            ["key 'time.units' is not known", "did you mean 'unit'?", "column, unit, nanoseconds, offset"],
         ),
         (TOP + "[frames]\nposition = 'NWU'", ["frames.position", "'NWU'", "'NED' or 'ENU'"]),
         (
