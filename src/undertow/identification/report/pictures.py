@@ -183,7 +183,7 @@ def _predictions(axis: Any, steps: Sequence[Step], horizons: Sequence[str], name
         errors = [100 * step.ahead.get(horizon, np.nan) for step in steps]
         axis.plot(range(len(errors)), errors, color=colour, marker="o", label=horizon)
     axis.set_xticks(range(len(names)), names)
-    axis.set_xlim(-0.4, max(len(names) - 0.6, 1.0))
+    axis.set_xlim(-0.4, max(len(names) - 0.4, 1.0))
     axis.set_ylim(bottom=0.0)
     axis.set_ylabel("velocity error ahead [% of motion]")
     axis.legend(title="ahead", fontsize=9)
