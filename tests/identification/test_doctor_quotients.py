@@ -9,7 +9,6 @@ import pytest
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import examine, refuse_impossible
-from undertow.identification.doctor.quotients import without
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
@@ -52,7 +51,7 @@ def test_steps_that_jitter_are_no_divisors(ship: Vehicle) -> None:
     assert finding.text.startswith("u, v, r are differences of x, y, psi over single time steps")
     assert {"u", "v", "r"} <= examined.mended[0].derived
     anew, true = (
-        velocities_from_pose(without(run, ("u", "v", "r")), ship.degrees_of_freedom),
+        velocities_from_pose(run.without(("u", "v", "r")), ship.degrees_of_freedom),
         _stamped(ship, 0.0),
     )
     for name in ("u", "v", "r"):

@@ -94,8 +94,7 @@ def _confirmed(
     lacking = next((g for g, w in zip(ordered.graded, worth, strict=True) if not w.enough(least)), None)
     if lacking is not None:
         beside = "" if lacking.doubt else selection.doubted_before(lacking)
-        doubted = selection.doubting(lacking, found_beside(beside))
-        rest = doubted if beside else selection.without(lacking)
+        rest = selection.doubting(lacking, found_beside(beside)) if beside else selection.without(lacking)
         return _confirmed(vehicle, found, validator, known, rest)
     builder.regrade(worth)
     return builder
@@ -232,7 +231,7 @@ def diagnose(
     with in_background(lambda: examine(vehicle, [*logs, *judges]).result) as examined:
         validator = SimulationValidator(vehicle, train, test, data.sigma, settings)
         effects = known or catalogue()
-        _tell_mistakes(examined())
+        _log_mistakes(examined())
         found = search(
             vehicle,
             data,
@@ -260,7 +259,7 @@ def diagnose(
     )
 
 
-def _tell_mistakes(examined: Examination) -> None:
+def _log_mistakes(examined: Examination) -> None:
     """Warn of mistakes in the logs before a search that takes minutes; it continues all the same."""
     for finding in examined.mistakes:
         _log.warning("%s (undertow doctor says how to correct it; the search continues)", finding.text)

@@ -42,7 +42,7 @@ from .mistakes import (
     other_time_unit,
     reading_mistakes,
 )
-from .quotients import finding_on_quotients, without
+from .quotients import finding_on_quotients
 from .sampling import DROP, excitation, excitation_findings, held_channels, read_when_new, sampling
 from .sensors import Explained, best_explanation, contradicts, inconsistent, possible_mismatch
 from .signs import WIRING, by_signs, lost_signs, signs_of, suspected
@@ -236,7 +236,7 @@ class _Examiner:
             self.findings.append(found)
             self.unmeasured = found if found.severity == "mistake" else None
             dofs = self.vehicle.degrees_of_freedom
-            self.runs = [velocities_from_pose(without(run, names), dofs) for run in self.runs]
+            self.runs = [velocities_from_pose(run.without(names), dofs) for run in self.runs]
             self.kinematics = Kinematics(self.runs, self.vehicle)
 
     def undo_repeats(self) -> None:
@@ -369,10 +369,8 @@ class _Examiner:
         """A run without a mistake, its velocities derived anew where they were derived from its pose."""
         if not run.derived:
             return undo(run)
-        own = {n: data for n, data in run.channels.items() if n not in run.derived}
-        return velocities_from_pose(
-            undo(replace(run, channels=own, derived=frozenset())), self.vehicle.degrees_of_freedom
-        )
+        own = replace(run.without(run.derived), derived=frozenset())
+        return velocities_from_pose(undo(own), self.vehicle.degrees_of_freedom)
 
     def _undo(
         self,

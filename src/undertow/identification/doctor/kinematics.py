@@ -160,8 +160,8 @@ class Kinematics:
 
     def samples(self, run: Run, s: Segment) -> Samples:
         """Pose, velocity and J(eta) at the samples of a segment."""
-        pose = self._table(run, POSE, s.piece)
-        return Samples(pose, self._table(run, VELOCITY, s.piece), jacobian(pose))
+        pose = self.table(run, POSE)[s.piece]
+        return Samples(pose, self.table(run, VELOCITY)[s.piece], jacobian(pose))
 
     @property
     def places(self) -> list[int]:
@@ -177,10 +177,10 @@ class Kinematics:
         length = s.length[:, None]
         return -(f.rate @ at.pose[:, places]) / length, (f.value @ moved) / length, variance / length**2
 
-    def _table(self, run: Run, names: tuple[str, ...], piece: slice) -> Array:
+    def table(self, run: Run, names: tuple[str, ...]) -> Array:
         """Six columns; what the run lacks, or does not matter, is zero."""
         zero = np.zeros(len(run.t))
-        return np.column_stack([run.channels[n] if n in self.channels else zero for n in names])[piece]
+        return np.column_stack([run.channels[n] if n in self.channels else zero for n in names])
 
     def _noise(self, run: Run) -> Array:
         names = (*POSE, *VELOCITY)

@@ -7,7 +7,7 @@ quotient is wrong by as much: on average too large, and at short steps by any fa
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +44,7 @@ def divided(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
     if jitter_of(run.clock) < SETTINGS.jitter or len(run.t) < SETTINGS.fewest:
         return ()
     run = run.head(SETTINGS.most)
-    zero = np.zeros(len(run.t))
-    pose = np.column_stack([run.channels[n] if n in kinematics.channels else zero for n in POSE])
+    pose = kinematics.table(run, POSE)
     quotients = [np.linalg.solve(jacobian(pose), rate[:, :, None])[:, :, 0] for rate in _rates(run.t, pose)]
     own = [n for n in VELOCITY if n in kinematics.channels and _compared(n, kinematics.rows)]
     return tuple(n for n in own if any(_same(run.channels[n], q[:, VELOCITY.index(n)]) for q in quotients))
@@ -80,11 +79,6 @@ def _same(velocity: Array, quotient: NDArray[np.floating]) -> bool:
     strays = np.abs(q - median_filter(q, SETTINGS.around))
     far = strays > max(float(np.median(strays)), 1e-12)
     return bool(far.any() and np.mean(np.abs(v - q)[far] < SETTINGS.same * strays[far]) > SETTINGS.rows)
-
-
-def without(run: Run, names: Sequence[str]) -> Run:
-    """A run without some channels."""
-    return replace(run, channels={n: data for n, data in run.channels.items() if n not in names})
 
 
 def finding_on_quotients(

@@ -107,8 +107,10 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
 def jitter_of(clock: Array) -> float:
     """Spread of the steps of a clock, without its gaps, as a share of the usual one."""
     step = np.diff(clock)
-    usual = float(np.median(step)) if len(step) else 1.0
-    return float(np.std(step[step < 1.5 * usual]) / usual) if len(step) else 0.0
+    if not len(step):
+        return 0.0
+    usual = float(np.median(step))
+    return float(np.std(step[step < 1.5 * usual]) / usual)
 
 
 def _disorder(run: Run, mapping: LogMapping) -> Iterator[Finding]:

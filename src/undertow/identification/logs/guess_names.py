@@ -23,12 +23,8 @@ _UNITS = {
 }  # fmt: skip
 _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
 _SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
-_NO_COMMANDS = {
-    *_LENGTHS,
-    *_SPEEDS,
-    "deg/s",
-    "m/s^2",
-}  # "SOG left (kn)" is a motion, and not the left thruster
+# "SOG left (kn)" is a motion, and not the left thruster. A propeller may be commanded in rad/s.
+_NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "m/s^2"}
 _PLACES = {
     "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
     "z": 2, "d": 2, "depth": 2, "down": 2, "up": 2,

@@ -225,6 +225,12 @@ class Run:
         """Return the first samples as a run of its own."""
         return self._rows(builtins.slice(count))
 
+    def without(self, names: Collection[str]) -> Run:
+        """Return the run without some channels."""
+        channels = {n: data for n, data in self.channels.items() if n not in names}
+        reported = {n: there for n, there in self.reported.items() if n not in names}
+        return replace(self, channels=channels, reported=reported)
+
     def _rows(self, rows: Flags | builtins.slice) -> Run:
         channels, wrapped = (
             {name: data[rows] for name, data in table.items()} for table in (self.channels, self.wrapped)
@@ -518,9 +524,7 @@ def with_report_noise(run: Run, must: Collection[str] = (), *, part: bool = Fals
         elif not part:
             few.append(name)
             notes.append(f"{name}: left out, as it has {len(t)} reports; {SERIES.fewest} are needed")
-    channels = {n: data for n, data in run.channels.items() if n not in few}
-    reported = {n: there for n, there in run.reported.items() if n not in few}
-    return replace(run, channels=channels, reported=reported, sigma=sigma).with_notes(*notes)
+    return replace(run.without(few), sigma=sigma).with_notes(*notes)
 
 
 def with_reports(run: Run, values: Mapping[str, Array]) -> Run:
