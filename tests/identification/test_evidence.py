@@ -26,7 +26,9 @@ from undertow.identification.diagnosis.evidence import (
     inclusion,
     null_distribution,
     p_value,
+    rank_p_value,
     thinned,
+    with_longer_blocks,
 )
 from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.splitting import repeats
@@ -97,6 +99,24 @@ def test_the_effect_that_is_there_is_the_best_one_in_nearly_all_resamples() -> N
     share = inclusion(_candidates(np.random.default_rng(4), [0.3, 0.0]))
     assert share.sum() == pytest.approx(1.0)
     assert share[0] > 0.95
+
+
+def test_falls_of_blocks_left_out_are_those_of_models_fitted_to_all_others() -> None:
+    rng, rows, per_block = np.random.default_rng(12), 60, 10
+    J, shift, r = rng.standard_normal((rows, 4)), rng.standard_normal(rows), rng.standard_normal(rows)
+    block, prior = np.arange(rows) // per_block, np.array([0.0, 1.0, 0.0, 2.0])
+    tables = (
+        Blocks.of(J[h], shift[h], r[h], block[h] - block[h][0]) for h in (slice(0, 40), slice(40, rows))
+    )
+
+    def left(out: np.ndarray, columns: np.ndarray, y: np.ndarray, weight: np.ndarray) -> float:
+        rows_, target = np.vstack([columns[~out], np.diag(weight)]), np.append(y[~out], np.zeros(len(weight)))
+        return float(np.sum((y[out] - columns[out] @ np.linalg.lstsq(rows_, target, rcond=None)[0]) ** 2))
+
+    expected = [
+        left(block == b, J[:, :2], r, prior[:2]) - left(block == b, J, r + shift, prior) for b in range(6)
+    ]
+    assert Linear(*tables, 2, prior).left_out() == pytest.approx(np.array(expected))
 
 
 @cache
@@ -179,6 +199,32 @@ def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
 def test_a_slow_effect_that_is_there_shows_beside_a_slow_disturbance() -> None:
     rng = np.random.default_rng(9)
     assert np.mean([_chance_of_slow(rng, 2.0, longer=True) < 0.01 for _ in range(30)]) > 0.9
+
+
+def _by_rank(rng: np.random.Generator, memory: float, size: float) -> float:
+    """p-value by ranks of a steady force of this size under a disturbance of this time constant, s."""
+    train, test = _minutes_of_a_usv()
+    bench = cast("Bench", SimpleNamespace(train=train, test=test))
+    r = [_wandering(d, memory, rng, 1)[:, 0] + size for d in (train, test)]
+    left = (r[0] - r[0].mean()).reshape(-1, len(train.rows)).sum(axis=1)
+    times = max(1, round(train.forgetful(left) / train.block_seconds))
+    tables = (
+        Blocks.of(np.ones((len(d.time), 1)), np.zeros(len(d.time)), y, d.block)
+        for d, y in zip((train, test), r, strict=True)
+    )
+    force = with_longer_blocks(Linear(*tables, 1, np.zeros(1)), times, bench)
+    return rank_p_value(force.left_out())
+
+
+@pytest.mark.parametrize(("memory", "level"), [(1.0, 1e-3), (5.0, 1e-3), (20.0, 1e-2)])
+def test_a_steady_force_shows_under_a_slow_disturbance_only_if_it_is_there(
+    memory: float, level: float
+) -> None:
+    """Every block counts, each against models fitted to the others: those of validation data are too few."""
+    rng = np.random.default_rng(11)
+    by_chance, there = ([_by_rank(rng, memory, size) for _ in range(60)] for size in (0.0, 3.0))
+    assert np.mean(np.array(by_chance) < 0.01) <= 0.05
+    assert np.mean(np.array(there) < level) > 0.9
 
 
 def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:

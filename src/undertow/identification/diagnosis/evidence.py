@@ -63,7 +63,12 @@ def _summary(means: Array) -> Comparison:
     half = float(student.ppf(0.975, n - 1) * np.std(means, ddof=1) / np.sqrt(n)) if n > 1 else np.inf
     if np.allclose(means, 0.0):
         return Comparison(0.0, (0.0, 0.0), 1.0)
-    return Comparison(mean, (mean - half, mean + half), float(wilcoxon(means, alternative="greater").pvalue))
+    return Comparison(mean, (mean - half, mean + half), rank_p_value(means))
+
+
+def rank_p_value(falls: Array) -> float:
+    """P-value of falls of the error by block (B,) if the models are equally good, by their signed ranks."""
+    return 1.0 if np.allclose(falls, 0.0) else float(wilcoxon(falls, alternative="greater").pvalue)
 
 
 def explained(before: Array, after: Array, noise: Array, settings: Settings = DEFAULT) -> float:
@@ -262,6 +267,17 @@ class Linear:
         delta = -self.train.slope(train_signs) @ _inverse(self.train.gram, self.stiffness)
         return self.test.squares(test_signs, delta)
 
+    def left_out(self) -> Array:
+        """Fall of the sum of squares of each block by the candidate, (B,): both models are fitted to all
+        other blocks, of training and validation data (cross-validation).
+        """
+        table = np.concatenate([self.train.table, self.test.table])
+        own = len(self.stiffness) - self.own
+        without = [*range(own), -1]
+        return _squares_left_out(table[:, without][:, :, without], self.stiffness[:own]) - _squares_left_out(
+            table, self.stiffness
+        )
+
     def resampled(self, train_weight: Array, test_weight: Array) -> Array:
         """Validation sum of squares after a refit to weighted blocks, shape (draws,)."""
         return np.array(
@@ -284,6 +300,23 @@ def _inverse(gram: Array, stiffness: Array) -> Array:
     inverse = np.zeros_like(gram)
     inverse[np.ix_(felt, felt)] = inverse_of((gram + np.diag(stiffness**2))[np.ix_(felt, felt)])
     return inverse
+
+
+def _squares_left_out(table: Array, stiffness: Array) -> Array:
+    """Sum of squares of each block, (B,), at the parameters fitted to all others.
+
+    table: (B, k + n, k + n), gram matrices of k columns and of the n parts of the residual.
+    """
+    k, whole = len(stiffness), table.sum(axis=0)
+    parts = np.ones(len(whole) - k)
+
+    def squares(block: Array) -> float:
+        others = whole - block
+        delta = -_inverse(others[:k, :k], stiffness) @ (others[:k, k:] @ parts)
+        at = np.concatenate([delta, parts])
+        return float(at @ block @ at)
+
+    return np.array([squares(block) for block in table])
 
 
 def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
@@ -316,14 +349,17 @@ class Chance:
     def p_value(self, fall: float, times: int) -> float:
         """Probability that the best reduces the error as much, with blocks longer by this factor."""
         if times not in self._known:
-            self._known[times] = null_distribution(self._joined(times), self.bench.settings)
+            joined = [with_longer_blocks(c, times, self.bench) for c in self.candidates]
+            self._known[times] = null_distribution(joined, self.bench.settings)
         return p_value(fall, self._known[times])
 
-    def _joined(self, times: int) -> Sequence[Linear]:
-        if times == 1:
-            return self.candidates
-        train, test = (_groups(data, times) for data in (self.bench.train, self.bench.test))
-        return [replace(c, train=c.train.joined(train), test=c.test.joined(test)) for c in self.candidates]
+
+def with_longer_blocks(candidate: Linear, times: int, bench: Bench) -> Linear:
+    """The candidate with blocks longer by this factor."""
+    if times == 1:
+        return candidate
+    train, test = (_groups(data, times) for data in (bench.train, bench.test))
+    return replace(candidate, train=candidate.train.joined(train), test=candidate.test.joined(test))
 
 
 def _groups(data: WeakData, times: int) -> NDArray[np.intp]:

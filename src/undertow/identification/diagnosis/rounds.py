@@ -20,7 +20,6 @@ from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate, possible
 from .evidence import (
     Chance,
-    Comparison,
     FoundEffect,
     IsNoise,
     Linear,
@@ -29,7 +28,9 @@ from .evidence import (
     explained,
     inclusion,
     linear,
+    rank_p_value,
     times_longer,
+    with_longer_blocks,
 )
 from .parallel import mapped
 from .settings import DEFAULT, Settings
@@ -94,7 +95,7 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
     fits = [*finalists, *behind]
     left = bench.on_train(fits[0].fit).r if fits else bench.base.at.r
-    return _judged(bench, fits, others, _Evidence(falls, chance, left))
+    return _judged(bench, fits, others, _Evidence(falls, chance, left, len(fits) + len(others)))
 
 
 def _fall(before: Score, after: Score) -> float:
@@ -221,19 +222,22 @@ def far_behind(
 
 
 class _Evidence(NamedTuple):
-    """Error reductions of candidates, their null distribution, and the residual of the best one, (m,)."""
+    """Error reductions of candidates, their null distribution, the residual of the best one, (m,), and their
+    number.
+    """
 
     falls: dict[str, float]
     chance: Chance
     left: Array
+    among: int
 
 
 def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Evidence) -> Round:
     linears = [linear(t.fit, bench) for t in tried]
-    often = [*inclusion(linears, bench.settings).tolist(), *[float("nan")] * len(others)]
-    findings = [
-        _finding(t, bench, evidence, share, len(often))
-        for t, share in zip([*tried, *others], often, strict=True)
+    often = inclusion(linears, bench.settings).tolist()
+    chances = [_chances(t, at, bench, evidence) for t, at in zip(tried, linears, strict=True)]
+    findings = [_finding(*found, bench) for found in zip(tried, chances, often, strict=True)] + [
+        _finding(t, (1.0, 1.0), float("nan"), bench) for t in others
     ]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
     best = findings[0].trial.score
@@ -246,10 +250,10 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Ev
     return Round(bench, findings, rivals)
 
 
-def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, count: int) -> FoundEffect:
+def _finding(trial: Trial, chances: tuple[float, float], inclusion: float, bench: Bench) -> FoundEffect:
     settings = bench.settings
     compared = compare_scores(bench.base_score, trial.score, bench.test)
-    chance, slow = _chances(trial, compared, bench, evidence, count)
+    chance, slow = chances
     strong = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
@@ -257,29 +261,26 @@ def _finding(trial: Trial, bench: Bench, evidence: _Evidence, inclusion: float, 
     return FoundEffect(trial, compared, share, chance, strong and better, slow, inclusion)
 
 
-def _chances(
-    trial: Trial, compared: Comparison, bench: Bench, evidence: _Evidence, count: int
-) -> tuple[float, float]:
+def _chances(trial: Trial, at: Linear, bench: Bench, evidence: _Evidence) -> tuple[float, float]:
     """Probability that the best of all candidates does as well as this one if nothing is missing; and the
     same under a slow disturbance.
 
     The bootstrap weights blocks by their error reduction, the rank test counts them: each may detect what the
-    other misses, and each gets half of the false alarms.
-
-    compared: the candidate and the model without it over the usual blocks.
+    other misses, and each gets half of the false alarms. Few of the longer blocks are in the validation data:
+    all are compared, each with models that were fitted to the others.
     """
     if trial.id not in evidence.falls:
         return 1.0, 1.0
 
-    def chance(by_rank: Comparison, times: int) -> float:
+    def chance(by_rank: float, times: int) -> float:
         by_draws = evidence.chance.p_value(evidence.falls[trial.id], times)
-        return min(1.0, 2.0 * min(by_draws, count * by_rank.p_value))
+        return min(1.0, 2.0 * min(by_draws, evidence.among * by_rank))
 
-    usual, longer = chance(compared, 1), times_longer(trial, evidence.left, bench)
+    usual = chance(compare_scores(bench.base_score, trial.score, bench.test).p_value, 1)
+    longer = times_longer(trial, evidence.left, bench)
     if longer == 1:
         return usual, usual
-    block = bench.test.blocks_of(longer * bench.test.block_seconds)
-    return usual, chance(compare_scores(bench.base_score, trial.score, bench.test, block), longer)
+    return usual, chance(rank_p_value(with_longer_blocks(at, longer, bench).left_out()), longer)
 
 
 @dataclass(frozen=True)
