@@ -271,9 +271,9 @@ def test_wind_pushes_to_one_side_of_the_world() -> None:
 
 
 def test_a_rudder_gives_nothing_at_rest_and_four_times_as_much_at_twice_the_speed() -> None:
-    world, values = hidden_world(NOMINAL["usv"], ["rudder_force"], 1, 1.0)
+    world, values = hidden_world(NOMINAL["torpedo"], ["rudder_force"], 1, 1.0)
     ((name, gain),) = values["rudder_force"].items()
-    which = NOMINAL["usv"].thrusters.index(name.removeprefix("rudder_"))
+    which = NOMINAL["torpedo"].thrusters.index(name.removeprefix("rudder_"))
     found = []
     for speed in (0.0, 0.4, 0.8, -0.4):
         nu = np.zeros((6, 1))

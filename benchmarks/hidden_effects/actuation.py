@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from .drawing import Vehicle
-from .registry import SURGING, TURNING, Draw, Values, hidden, those
+from .registry import TURNING, Draw, Values, hidden, those
 from .world import Moment, World
 
 
@@ -142,10 +142,15 @@ def propeller_walk(world: World, draw: Draw) -> Values:
     return dict(zip(names, (side, astern, turn, turn_astern), strict=True))
 
 
-@hidden("rudder_force", SURGING)
+def _across(vehicle: Vehicle) -> list[int]:
+    """Actuators that push across the hull, as a rudder or a stern plane."""
+    return [i for i, ahead in enumerate(vehicle.allocation[0]) if abs(ahead) < 1e-9]
+
+
+@hidden("rudder_force", those(lambda vehicle: 0 in vehicle.dofs and bool(_across(vehicle))))
 def rudder_force(world: World, draw: Draw) -> Values:
-    """F_i = c |u_r| u_r f_i along the column of one thruster: what it gives grows with the speed ahead."""
-    which = draw.pick(range(world.allocation.shape[1]))
+    """F_i = c |u_r| u_r f_i along the column of one actuator: what it gives grows with the speed ahead."""
+    which = draw.pick(_across(world.vehicle))
     gain = draw.size(0.1, 1.0) / world.vehicle.pace[0] ** 2
     column = world.allocation[:, [which]].copy()
 

@@ -92,6 +92,15 @@ def thruster_interference(world: World, draw: Draw) -> Values:
     return {"k": k}
 
 
+@hidden("falling_thrust", SURGING, kind="alien")
+def falling_thrust(world: World, draw: Draw) -> Values:
+    """f_i = c_i (1 - k v_i): thrust falls with the speed v_i of the thruster along it, at any load alike."""
+    k = draw.size(0.1, 0.8) / world.vehicle.pace[0]
+    inward = world.allocation.T.copy()
+    world.inflow.append(lambda f, nu_r: f - k * f * (inward @ nu_r))
+    return {"k": k}
+
+
 @hidden("dropped_weight", with_motions(2), kind="alien")
 def dropped_weight(world: World, draw: Draw) -> Values:
     """From t_0 on the vehicle is lighter by dW: force -dW down."""

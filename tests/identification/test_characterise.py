@@ -109,6 +109,18 @@ def test_what_is_right_stays_right_although_all_accelerations_are_coupled(effect
     assert left["yaw"].normalised_error < 1.15
 
 
+def test_thrust_that_falls_with_speed_goes_with_all_commands_together() -> None:
+    """One thruster alone explains half; where only one pushes ahead, it is that one."""
+    values, left = _left("falling_thrust", of="catamaran")
+    (reported,) = left["surge"].depends_on
+    assert reported.term == "u times each command"
+    assert reported.columns == [["command f1", "u"], ["command f2", "u"]]
+    assert reported.coefficients == pytest.approx([-values["falling_thrust"]["k"]] * 2, rel=0.15)
+    assert "N/(command (m/s))" in left["surge"].summary
+    single = _left("falling_thrust", of="ship", seed=2)[1]["surge"].depends_on[0]
+    assert single.columns == [["command f1", "u"]]
+
+
 @pytest.mark.slow
 def test_a_force_that_follows_two_commands() -> None:
     _, left = _left(*COMMANDS)
@@ -442,6 +454,7 @@ def _reported(columns: list[list[str]], coefficients: list[float], term: str) ->
         ([["u", "u"]], [-2.0], "falls as term grows"),
         ([[]], [0.25], "0.25 N"),
         ([["sin(psi)"], ["cos(psi)"]], [3.0, 4.0], "amplitude 5 N"),
+        ([["command f1", "u"], ["|command f2|", "u"]], [3.0, -4.0], "3 for f1, -4 for f2; N"),
     ],
 )
 def test_what_a_term_does(columns: list[list[str]], coefficients: list[float], words: str) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
+import numpy as np
 import pytest
+import sympy as sm
 
+import undertow as ut
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnose import diagnose
@@ -17,9 +21,13 @@ from undertow.identification.diagnosis.residual import remaining, unknown_to
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
+from undertow.identification.logs.run import Run
 from undertow.identification.report.scaffold import effect_of
 from undertow.identification.result_builder import contradiction
 from undertow.model.catalogue import catalogue
+from undertow.model.effect import Parameter, Signals, Wrench
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 
 class _Tried(NamedTuple):
@@ -118,3 +126,42 @@ def test_no_missing_force_makes_pose_and_velocities_contradict(
 ) -> None:
     tried = _tried((hidden, "periodic_side_force"), effect)
     assert reconciles_sensors(tried.finding, tried.bench) is reconciles
+
+
+class FallingThrust(Wrench):
+    """Thrust that falls with the speed ahead, at any load alike: no effect of the catalogue does."""
+
+    id = "falling_thrust"
+    family = "actuation"
+    reference = "none: for this test"
+    signature = "top speed is lower than thrust at rest suggests"
+
+    fall = Parameter("s/m", "fraction of the thrust lost per m/s")
+
+    def wrench(self, s: Signals) -> sm.Matrix:
+        return -self.fall * s.nu_r[0] * self.allocation * s.actuation
+
+
+@pytest.mark.slow
+def test_drag_is_not_blamed_for_thrust_that_falls_with_speed() -> None:
+    """Of a boat that goes ahead most of the time: then thrust and drag nearly go together."""
+    otter = load_vehicle("otter")
+    effects = (*otter.effects, FallingThrust(otter.command_names))
+    true = replace(otter, effects=effects, values={**otter.values, "fall": Value(0.35)})
+    runs = [_run_of(true, seed) for seed in range(4)]
+    known = {i: catalogue()[i] for i in ("cubic_damping", "quadratic_damping", "thrust_loss", "lift")}
+    found = diagnose(otter, runs[:3], runs[3:], known=known).diagnosis
+    assert found.effects == []
+    (surge,) = (r for r in found.remaining if r.degree_of_freedom == "surge")
+    assert surge.depends_on[0].term == "u times each command"
+    assert "u times each command" in found.ranking[0].not_named, found.ranking[0].effect
+
+
+def _run_of(vehicle: Vehicle, seed: int) -> Run:
+    """100 s of random steps of thrust, mostly ahead, with noise."""
+    rng, dt = np.random.default_rng(seed), 0.1
+    u = np.repeat(rng.uniform(-20.0, 80.0, (25, 2)), 40, axis=0)
+    x = ut.compile(vehicle).simulate(np.zeros(6), u, dt)[: len(u)]
+    x = x + rng.standard_normal(x.shape) * [0.02, 0.02, 0.003, 0.01, 0.01, 0.003]
+    names = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
+    return Run(f"run{seed}", dt * np.arange(len(u)), dict(zip(names, np.hstack([x, u]).T, strict=True)))

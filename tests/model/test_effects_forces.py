@@ -548,25 +548,21 @@ def test_slosh_settles_where_the_hull_accelerates_steadily() -> None:
 
 
 def test_rudder_force_grows_with_the_square_of_the_speed() -> None:
-    ship = vehicle(
-        ("surge", "sway", "yaw"),
-        "rigid_body",
-        "rudder_force",
-        thrusters=2,
-        m=5.0,
-        I_z=1.0,
-        rudder_f1=2.0,
-        rudder_f2=-3.0,
-    )
-    force = share_of(ship)
-    at = {"u": 1.5, "actuation_f1": 0.1, "actuation_f2": 0.2, "rudder_f1": 2.0, "rudder_f2": -3.0}
-    at |= {"v": 0.0, "r": 0.0}
+    """Two rudders before and abaft the origin, and a propeller, which gives no lift."""
+    columns = {"f1": (0, 1.0, 0, 0, 0, -0.6), "f2": (0, 1.0, 0, 0, 0, 0.4), "screw": (1.0, 0, 0, 0, 0, 0.2)}
+    effects = tuple(catalogue()[i](tuple(columns)) for i in ("rigid_body", "rudder_force"))
+    hardware = tuple(Thruster(n, wrench) for n, wrench in columns.items())
+    values = {"m": 5.0, "I_z": 1.0, "rudder_f1": 2.0, "rudder_f2": -3.0, "rudder_screw": 7.0}
+    known = {n: Value(v) for n, v in values.items()}
+    force = share_of(Vehicle("ship", ("surge", "sway", "yaw"), effects, known, hardware))
+    at = {"u": 1.5, "v": 0.0, "r": 0.0} | {"actuation_f1": 0.1, "actuation_f2": 0.2, "actuation_screw": 9.0}
+    at |= {n: v for n, v in values.items() if n.startswith("rudder")}
 
     def found(**changed: float) -> Array:
         return np.array(force.subs({symbol(n): v for n, v in (at | changed).items()}), dtype=float).ravel()
 
-    total = (2.0 * 0.1 - 3.0 * 0.2) * 1.5**2
-    assert found() == pytest.approx([total, 0, 0.2 * total])
+    first, second = 2.0 * 0.1 * 1.5**2, -3.0 * 0.2 * 1.5**2
+    assert found() == pytest.approx([0, first + second, -0.6 * first + 0.4 * second])
     assert found(u=3.0) == pytest.approx(4 * found())
     assert found(u=-1.5) == pytest.approx(-found())
     assert found(u=0.0) == pytest.approx(np.zeros(3))

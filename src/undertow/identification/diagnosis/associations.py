@@ -59,6 +59,10 @@ class Term:
         """Whether it is a step in time, to which those at neighbouring times are alike."""
         return step_time(self.columns[0]) is not None
 
+    def is_part_of(self, other: Term) -> bool:
+        """Whether it has some of the columns of another term, and no others."""
+        return {*self.columns} < {*other.columns}
+
 
 def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
     """All terms made of the motions, the measured pose and the commands of a vehicle."""
@@ -75,7 +79,16 @@ def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
     turns = [_heading("psi"), _heading("2 psi")] if "psi" in pose else []
     if {"psi", "z"} <= set(pose):
         turns.append(_heading("psi", "z"))
-    return [*(Term(label_of(c), (c,)) for c in columns), *turns]
+    together = _by_all([c for c in commands if command_of(c) not in vehicle.inputs], velocities)
+    return [*(Term(label_of(c), (c,)) for c in columns), *together, *turns]
+
+
+def _by_all(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Term]:
+    """Each command times a velocity, all together: a law that all actuators obey is no single one's."""
+    if len(commands) > 1:
+        for a in velocities:
+            yield Term(f"{a} times each command", tuple((c, a) for c in commands))
+            yield Term(f"{a} times each |command|", tuple((f"|{c}|", a) for c in commands))
 
 
 def _by_commands(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Column]:
@@ -309,12 +322,13 @@ class Association:
         rng = np.random.default_rng(0)
         signs = [rng.choice([-1.0, 1.0], size=(SETTINGS.patterns, n)) for n in counts]
         by_chance = np.max([t.gain(*signs) for t in tried], axis=0)
-        order = np.argsort(-gains)
-        best = float(gains[order[0]])
-        first, *others = (tried[i].term for i in order if gains[i] > SETTINGS.alike * best)
-        alike = tuple(t.label for t in others if not (t.is_step and first.is_step))
+        best = float(gains.max())
+        near = [tried[i] for i in np.argsort(-gains) if gains[i] > SETTINGS.alike * best]
+        first = next((t for t in near if t.term.is_part_of(near[0].term)), near[0])
+        others = (t.term for t in near if t is not first)
+        alike = tuple(t.label for t in others if not (t.is_step and first.term.is_step))
         chance = (1 + int(np.sum(by_chance >= best))) / (1 + SETTINGS.patterns)
-        return self._found(tried[order[0]], best, chance, alike)
+        return self._found(first, best, chance, alike)
 
     def without(self, found: Found) -> Association:
         """The residual without a term; its coefficients remain free."""

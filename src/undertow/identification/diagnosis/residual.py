@@ -290,7 +290,7 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
     """Effect of a term on the motion, as far as its sign tells."""
     coefficients, column = dependence.coefficients, dependence.columns[0]
     if len(coefficients) > 1:
-        return f"amplitude {float(np.linalg.norm(coefficients)):.2g} {dependence.units[0]}"
+        return _how_together(dependence)
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
     if step_time(column) is not None:
@@ -307,6 +307,14 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
         does = f"slows {degree_of_freedom}" if coefficients[0] < 0 else f"drives {degree_of_freedom} on"
         return ", ".join([does, f"the more {' and '.join(faster)}"] if faster else [does])
     return f"{'falls' if coefficients[0] < 0 else 'rises'} as {dependence.term} grows"
+
+
+def _how_together(dependence: Dependence) -> str:
+    commands = [command_of(c[0]) if c else None for c in dependence.columns]
+    if None in commands:
+        return f"amplitude {float(np.linalg.norm(dependence.coefficients)):.2g} {dependence.units[0]}"
+    each = zip(dependence.coefficients, commands, strict=True)
+    return f"{', '.join(f'{value:.2g} for {name}' for value, name in each)}; {dependence.units[0]}"
 
 
 def _named(dependence: Dependence) -> str:

@@ -10,7 +10,8 @@ class RudderForce(Wrench):
 
     Included because a vehicle file knows the command of a control surface only as a
     thruster, whose force does not depend on the speed. The force acts along the column that the command has
-    in the allocation, and turns round astern.
+    in the allocation, and turns round astern. Lift is perpendicular to the inflow: a command that pushes
+    along the hull is that of a propeller and has none.
     """
 
     id = "rudder_force"
@@ -24,4 +25,11 @@ class RudderForce(Wrench):
 
     def wrench(self, s: Signals) -> sm.Matrix:
         speed = s.nu_r[0]
-        return sm.Abs(speed) * speed * self.allocation * s.actuation.multiply_elementwise(self.rudder)
+        columns = sm.Matrix.hstack(*map(self._lifting, self.allocation.T.tolist()))
+        return sm.Abs(speed) * speed * columns * s.actuation.multiply_elementwise(self.rudder)
+
+    @staticmethod
+    def _lifting(entries: list[sm.Expr]) -> sm.Matrix:
+        """The column of a command, zero if it pushes along the hull; directions are rounded in files."""
+        ahead = entries[0]
+        return sm.Matrix([0] * 6 if ahead.is_number and abs(ahead) > 1e-6 else entries)
