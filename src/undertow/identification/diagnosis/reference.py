@@ -191,7 +191,7 @@ class _Signals:
         ]
         columns = [*terms, *through_water, *_angles(further), *((n,) for n in (*further, *lagged))]
         allowed = set(variables) if variables is not None else None
-        kept = [c for c in columns if _uses(c, allowed)]
+        kept = [c for c in dict.fromkeys(columns) if _uses(c, allowed)]
         smaller = {*kept} - {*through_water}
         choices = ([_is_single(c) for c in kept], [c in smaller for c in kept], [True] * len(kept))
         return cls(kept, tuple(np.flatnonzero(c) for c in choices))
