@@ -74,12 +74,15 @@ class Shell:
         lines = [line.rstrip() for line in done.stdout.strip("\n").splitlines()]
         return Said(list(words), done.returncode, "\n".join(lines))
 
-    def fly(self, flights: Mapping[str, str]) -> None:
+    def fly(self, flights: Mapping[str, str]) -> list[Said]:
         """Log the true vehicle on its way to the set-point of each flight, with noise in every sensor."""
         noise = [word for name, size in NOISE.items() for word in ("--noise", f"{name}={size}")]
+        said = []
         for seed, (name, to) in enumerate(flights.items(), start=1):
             words = ["simulate", "truth.toml", "survey.toml", f"--to={to}", "--for", "40", "--dt", "0.02"]
-            self.undertow(*words, *noise, "--seed", str(seed), "--log", "0.1", "--out", f"{name}.csv")
+            files = ["--seed", str(seed), "--log", "0.1", "--out", f"{name}.csv"]
+            said.append(self.undertow(*words, *noise, *files))
+        return said
 
 
 def aloud(words: str) -> None:

@@ -31,7 +31,7 @@ def reported(story: Story) -> dict[str, Said]:
     said["first on the vehicle"] = story.simulate(
         "auv.toml", "first.toml", "on-vehicle.csv", "--plant", "truth.toml"
     )
-    story.fly(TRIALS)
+    said["first flight"] = story.fly(TRIALS)[0]
     said["diagnosis"] = story.diagnose()
     said["added"] = story.add()
     said["gains on the complete model"] = story.check("complete.toml", "first.toml", expect=1)

@@ -19,13 +19,7 @@ from undertow.typing import Array
 from ..shell import Said, block
 
 TEXT = Path(__file__).parent / "page.md"
-SHOWN = {
-    "gains on the model": 1,
-    "gains on the complete model": 1,
-    "certificate": 1,
-    "diagnosis": 15,
-    "added": 12,
-}
+SHOWN = {"first flight": 2, "diagnosis": 15, "added": 12}
 
 
 def page(said: dict[str, Said]) -> str:
@@ -101,13 +95,15 @@ def _draw_tank(axis: Any, root: Path) -> None:
 
 
 def _draw_runs(axis: Any, folder: Path, title: str, runs: dict[str, tuple[str, str]]) -> None:
-    for label, (name, colour) in runs.items():
+    for width, (label, (name, colour)) in zip(
+        (3.5, 1.5), runs.items(), strict=True
+    ):  # one may hide the other
         t, psi = _column(folder / f"{name}.csv", "psi")
-        axis.plot(t, np.degrees(psi), color=colour, label=label)
+        axis.plot(t, np.degrees(psi), color=colour, linewidth=width, label=label)
     axis.axhline(np.degrees(0.1), color=FAINT, linewidth=0.8)
     axis.set(xlabel="time [s]", ylabel="heading [degrees]", title=title)
     axis.grid()
-    axis.margins(y=0.3)  # room for the legend
+    axis.margins(y=0.4)  # room for the legend
     axis.legend(loc="upper right")
 
 
