@@ -19,7 +19,7 @@ from undertow.model.symbols import DOFS
 from undertow.shape.bodies import box, prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, mended, stl_bytes
 from undertow.tank.case import Orders, make_tank, write_tank
-from undertow.tank.coefficients import coefficients, convergence, read_record
+from undertow.tank.coefficients import Coefficient, Record, coefficients, convergence, read_record
 from undertow.tank.pictures import picture
 from undertow.tank.run import run_tank
 from undertow.tank.settings import FILE, Tank, log_of, read_tank
@@ -193,7 +193,7 @@ BODIES = {
         "the same AUV",
         auv_hull,
         Orders(MASS, motions=("heave", "yaw"), profiles=("push", "step"), prescribed=True, grids=4),
-        4,
+        3,
         _PANELS,
         "panels",
         longer={"yaw-step": 4.0},
@@ -246,16 +246,31 @@ def results(name: str, root: Path) -> list[dict[str, Any]]:
 
 
 def _wake(name: str, root: Path, tank: Tank) -> dict[str, Any]:
-    """Drag coefficient over the last ten diameters at one speed: mean, root mean square, trend."""
-    case, hull = tank.cases[0], BODIES[name].hull()
-    record = read_record(log_of(root, case, 1), 1)
+    """Drag coefficient over the last ten diameters at one speed, on each grid, coarsest first."""
+    case, area = tank.cases[0], BODIES[name].hull().projected_area(0)
+    logs = [log_of(root, case, g) for g in range(1, BODIES[name].grids + 1)]
+    done = [(log, read_record(log, g)) for g, log in enumerate(logs, start=1) if log.is_file()]
+    late = [_late_drag(record, tank.density / 2 * area) for _, record in done]
+    return {
+        "body": name,
+        "name": "wake",
+        "direction": 0,
+        **{key: [found[key] for found in late] for key in ("mean", "rms", "trend")},
+        "cells": [record.cells for _, record in done],
+        "seconds": [_seconds(log) for log, _ in done],
+    }
+
+
+def _late_drag(record: Record, pressed: float) -> dict[str, float]:
+    """Mean, root mean square and fall in a diameter of a drag coefficient; `pressed`: for 1 m/s, N."""
     way = np.abs(record.place - record.place[-1]) / (2 * RADIUS)
     late = way <= 10
-    pressed = tank.density / 2 * hull.projected_area(0) * record.speed[late] ** 2
-    drag = np.abs(record.water[late]) / pressed
-    found = {"mean": drag.mean(), "rms": drag.std(), "trend": -np.polyfit(way[late], drag, 1)[0]}
-    effort = {"cells": record.cells, "seconds": _seconds(log_of(root, case, 1))}
-    return {"body": name, "name": "wake", "direction": 0, **{k: float(v) for k, v in found.items()}, **effort}
+    drag = np.abs(record.water[late]) / (pressed * record.speed[late] ** 2)
+    return {
+        "mean": float(drag.mean()),
+        "rms": float(drag.std()),
+        "trend": float(-np.polyfit(way[late], drag, 1)[0]),
+    }
 
 
 def _against_demo(root: Path, tank: Tank) -> dict[str, Any]:
@@ -312,23 +327,26 @@ def _coefficients(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
             "grid": asdict(c.grid),
             "truth": body.truth.get(c.name),  # alike in both directions
             "source": body.source,
-            **_effort(root, tank, c.motion, body.grids),
+            **_effort(root, tank, c, body.grids),
         }
         for c in coefficients(root, tank)
         if name not in ("re100", "cylinder-drag")  # drag that is neither linear nor quadratic
     ]
 
 
-def _effort(root: Path, tank: Tank, motion: str, grids: int) -> dict[str, Any]:
-    """Cells and processor seconds of the grids, coarsest first, out of what the logs say of themselves."""
-    cells, seconds = [], []
-    for grid in range(1, grids + 1):
-        logs = [log_of(root, c, grid) for c in tank.cases if c.motion == motion]
-        done = [log for log in logs if log.is_file()]
-        if done:
-            cells.append(read_record(done[0], grid).cells)
-            seconds.append(sum(_seconds(log) for log in done))
-    return {"cells": cells, "seconds": seconds}
+def _effort(root: Path, tank: Tank, of: Coefficient, grids: int) -> dict[str, Any]:
+    """Cells and processor seconds of the grids, coarsest first: of the pushes that an added mass is from, or
+    of the other cases."""
+    cases = [c for c in tank.cases if c.motion == of.motion and c.direction * of.direction >= 0]
+    pushed = of.effect == "added_mass" and any(c.profile == "push" for c in cases)
+    logs = {
+        g: [log_of(root, c, g) for c in cases if (c.profile == "push") == pushed] for g in range(1, grids + 1)
+    }
+    done = {g: own for g, each in logs.items() if (own := [log for log in each if log.is_file()])}
+    return {
+        "cells": [read_record(own[0], g).cells for g, own in done.items()],
+        "seconds": [sum(map(_seconds, own)) for own in done.values()],
+    }
 
 
 def _seconds(log: Path) -> int:

@@ -176,7 +176,8 @@ def run(
     if json:
         print_json({"coefficients": [_plain(c) for c in found], "written": written})
         return
-    say(f"{len(written)} logs written to {root / 'logs'}" if written else "nothing left to compute")
+    count = f"{len(written)} log{'s' * (len(written) != 1)}"
+    say(f"{count} written to {root / 'logs'}" if written else "nothing left to compute")
     show(found)
     say(f"then: undertow tank look {root}; undertow vehicle new --tank {root}")
 
