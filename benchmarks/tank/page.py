@@ -24,13 +24,25 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
     hull = [r for r in rows if r["body"].startswith("auv")]
     added = [r for r in rows if r["name"].endswith("dot") and r["body"] != "box-steps" and r not in hull]
     drag = [r for r in rows if r["name"] == "Cd"]
-    (rms,) = (r for r in rows if r["name"] == "rms")
+    rms = {r["body"]: r for r in rows if r["name"] == "rms"}
     (wake,) = (r for r in rows if r["name"] == "wake")
-    text = text.replace("{off}", f"{1000 * rms['off']:.1f}").replace("{speed}", f"{1000 * rms['speed']:.0f}")
-    text = text.replace("{wake}", f"{wake['mean']:.2f} ± {wake['rms']:.2f}")
-    compared = json.loads(CHAIN.read_text(encoding="utf-8"))
-    text = text.replace("{chain}", "\n".join(table(compared))).replace("{auv}", "\n".join(_auv(hull)))
-    return text.replace("{added}", "\n".join(_added(added))).replace("{drag}", "\n".join(_drag(drag)))
+    made = {
+        "bare": _off(rms["box-bare"]),
+        "forced": _off(rms["box-forced"]),
+        "speed": f"{1000 * rms['box-bare']['speed']:.0f}",
+        "wake": ", ".join(f"{m:.2f} ± {s:.2f}" for m, s in zip(wake["mean"], wake["rms"], strict=True)),
+        "chain": "\n".join(table(json.loads(CHAIN.read_text(encoding="utf-8")))),
+        "auv": "\n".join(_auv(hull)),
+        "added": "\n".join(_added(added)),
+        "drag": "\n".join(_drag(drag)),
+    }
+    for name, words in made.items():
+        text = text.replace(f"{{{name}}}", words)
+    return text
+
+
+def _off(row: dict[str, Any]) -> str:
+    return ", ".join(f"{1000 * off:.1f}" for off in row["off"])
 
 
 def _title(row: dict[str, Any]) -> str:
