@@ -22,8 +22,8 @@ def test_the_story_has_every_step_and_its_words() -> None:
         assert words.strip() in reported
     commands = re.findall(r"^\$ undertow (\S+)", reported, re.MULTILINE)
     expected = (
-        "added-mass tank tank vehicle design gains simulate simulate diagnose add gains design gains simulate "
-        "export"
+        "added-mass tank tank vehicle design gains simulate simulate diagnose add gains "
+        "design gains simulate export"
     )
     assert commands == expected.split()
     assert "UNSTABLE" in reported
