@@ -252,7 +252,9 @@ def test_a_vehicle_file_may_have_any_name(quick: Path, capsys: Capture) -> None:
     assert "log none.csv does not exist" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("name", "meant"), [("uvs.toml", "usv.toml"), ("usv", "usv.toml"), ("oter", "otter")])
+@pytest.mark.parametrize(
+    ("name", "meant"), [("uvs.toml", "usv.toml"), ("usv", "usv.toml"), ("oter", "otter")]
+)
 def test_a_mistyped_vehicle_gets_the_nearest_name(
     name: str, meant: str, quick: Path, capsys: Capture
 ) -> None:

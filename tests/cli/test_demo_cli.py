@@ -143,7 +143,7 @@ def test_the_hull_is_not_explained_beyond_its_diagnosis(reported: Reported, way:
 
 
 def test_the_hull_fails_where_the_flow_has_a_memory(reported: Reported) -> None:
-    """Start-up, coasting and reversal; a few percent of the push (6 N) are far more than these logs have noise."""
+    """Start-up, coasting and reversal; a few percent of the push (6 N) are far more than there is noise."""
     rows = {
         name: [float(v) for v in re.findall(r"([\d.]+) N", cells)]
         for name, cells in re.findall(r"│ (start-up|coasting|reversal)[^│]*│([^│]*│[^│]*)│", reported.hull())

@@ -46,9 +46,7 @@ if TYPE_CHECKING:
     from undertow.identification.planning.search import Planned
 
 
-_LOGS = typer.Argument(
-    metavar="LOG", help="Existing logs: CSV, CSV.gz or Parquet.", callback=in_order
-)
+_LOGS = typer.Argument(metavar="LOG", help="Existing logs: CSV, CSV.gz or Parquet.", callback=in_order)
 _GOAL = typer.Option(help="Goal: determine parameters, or tell models apart.")
 _BETWEEN = typer.Option(
     metavar="ID,ID[,ID]", help='Effects to tell apart; "none" is the model as it is, a+b has both.'
