@@ -591,9 +591,9 @@ def _too_short(runs: Sequence[Run], names: Sequence[str], family: Family) -> str
         why = f", since velocities were derived from the pose with a time constant of {slowest:.3g} s"
         remedy = ", or measured velocities"
     return (
-        f"too few samples without a gap for the {form}: the longest stretch has {longest} (of {len(run.t)} in "
-        f"'{run.name}'), and {needed} are needed ({step * (needed - 1):.3g} s{why}): give a log with a longer "
-        f"stretch{remedy}"
+        f"too few samples without a gap for the {form}: the longest stretch has {longest} (of {len(run.t)} "
+        f"in '{run.name}'), and {needed} are needed ({step * (needed - 1):.3g} s{why}): give a log with a "
+        f"longer stretch{remedy}"
     )
 
 
