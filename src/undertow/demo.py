@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -224,15 +223,15 @@ class Way:
     def name(self) -> str:
         return f"{self.profile} → {self.other}"
 
-    @cached_property
+    @property
     def plain(self) -> Vehicle:
         """The fitted model of inertia and drag."""
-        return self.setup.bench.base.vehicle
+        return self.outcome.before
 
-    @cached_property
+    @property
     def without(self) -> float:
         """Velocity error ahead of the model of inertia and drag."""
-        return self.setup.validator.prediction(self.plain)[0]
+        return self.outcome.diagnosis.steps[0].prediction or 0.0
 
     def ahead(self, effect: str) -> float:
         """Velocity error ahead with an effect in the model."""
@@ -344,8 +343,8 @@ def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
     helped = " and ".join(f"{-fit.values['X_udot']:.1f}" for fit in fits)
     yield (
         "text",
-        f"Without {best} the two profiles give {plain} kg of added mass for the same hull, with it {helped} "
-        f"kg; potential theory, which the fits take as a prior, gives {-prior.value:.1f} kg.",
+        f"Without {best} the two profiles give {plain} kg of added mass, with it {helped} kg; "
+        f"potential theory, which the fits take as a prior, gives {-prior.value:.1f} kg.",
     )
     for name in ways[0].additions[best].kept:
         values = [

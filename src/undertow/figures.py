@@ -79,6 +79,14 @@ def figure(height: float, rows: int = 1, columns: int = 1, **kwargs: Any) -> tup
     return result, result.subplots(rows, columns, squeeze=False, **kwargs)
 
 
+def spanning(axis: Any, least: float, which: str = "y") -> None:
+    """Widen an axis to a least span, so that rounding errors of what rests do not look like motion."""
+    low, high = axis.get_ylim() if which == "y" else axis.get_xlim()
+    if high - low < least:
+        middle = (low + high) / 2
+        axis.set(**{f"{which}lim": (middle - least / 2, middle + least / 2)})
+
+
 def plain(text: str, longest: int = _LONGEST) -> str:
     """A name from a file as a label: no line breaks, no formula, not too long."""
     shown = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)

@@ -90,6 +90,14 @@ def read_text(path: str | os.PathLike[str], kind: str, limits: TextLimits = STAT
         ) from error
 
 
+def files_beside(path: Path) -> list[str]:
+    """Names of the files in the folder of a path that need not exist."""
+    try:
+        return [p.name for p in path.parent.iterdir() if p.is_file()]
+    except (OSError, ValueError):  # no such folder, one that may not be read, an impossible name
+        return []
+
+
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     """Read a TOML file; what would make a parser work for minutes is refused before it is parsed."""
     text, where = read_text(path, kind), os.fspath(path)

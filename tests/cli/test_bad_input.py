@@ -148,7 +148,7 @@ def _without(*names: str) -> Change:
 LOGS: dict[str, tuple[Change, list[str]]] = {
     "one sample": (_rows(slice(0, 1)), ["one sample", "at least 2"]),
     "a header only": (_rows(slice(0, 0)), ["no sample", "at least 2"]),
-    "ten samples": (_rows(slice(0, 10)), ["21 samples without a gap are needed"]),
+    "ten samples": (_rows(slice(0, 10)), ["the longest stretch has 10", "21 are needed"]),
     "no time": (_without("t"), ["'t'"]),
     "time is missing somewhere": (_at("t", 7, np.nan), ["'t'", "row 8"]),
     "time is infinite somewhere": (_at("t", 7, np.inf), ["'t'", "row 8"]),
@@ -227,6 +227,40 @@ def test_a_mapping_with_a_fault_is_refused(text: str, named: str, case: Path, ca
 def test_the_same_log_twice_is_refused(command: str, case: Path, capsys: Capture) -> None:
     shutil.copy(case / "train.csv", case / "again.csv")
     assert "same content" in refusal([*_words(command), "again.csv"], capsys, case)
+
+
+@pytest.mark.parametrize("command", LOG_COMMANDS)
+@pytest.mark.parametrize("vehicle", ["usv.toml", "otter"])
+def test_a_log_in_the_place_of_the_vehicle_is_refused(
+    command: str, vehicle: str, case: Path, capsys: Capture
+) -> None:
+    line = refusal(_words(command, "train.csv", vehicle), capsys, case)
+    assert "'train.csv' is a log in the place of the vehicle" in line
+    assert f"'{vehicle}' a vehicle in the place of a log" in line
+    order = "EFFECT VEHICLE LOG" if command == "add" else "VEHICLE LOG"
+    assert line.endswith(f"the order is undertow {command} {order}")
+
+
+def test_two_logs_without_a_vehicle_are_refused(case: Path, capsys: Capture) -> None:
+    line = refusal(["doctor", "train.csv", "train.csv"], capsys, case)
+    assert "'train.csv' is a log in the place of the vehicle: the order" in line
+
+
+def test_a_vehicle_file_may_have_any_name(quick: Path, capsys: Capture) -> None:
+    shutil.copy("usv.toml", "usv.txt")
+    assert main(["doctor", "usv.txt", "none.csv"]) == 2
+    assert "log none.csv does not exist" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("uvs.toml", "usv.toml"), ("usv", "usv.toml"), ("oter", "otter")]
+)
+def test_a_mistyped_vehicle_gets_the_nearest_name(
+    name: str, meant: str, quick: Path, capsys: Capture
+) -> None:
+    for source in (name, str(quick / name)):
+        assert main(["doctor", source, "train.csv"]) == 2
+        assert f"(did you mean '{meant}'?)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("window", [["--from", "500"], ["--to", "-1"], ["--from", "3", "--to", "2"]])

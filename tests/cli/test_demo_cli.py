@@ -116,6 +116,7 @@ def test_the_error_falls_on_the_run_that_was_kept_aside(reported: Reported) -> N
     assert row
     given, refitted, found = map(float, row.groups())
     assert found < 0.3 * refitted < 0.3 * given
+    assert refitted == pytest.approx(first["error"], rel=0.005), "one number for the refitted model"
 
 
 def test_the_new_vehicle_file_has_the_current(reported: Reported) -> None:
@@ -142,13 +143,13 @@ def test_the_hull_is_not_explained_beyond_its_diagnosis(reported: Reported, way:
 
 
 def test_the_hull_fails_where_the_flow_has_a_memory(reported: Reported) -> None:
-    """Start-up, coasting and reversal; a tenth of the push (6 N) is far more than these logs have noise."""
+    """Start-up, coasting and reversal; a few percent of the push (6 N) are far more than there is noise."""
     rows = {
         name: [float(v) for v in re.findall(r"([\d.]+) N", cells)]
         for name, cells in re.findall(r"│ (start-up|coasting|reversal)[^│]*│([^│]*│[^│]*)│", reported.hull())
     }
     assert set(rows) == {"start-up", "coasting", "reversal"}
-    assert all(min(values) > 0.2 and max(values) > 0.6 for values in rows.values()), rows
+    assert all(min(values) > 0.1 and max(values) > 0.4 for values in rows.values()), rows
 
 
 def test_fluid_memory_lowers_the_error_both_ways_round(reported: Reported) -> None:
@@ -157,13 +158,14 @@ def test_fluid_memory_lowers_the_error_both_ways_round(reported: Reported) -> No
         for n, a, b in re.findall(r"│ ([\w ]+?) │ ([\d.]+)% │ ([\d.]+)% │", reported.hull())
     }
     plain, memory = rows["inertia and drag alone"], rows["radiation_memory"]
-    assert all(m < 0.75 * p for m, p in zip(memory, plain, strict=True))
+    assert all(m < 0.9 * p for m, p in zip(memory, plain, strict=True))
+    assert min(m / p for m, p in zip(memory, plain, strict=True)) < 0.5
     masses = re.search(r"give ([\d.]+) and ([\d.]+) kg .*? with it ([\d.]+) and ([\d.]+) kg", reported.hull())
     assert masses
     a, b, c, d = map(float, masses.groups())
-    assert abs(a - b) > 5.0, "one hull, two added masses"
-    assert abs(c - d) < 5.0
-    assert c == pytest.approx(20.6, abs=5.0)
+    potential = 20.6
+    assert min(a, b) > potential + 5.0, "added mass that absorbs the wake"
+    assert (c, d) == pytest.approx((potential, potential), abs=5.0)
 
 
 def test_the_tank_says_what_the_panels_say(reported: Reported) -> None:

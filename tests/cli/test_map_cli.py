@@ -101,6 +101,26 @@ def test_axes_are_those_in_which_position_and_velocity_agree(
     assert "Hence these axes" in guessed.axes.questions[0]
 
 
+def test_speeds_ahead_and_to_the_left_are_u_and_minus_v(case: Path) -> None:
+    """And the axes are found from them as they are read."""
+    _renamed(
+        case,
+        **{
+            "t": pl.col("t"),
+            "North (m)": pl.col("x"),
+            "East (m)": pl.col("y"),
+            "Heading (rad)": pl.col("psi"),
+            "SOG fwd (kn)": pl.col("u") / 0.514444,
+            "SOG left (m/s)": -pl.col("v"),
+            "Yaw rate (rad/s)": pl.col("r"),
+        },
+    )
+    assert main(["map", "new", "own.csv", "--vehicle", "usv.toml", "--out", "log.toml"]) == 0
+    found, true = _read(case, "own.csv"), read_log(case / "train.csv")
+    for name in ("x", "y", "u", "v", "r"):
+        np.testing.assert_allclose(found[name], true.channels[name], atol=1e-4 * np.ptp(true.channels[name]))
+
+
 def test_a_flag_tells_a_sensor_that_is_slower_than_its_log(case: Path) -> None:
     table = pl.read_csv(case / "train.csv").with_row_index("k")
     held = pl.when(pl.col("k") % 8 == 0).then(pl.col("u")).forward_fill().alias("u")
@@ -815,4 +835,4 @@ def test_a_speed_is_no_command_of_the_side_that_it_names() -> None:
     guess = guess_table(pl.DataFrame(columns), Path("log.csv"), usv)
     read = {g.column: g.channel for g in guess.columns}
     assert (read["PWM L"], read["PWM R"]) == ("port", "starboard")
-    assert "Speed left (kn)" not in read
+    assert read["Speed left (kn)"] == "v"

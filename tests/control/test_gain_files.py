@@ -77,6 +77,13 @@ def test_a_fault_is_named_in_one_line(fault: str, tmp_path: Path) -> None:
     assert all(word in message for word in ["bad.toml", *words]), message
 
 
+def test_a_bundled_set_that_does_not_fit_is_called_by_its_name() -> None:
+    with pytest.raises(
+        UndertowError, match=r"^paper-pd: gain K_P has a value for z, which the vehicle does not"
+    ):
+        load_gains("paper-pd", load_vehicle("otter"))
+
+
 @pytest.mark.parametrize("name", ["nothing.toml", "paper-pdi", "", ".", "x" * 5000, "new\nline", "nul\0"])
 def test_gains_that_are_not_there(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

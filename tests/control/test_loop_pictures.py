@@ -1,10 +1,12 @@
-"""Pictures of closed loops: what is a band and what is a line."""
+"""Pictures of closed loops: what is a band and what is a line, units, and what rests."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from undertow.control.closed_loop.pictures import band
+from tests.control.loops import run as simulated
+from undertow.control.closed_loop.pictures import SPAN, band, pictures
 from undertow.control.closed_loop.record import Swing
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
@@ -50,3 +52,22 @@ def test_chattering_between_the_rows_of_a_run_is_a_band() -> None:
     edges = band(run.t, run.commands["f1"], swing)
     assert edges is not None
     assert np.max(edges[3] - edges[2]) > 5.0
+
+
+def test_rounding_errors_of_what_rests_do_not_look_like_motion() -> None:
+    """A move to the north at zero heading: nothing turns, nothing goes east."""
+    run = simulated("paper-pd", to=(1.0, 0.0, 0.0), duration=5.0)
+    assert 0.0 < np.ptp(run.state["psi"]) < 1e-12
+    drawn = pictures([run])
+    spans = {name: np.ptp(drawn[name].axes[0].get_ylim()) for name in ("x", "y", "psi")}
+    assert spans["x"] == pytest.approx(1.1, rel=0.01)
+    assert spans["y"] == pytest.approx(SPAN.metres)
+    assert spans["psi"] == pytest.approx(SPAN.degrees)
+
+
+def test_commands_have_their_units() -> None:
+    run = simulated("paper-pd", to=(0.0, 0.0, 1.0), duration=2.0)
+    axes = pictures([run])["commands"].axes
+    assert [axis.get_ylabel() for axis in axes] == [f"f{i} [N]" for i in (1, 2, 3, 4)]
+    largest = max(c.peak for c in run.result.commands)
+    assert all(np.ptp(axis.get_ylim()) >= 0.999 * SPAN.command * largest for axis in axes)

@@ -77,6 +77,27 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
         assert again.values[parameter] == pytest.approx(value, abs=error)
 
 
+def test_the_refitted_model_is_the_same_for_all_commands_if_the_model_lacks_an_effect() -> None:
+    source = Path(ut.__file__).parent / "demo_data" / "auv"
+    vehicle = ut.load_vehicle(source / "vehicle.toml")
+    train, test = (
+        ut.read_log(source / f"{name}.csv.gz", commands=vehicle.command_names)
+        for name in ("train_1", "holdout")
+    )
+    current = ut.catalogue()["ocean_current"]
+    added = add_effect(current, set_up_addition(vehicle, [train], [test]))
+    diagnosed = ut.diagnose(vehicle, [train], [test], known={current.id: current})
+    assert diagnosed.effects == [current.id]
+    for step, same in zip(added.steps[1:], diagnosed.diagnosis.steps, strict=True):
+        assert same.error == pytest.approx(step.error, rel=1e-4)
+        assert same.prediction == pytest.approx(step.prediction, rel=1e-4)
+        assert same.ahead == pytest.approx(step.ahead, rel=1e-4)
+    fit = ut.fit(vehicle, [train], [test])
+    for name in fit.fit.values:
+        value = fit.vehicle.value_of(name).value
+        assert diagnosed.before.value_of(name).value == pytest.approx(value, rel=1e-6, abs=1e-9)
+
+
 def test_a_fit_is_no_prior_for_another_fit_to_the_same_logs(tmp_path: Path) -> None:
     source = Path(ut.__file__).parent / "demo_data" / "auv"
     vehicle = ut.load_vehicle(source / "vehicle.toml")

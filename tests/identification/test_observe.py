@@ -11,7 +11,14 @@ import pytest
 from benchmarks.observer_log import BIAS, CURRENT, DRIVE, NOISE, auv, log
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run
-from undertow.identification.observe import deviations, observe, observe_logs, observer_file, reports_of
+from undertow.identification.observe import (
+    deviations,
+    observe,
+    observe_logs,
+    observed_picture,
+    observer_file,
+    reports_of,
+)
 from undertow.observer.design import ObserverTable, design
 from undertow.observer.process import process_of
 
@@ -91,6 +98,18 @@ def test_the_noise_that_drives_the_motion_is_found() -> None:
     again = design(ObserverTable.model_validate(tomllib.loads(table)), auv())
     assert again.noise["psi"] == pytest.approx(NOISE["psi"])
     assert again.period == pytest.approx(np.full(8, 0.1))
+
+
+def test_a_picture_has_units_time_and_a_legend() -> None:
+    run, _, _ = log(auv(), 10.0, 1, {"x": 1, "y": 1, "z": 1, "psi": 1})
+    *panels, below = observed_picture(observe(auv(), run), run).axes
+    labels = ["x [m]", "u [m/s]", "y [m]", "v [m/s]", "z [m]", "w [m/s]", "psi [rad]", "r [rad/s]", "NIS"]
+    assert [axis.get_ylabel() for axis in panels] == labels
+    assert [axis.get_xlabel() for axis in panels] == 7 * [""] + 2 * ["time [s]"]
+    words = [text.get_text() for text in below.get_legend().get_texts()]
+    assert words[:3] == ["estimate, smoothed", "two standard deviations", "reports of the sensor"]
+    assert words[3].startswith("NIS, mean of ")
+    assert len(words) == 5
 
 
 def test_too_few_reports_and_missing_commands_are_refused() -> None:

@@ -37,7 +37,8 @@ def test_the_least_number_of_samples_is_that_of_the_method(
     method: Method, samples: int, needed: int, form: str
 ) -> None:
     with pytest.raises(
-        UndertowError, match=f"long enough for the {form} .* {needed} samples without a gap are needed"
+        UndertowError,
+        match=rf"for the {form}: .* {samples} \(of {samples} in 'short'\), and {needed} are needed",
     ):
         Estimator(method, None).fit(VEHICLE, [first(samples)])
     with pytest.raises(UndertowError, match=f"are too short for --method {method}: 3 parameters need"):

@@ -133,7 +133,7 @@ def load_gains(
     try:
         return gains_from_table(change(table) if change else table, vehicle)
     except UndertowError as error:
-        raise UndertowError(f"{path}: {error}") from error
+        raise UndertowError(f"{source}: {error}") from error
 
 
 def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:

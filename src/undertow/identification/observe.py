@@ -406,22 +406,39 @@ def observed_picture(found: Observed, run: Run) -> Figure:
     The NIS is the mean of fifty normalised squared innovations that follow each other, with its 95 % band.
     """
     names = [n for n in found.estimate.names if n in MOTION_UNITS]
-    from undertow.figures import AFTER, FAINT, figure, look
+    from undertow.figures import figure, look, with_unit
 
     with look():
         picture, axes = figure(1.5 * len(names) / 2 + 2.5, len(names) // 2 + 1, 2)
         for axis, name in zip(axes[:-1].T.ravel(), names, strict=True):
-            i = found.estimate.names.index(name)
-            mean, spread = found.estimate.mean[:, i], 2 * found.estimate.deviation[:, i]
-            axis.fill_between(found.estimate.t, mean - spread, mean + spread, color=AFTER, alpha=0.25, lw=0)
-            if run.has(name) and name not in run.derived:
-                axis.plot(run.t, run.reports(name), ".", color=FAINT, ms=1.5)
-            axis.plot(found.estimate.t, mean, color=AFTER)
-            axis.set_ylabel(f"{name}, {MOTION_UNITS[name]}")
+            _state_panel(axis, found, run, name)
+            axis.set_ylabel(with_unit(name, MOTION_UNITS[name]))
         _nis_panel(axes[-1, 0], found)
+        for axis in (axes[-1, 0], axes[-2, 1]):  # the lowest of each column
+            axis.set_xlabel("time [s]")
         axes[-1, 1].set_axis_off()
-        axes[-1, 0].set_xlabel("time, s")
+        drawn = [pair for a in axes.ravel() for pair in zip(*a.get_legend_handles_labels(), strict=True)]
+        axes[-1, 1].legend(handles=list({label: line for line, label in drawn}.values()), loc="center")
     return picture
+
+
+def _state_panel(axis: Any, found: Observed, run: Run, name: str) -> None:
+    from undertow.figures import AFTER, FAINT
+
+    estimate, i = found.estimate, found.estimate.names.index(name)
+    mean, spread = estimate.mean[:, i], 2 * estimate.deviation[:, i]
+    axis.plot(estimate.t, mean, color=AFTER, label="estimate, smoothed")
+    axis.fill_between(
+        estimate.t,
+        mean - spread,
+        mean + spread,
+        color=AFTER,
+        alpha=0.25,
+        lw=0,
+        label="two standard deviations",
+    )
+    if run.has(name) and name not in run.derived:
+        axis.plot(run.t, run.reports(name), ".", color=FAINT, ms=1.5, zorder=0, label="reports of the sensor")
 
 
 def _nis_panel(axis: Any, found: Observed) -> None:
@@ -432,6 +449,7 @@ def _nis_panel(axis: Any, found: Observed) -> None:
     t = np.broadcast_to(found.filtered.t[:, None], used.shape)[used]
     k = min(_NIS_WINDOW, max(len(square) // 4, 1))
     low, high = chi2.ppf([0.025, 0.975], k) / k
-    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0)
-    axis.plot(t[k - 1 :], np.convolve(square, np.full(k, 1 / k), "valid"), color=INK, lw=0.8)
+    mean = np.convolve(square, np.full(k, 1 / k), "valid")
+    axis.plot(t[k - 1 :], mean, color=INK, lw=0.8, label=f"NIS, mean of {k} reports")
+    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0, label="95 % of such means if all is as stated")
     axis.set_ylabel("NIS")

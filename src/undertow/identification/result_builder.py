@@ -85,12 +85,14 @@ class ResultBuilder:
         self.found = found = validated(found, validator) if selection is None else _with_last_fit(found)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
-        refined = [validator.final(f) for f in weak]
+        # What is called refitted is the model that `fit` and `add` end with: of a model that lacks something
+        # a fit under the noise model of a better one would be another.
+        refined = [validator.final(f) for f in (found.alone, *weak[1:])]
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
         #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = validator.final(self.bench.fit(vehicle))[0] if found.freed else self.base
+        self.given = validator.final(found.given)[0]
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)

@@ -223,9 +223,9 @@ def load_vehicle(
     try:
         vehicle, remarks = _vehicle_and_remarks(table, known, path.parent, {})
     except UndertowError as error:
-        raise UndertowError(f"{path}: {error}") from error
+        raise UndertowError(f"{source}: {error}") from error
     for line in remarks:
-        _LOG.warning("%s: %s", path, line)
+        _LOG.warning("%s: %s", source, line)
     return vehicle
 
 

@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from undertow.errors import UndertowError, nearest
-from undertow.files import read_toml
+from undertow.files import files_beside, read_toml
 
 from .effect import Curve, Law, Propeller, Surface
 from .parameter import Parameter, printed
@@ -566,8 +566,9 @@ def file_or_bundled(source: str | Path, bundled: Mapping[str, Path], otherwise: 
         return path
     if str(source) in bundled:
         return bundled[str(source)]
+    beside = [name for name in files_beside(path) if name.endswith(".toml")]
     known = ", ".join(bundled) or "none"
-    raise UndertowError(f"{otherwise}{nearest(str(source), bundled)}; bundled are {known}")
+    raise UndertowError(f"{otherwise}{nearest(path.name, [*bundled, *beside])}; bundled are {known}")
 
 
 def is_file(path: Path) -> bool:

@@ -285,11 +285,8 @@ def add(job: Job) -> Result:
         job.vehicle, effect, train, judge, known=job.known, report=job.report, trust_log=job.trust
     )
     job.report(0.9, "predicting validation data")
-    ahead = {
-        "given": job.ahead(done.given.error, job.vehicle),
-        "refitted": job.ahead(done.before.error, setup.bench.base),
-        "errors": job.ahead(done.after.error, done.fit),
-    }
+    steps = zip(("given", "refitted", "errors"), done.steps, strict=True)
+    ahead = {name: {FORCE: step.error, **_finite(step.ahead)} for name, step in steps}
     result = {"sentence": addition_sentence(done), "helps": done.helps, "effect": effect, **ahead}
     if not (done.helps or force):
         return result

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, cast
 import typer
 
 from undertow.errors import UndertowError, nearest
+from undertow.files import read_toml
 
 from .._options import EffectsOption, known_effects, words
 from .._terminal import progress, say
@@ -28,9 +29,45 @@ if TYPE_CHECKING:
     from undertow.typing import Progress
 
 Fill = Literal["refuse", "hold", "gap"]
+
+
+def in_order(context: typer.Context, logs: list[Path] | None) -> list[Path] | None:
+    """The logs, refused where a log stands in the place of the vehicle."""
+    given = context.params.get("vehicle")
+    if given is None or not _is_log(given):
+        return logs
+    swapped = next((path for path in logs or () if _is_vehicle(path)), None)
+    also = f", and '{swapped}' a vehicle in the place of a log" if swapped is not None else ""
+    arguments = (p.metavar for p in context.command.params if p.param_type_name == "argument")
+    order = " ".join([context.command_path, *filter(None, arguments)])
+    raise UndertowError(f"'{given}' is a log in the place of the vehicle{also}: the order is {order}")
+
+
+def _is_log(given: str) -> bool:
+    """Whether a file in the place of the vehicle is none: no text in TOML."""
+    path = Path(given)
+    if path.suffix == ".toml" or not path.is_file():
+        return False
+    try:
+        read_toml(path, "vehicle file")
+    except UndertowError:
+        return True
+    return False
+
+
+def _is_vehicle(path: Path) -> bool:
+    from undertow.model.loading import bundled_vehicles
+
+    return str(path) in bundled_vehicles() or path.suffix == ".toml"
+
+
 LogsArgument = Annotated[
     list[Path],
-    typer.Argument(metavar="LOG", help="Logs: tables (CSV, Parquet), or vehicle logs in their own format."),
+    typer.Argument(
+        metavar="LOG",
+        help="Logs: tables (CSV, Parquet), or vehicle logs in their own format.",
+        callback=in_order,
+    ),
 ]
 HoldoutOption = Annotated[
     list[Path] | None,

@@ -60,7 +60,8 @@ _WORTH = typer.Option(
 _REPORT = typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all figures.")
 _APPLY = typer.Option(
     metavar="OUT.toml",
-    help="Write a vehicle file with the effects that were found, or only refitted values.",
+    help="Write a new vehicle file, as --out of fit and add: with the effects that were found, or only "
+    "refitted values.",
 )
 
 

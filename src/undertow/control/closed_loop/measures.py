@@ -171,6 +171,7 @@ class CommandResult:
     """What a command did, in units of the command."""
 
     name: str  # the thruster
+    unit: str  # of the command; "command" if it is the thruster's own
     effort: float  # integral of the magnitude over time
     # rms, peak: root of the mean square, and largest magnitude
     rms: float
@@ -327,6 +328,7 @@ class _Commands:
 
     def __init__(self, parts: Parts) -> None:
         self._names, self._places = parts.controller.command_names, parts.commanded
+        self._units = parts.controller.gains.plant.vehicle.input_units
         self._limits = parts.controller.allocation.limits
         n = len(self._names)
         self._effort, self._square, self._peak, self._changes, self._limited = (np.zeros(n) for _ in range(5))
@@ -354,7 +356,7 @@ class _Commands:
             self._limited / time,
         )
         rows = np.transpose(columns).tolist()
-        return tuple(CommandResult(n, *row) for n, row in zip(self._names, rows, strict=True))
+        return tuple(CommandResult(n, self._units[n], *row) for n, row in zip(self._names, rows, strict=True))
 
 
 def _short(name: str, move: float) -> float:

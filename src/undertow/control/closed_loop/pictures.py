@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from scipy.ndimage import binary_closing, maximum_filter1d, minimum_filter1d
 
-from undertow.figures import COLOURS, FAINT, INK, figure, look, plain
+from undertow.figures import COLOURS, FAINT, INK, figure, look, plain, spanning, with_unit
 from undertow.typing import Array
 
 from .record import Record, Swing
@@ -43,6 +43,22 @@ class BandSettings:
 
 
 BAND = BandSettings()
+
+
+@dataclass(frozen=True)
+class SpanSettings:
+    """Least spans of axes: less than anyone measures, and far above rounding errors."""
+
+    metres: float = 1e-3
+    degrees: float = 0.1
+    command: float = 1e-3  # as a part of the largest command of that unit
+
+    def of(self, unit: str) -> float:
+        """The span of an axis in "m" or "deg"."""
+        return self.degrees if unit == "deg" else self.metres
+
+
+SPAN = SpanSettings()
 
 
 def pictures(records: Sequence[Record]) -> dict[str, Figure]:
@@ -86,6 +102,7 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
         axis.set_title(f"{number}{_TITLES[name]} of {plain(records[0].result.vehicle)}")
         axis.set_xlabel("time [s]")
         axis.set_ylabel(f"{_TITLES[name].lower()} {name} [{unit}]")
+        spanning(axis, SPAN.of(unit))
         axis.grid()
         axis.legend(loc="best")
     return picture
@@ -109,6 +126,8 @@ def track(records: Sequence[Record]) -> Figure:
             axis.plot(goal["y"], goal["x"], "*", color=INK, markersize=9, label=words)
         axis.set_title(f"Track of {plain(first.result.vehicle)} in the plane")
         axis.set(xlabel="position to the east y [m]", ylabel="position to the north x [m]")
+        spanning(axis, SPAN.metres, "x")
+        spanning(axis, SPAN.metres)
         axis.set_aspect("equal", adjustable="datalim")
         axis.grid()
         axis.legend(loc="best")
@@ -128,6 +147,7 @@ def errors(records: Sequence[Record]) -> Figure:
                     label = name if len(records) == 1 else f"{name}, {plain(record.result.controller)}"
                     axis.plot(record.t, units[unit] * values, label=label, **_line(i))
             axis.set_ylabel(f"desired less true [{unit}]")
+            spanning(axis, SPAN.of(unit))
             axis.grid()
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)  # above: the errors fill it
         axes[-1, 0].set_xlabel("time [s]")
@@ -194,15 +214,18 @@ def _draw(axis: Any, record: Record, name: str, i: int) -> None:
 def commands(records: Sequence[Record]) -> Figure:
     """The commands of several runs over time, one panel for each."""
     names = list(records[0].commands)
+    units = {c.name: c.unit for c in records[0].result.commands}
     with look():
         picture, axes = figure(1.1 + 1.4 * len(names), len(names), 1, sharex=True)
         for axis, name in zip(axes[:, 0], names, strict=True):
             for i, record in enumerate(records):
                 if name in record.commands:
                     _draw(axis, record, name, i)
-            axis.set_ylabel(plain(name))
+            axis.set_ylabel(with_unit(name, units[name]))
+            largest = (c.peak for r in records for c in r.result.commands if c.unit == units[name])
+            spanning(axis, SPAN.command * max(largest))
             axis.grid()
-        axes[0, 0].set_title("Commands, in their units, mean from row to row")
+        axes[0, 0].set_title("Commands, mean from row to row")
         axes[-1, 0].set_xlabel("time [s]")
         picture.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     return picture

@@ -140,6 +140,8 @@ class Search:
     bench: data, the noise model of the best model found, and the model without any effect.
     effect_set: the effects found, none or several, fitted together.
     rivals: for each of the effects, those that do as well in its place.
+    given: the model before any value was freed, fitted under its own noise model, where `fit` begins.
+    alone: the same of `vehicle`: without effects.
     freed: those values, each with alternatives that would have the same effect.
     """
 
@@ -148,6 +150,8 @@ class Search:
     bench: Bench
     effect_set: EffectSet
     rivals: list[list[EffectSet]]
+    given: WeakFit
+    alone: WeakFit
     freed: Freed = field(default_factory=dict)
 
     @property
@@ -180,7 +184,7 @@ def search(
         _log.info("fixed values that explain more than any effect: %s", ", ".join(names))
         found = search(freed(vehicle, list(names)), train, test, known, report, residual_is_noise, settings)
         if not _do_alone(vehicle, found.winners, opened, residual_is_noise):
-            return replace(found, freed={**names, **found.freed})
+            return replace(found, given=opened.base, freed={**names, **found.freed})
         steps = _stepwise(vehicle, opened, known, report, residual_is_noise, _none_to_free)
     report(0.9, "testing all effects together")
     return _refitted_together(vehicle, opened, steps.rounds, steps.effect_set)
@@ -330,7 +334,9 @@ def _refitted_together(
 ) -> Search:
     """All effects fitted together under the last noise model, without those no longer needed."""
     if not found:
-        return Search(vehicle, rounds, opened, fitted(vehicle, [], opened), [])
+        return Search(
+            vehicle, rounds, opened, fitted(vehicle, [], opened), [], given=opened.base, alone=opened.base
+        )
     bench = opened.sharpened(found[-1].trial.full) if len(rounds) > 1 else rounds[0].bench
     effect_set = thinned(vehicle, fitted(vehicle, found, bench), bench)
     rivals: list[list[EffectSet]] = []
@@ -348,7 +354,7 @@ def _refitted_together(
             if len(c.findings[place].parameters) <= plainest + bench.settings.more_parameters
         ]
         rivals.append(others or _plain_ones(vehicle, effect_set, rounds, bench))
-    return Search(vehicle, rounds, bench, effect_set, rivals)
+    return Search(vehicle, rounds, bench, effect_set, rivals, given=opened.base, alone=opened.base)
 
 
 def _plain_ones(

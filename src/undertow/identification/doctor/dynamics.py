@@ -61,6 +61,9 @@ class DynamicsSettings:
     moved: float = 5.0  # spread of a velocity over its noise from which its equation of motion is evidence
     worse: float = 1.25  # no other equation may get worse by more than this factor
     # Unless that costs less than this share of what is gained: what the model lacks makes some difference.
+    # Of 62 mirrored logs of five simulated vehicles, whose models mostly lacked effects, 0 misses three and
+    # 0.001 to 0.03 miss one, which from 0.1 on is taken for reversed commands (in eleven others exchanged or
+    # reversed commands do the same). Of 63 logs as they should be none is called mistaken at any value.
     cost: float = 0.01
     unit: float = 5.0  # change of a channel's spread that only another unit explains
     small: float = 0.5  # excess over the noise that counts as none

@@ -32,6 +32,7 @@ from .dynamics import (
     wirings,
 )
 from .forces import impossible, suspicious
+from .headings import heading_findings
 from .kinematics import Kinematics, rms
 from .mistakes import (
     POSITIONS,
@@ -355,6 +356,7 @@ class _Examiner:
     def look_at_the_rest(self) -> None:
         kinematics = self.kinematics
         self.findings += sensors.not_compared(kinematics, self.vehicle)
+        self.findings += heading_findings(self.mapping, self.runs)
         if kinematics:
             found = causal(self.vehicle, self.runs, latencies(kinematics, self.runs))
             prompt = without_latencies(self.runs, found)

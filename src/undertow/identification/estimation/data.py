@@ -562,7 +562,8 @@ def prepare(
         s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle, family)
     ]
     if not segments:
-        raise UndertowError(_too_short(runs, family))
+        channels = [*measured_pose, *vehicle.velocity_names, *vehicle.command_names]
+        raise UndertowError(_too_short(runs, channels, family))
     derived = any(r.derived for r in runs)
     size = len(vehicle.dof_indices)
     kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
@@ -572,23 +573,27 @@ def prepare(
     )
 
 
-def _too_short(runs: Sequence[Run], family: Family) -> str:
+def _too_short(runs: Sequence[Run], names: Sequence[str], family: Family) -> str:
+    """Why runs, without a gap in these channels, hold no test function, with what they have and need."""
     spacing = max((_spacing(r) for r in runs if len(r.t) > 1), default=0.0)
     step = min((r.step for r in runs if len(r.t) > 1), default=1.0)
-    lengths = ", ".join(f"'{r.name}' {len(r.t)} samples" for r in runs)
     enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
     needed = next(enough) if spacing else 2
+    stretches = [(p.stop - p.start, r) for r in runs for p in (*r.segments([*names]), slice(0, 0))]
+    longest, run = max(stretches, key=lambda stretch: stretch[0])
     blurred = any(
         _spacing(r) > knot_spacing(r.clock) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1
     )
     form = "integral form" if family is boxes else "weak form"
-    why = (
-        "; the velocities come from a pose that is too slow to show faster motion: give longer runs, or "
-        "measured velocities"
-    )
+    why, remedy = "", ""
+    if blurred:
+        slowest = max(r.resolution for r in runs)
+        why = f", since velocities were derived from the pose with a time constant of {slowest:.3g} s"
+        remedy = ", or measured velocities"
     return (
-        f"no gap-free segment is long enough for the {form} (of {lengths}): {needed} samples without a gap "
-        f"are needed{why if blurred else ''}"
+        f"too few samples without a gap for the {form}: the longest stretch has {longest} (of {len(run.t)} "
+        f"in '{run.name}'), and {needed} are needed ({step * (needed - 1):.3g} s{why}): give a log with a "
+        f"longer stretch{remedy}"
     )
 
 

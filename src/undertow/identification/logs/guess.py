@@ -165,7 +165,8 @@ def _in_si(data: Mapping[str, Array], time: str) -> dict[str, Array]:
     found = {c: v for c, (_, v) in place_of(*((n, data[n]) for n in globe)).items()} if globe else {}
     for channel, name in _best([n for n in names if not _is_dead(data[n.column])], None).items():
         if channel in ("x", "y", "u", "v"):
-            found[channel] = data[name.column] * scale_offset(name.unit or UNITS[channel], UNITS[channel])[0]
+            factor = scale_offset(name.unit or UNITS[channel], UNITS[channel])[0]
+            found[channel] = data[name.column] * (-factor if name.is_leftward else factor)
     return found
 
 
@@ -404,6 +405,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
         entry["scale"] = -1
         if name.is_height:
             doubt += f"{' ' if doubt else ''}read as a height above a fixed level (z = -height): is it?"
+    elif name.is_leftward and channel == "v":
+        entry["scale"] = -1
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
     return Guess(name.column, entry, doubt)
@@ -511,8 +514,9 @@ def _rate_in_si(unit: str) -> float:
 
 
 def _factor(guess: Guess) -> float:
-    """SI units in one unit of a column of pose or velocity."""
-    return scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
+    """SI units in one unit of a column of pose or velocity, negative where it counts the other way."""
+    sign = -1.0 if guess.entry.get("scale") == -1 else 1.0
+    return sign * scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
 
 
 def _command(

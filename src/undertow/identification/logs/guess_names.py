@@ -48,6 +48,10 @@ _MOVES = {
     "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
     "vm": 1,  # v_m of the MMG model: sway velocity at midship
 }  # fmt: skip
+# Sides of the vehicle: a speed there is along its axes, as in "SOG fwd (m/s)"; to the left it is -v.
+_SIDEWAYS = {
+    "forward": 0, "fwd": 0, "ahead": 0, "left": 1, "port": 1, "right": 1, "starboard": 1, "stbd": 1,
+}  # fmt: skip
 _NAMED = {"surge", "sway", "heave"}
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
 _OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "linear", "twist"}
@@ -156,14 +160,15 @@ class Name:
     @property
     def rank(self) -> tuple[int, int]:
         """Distance of the name from that of a plain measurement; the least wins."""
-        known = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_RANK, *_PLAIN, *_EARTH_SPEEDS}
+        motions = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_EARTH_SPEEDS, *_SIDEWAYS}
+        known = {*motions, *_RANK, *_PLAIN}
         least = 2 if self.is_height else 1  # a depth is what the vehicle feels
         return max((_RANK.get(w, least) for w in self.words), default=least), len(set(self.words) - known)
 
     @property
     def stem(self) -> tuple[str, ...]:
         """The words without those for a direction: those that the components of one vector share."""
-        return tuple(w for w in self.words if w not in {*_TURNS, *_MOVES, *_PLACES})
+        return tuple(w for w in self.words if w not in {*_TURNS, *_MOVES, *_PLACES, *_SIDEWAYS})
 
     def motion(self, only: int | None = None) -> str:
         """The channel of pose or velocity that the name means; "" for none.
@@ -192,6 +197,11 @@ class Name:
     def is_upward(self) -> bool:
         """Whether it grows upwards."""
         return self.is_height or bool({"up", "vu"} & self._with_pairs)
+
+    @property
+    def is_leftward(self) -> bool:
+        """Whether it is a speed that grows to port."""
+        return bool({"left", "port"} & set(self.words)) and self.motion() == "v"
 
     @property
     def is_height(self) -> bool:
@@ -236,6 +246,8 @@ class Name:
             if word in _PLACES:
                 turned = 3 if rate or words & _OF_TURN else 0
                 return (VELOCITY if rate or speed else POSE)[turned + _PLACES[word]]
+            if word in _SIDEWAYS and not rate and (self.unit in _SPEEDS or "sog" in words):
+                return VELOCITY[_SIDEWAYS[word]]
         if only is not None and words & {"position", "pos", "velocity", "vel", "speed", "angle", "rate"}:
             return (VELOCITY if speed or rate else POSE)[only]
         return ""
@@ -243,7 +255,7 @@ class Name:
     @property
     def is_motion_by_unit(self) -> bool:
         """Whether nothing but the unit says that a place or an angle is one of a velocity."""
-        of_motion = {*_MOVES, *_OF_SPEED, *_OF_RATE}
+        of_motion = {*_MOVES, *_OF_SPEED, *_OF_RATE, *_SIDEWAYS}
         return self.unit in {*_SPEEDS, *RATES, "rev/s"} and not of_motion & set(self.words)
 
     @property

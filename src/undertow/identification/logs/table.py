@@ -27,7 +27,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
-from undertow.files import sha256_of
+from undertow.files import files_beside, sha256_of
 from undertow.model.units import is_unit, same_unit
 
 from .mapping import Column, LogMapping
@@ -250,8 +250,7 @@ def refuse_no_file(path: Path) -> None:
     if path.is_dir():
         raise UndertowError(f"log {path} is a folder without tables: give the path of a log in it")
     if not path.is_file():
-        there = [p.name for p in path.parent.iterdir() if p.is_file()] if path.parent.is_dir() else []
-        alike = nearest(path.name, there)
+        alike = nearest(path.name, files_beside(path))
         raise UndertowError(f"log {path} does not exist or is not a file{alike}: give the path of a log")
     if not path.stat().st_size:
         raise UndertowError(f"log {path} is empty (0 bytes): check that the log is complete")

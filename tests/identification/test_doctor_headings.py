@@ -1,0 +1,73 @@
+"""The convention of a heading beside a position without velocities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tests.identification.logs_of import run_of
+from undertow.identification.doctor.headings import heading_findings
+from undertow.identification.findings import Finding
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+
+DOFS = ("surge", "sway", "yaw")
+Columns = dict[str, np.ndarray]
+
+
+def _log(drift: float = 0.0, turns: float = 2.0) -> Columns:
+    """A boat at 1 m/s that weaves to the north-east, its course `drift` rad beside its heading."""
+    t = np.arange(0.0, 200.0, 0.5)
+    psi = 0.7 + turns * np.sin(0.05 * t)
+    course = psi + drift
+    x, y = (0.5 * np.cumsum(part) for part in (np.cos(course), np.sin(course)))
+    noise = np.random.default_rng(3).normal(size=(3, len(t)))
+    return {"t": t, "x": x + 0.01 * noise[0], "y": y + 0.01 * noise[1], "psi": psi + 0.002 * noise[2]}
+
+
+def _found(columns: Columns) -> list[Finding]:
+    run = velocities_from_pose(run_of("log", columns), DOFS)
+    return list(heading_findings(LogMapping(), [run]))
+
+
+def test_a_boat_that_moves_where_it_heads_is_read_rightly() -> None:
+    assert _found(_log()) == []
+    assert _found(_log(drift=0.3)) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "mapping"),
+    [
+        (lambda c: {**c, "psi": np.pi / 2 - c["psi"]}, '[frames]\nattitude = "ENU"'),
+        (lambda c: {**c, "psi": -c["psi"]}, "scale = -1.0"),
+    ],
+)
+def test_a_mirrored_heading_shows_in_the_course(wrong: Callable[[Columns], Columns], mapping: str) -> None:
+    (found,) = _found(wrong(_log()))
+    assert found.severity == "warning"
+    assert mapping in found.mapping
+    assert found.evidence["ahead"] < 0.5
+    assert "vehicle moves where it heads only then" in found.text
+
+
+def test_a_mirrored_position_is_said_to_be_possible_too() -> None:
+    (found,) = _found({**_log(), **{n: _log()[o] for n, o in (("x", "y"), ("y", "x"))}})
+    assert any("x and y are swapped" in clause for clause in found.alternatives)
+
+
+def test_a_vehicle_that_moves_sideways_or_on_one_heading_tells_nothing() -> None:
+    steady = _log(turns=0.1)
+    for columns in (_log(drift=1.5), {**steady, "psi": -steady["psi"]}):
+        (found,) = _found(columns)
+        assert found.id == "heading_unchecked"
+        assert "judged by the fit of the model alone" in found.text
+
+
+def test_measured_velocities_need_no_course() -> None:
+    columns = _log()
+    run = run_of(
+        "log", {**columns, "u": np.ones(400), "v": np.zeros(400), "r": np.gradient(columns["psi"], 0.5)}
+    )
+    assert list(heading_findings(LogMapping(), [run])) == []
