@@ -243,10 +243,8 @@ def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Regio
     ways: list[Callable[[], Region | None]] = [in_time, one_reading]
     if many and not problem.same(("x", "y", "z")):
         ways = [in_time]
-    elif not many:
-        forms = [one_reading, every_reading]
-        ways = [in_time, *forms] if stated and problem.spread else [one_reading, in_time, every_reading]
-        ways = ways if stated else forms
+    elif not many and not problem.spread:
+        ways = [one_reading, in_time, every_reading] if stated else [one_reading, every_reading]
     refusals: list[UndertowError] = []
     for way in ways:
         try:
