@@ -25,8 +25,6 @@ class Attack:
     generations: int = 5
     many: int = 16  # tries in a generation
     headings: int = 4  # of the set-point, spread over a turn
-    # Limits of the commands, from the certified bounds (0) to those of the file (1): the claims need no more.
-    limits: tuple[float, ...] = (1.0, 0.5, 0.0)
     level: float = 0.98  # of V at the start; the claim ends at one
     left: float = 0.05  # part of the largest certified error that may be left at the end
     alive: float = 1e-3  # part of its first value above which V has to fall
@@ -47,15 +45,9 @@ class Target:
         self.names, self.velocities = vehicle.pose_names, vehicle.velocity_names
         self.span = self._claimed()
         self.commands = {c.name: c.largest for c in report.region.commands}
-        limited = any(np.isfinite(c.limit) for c in report.region.commands)
-        self.loops = [ClosedLoop(self._limited(share)) for share in (how.limits if limited else (1.0,))]
+        self.limited = [c for c in report.region.commands if np.isfinite(c.limit)]
+        self.loop = ClosedLoop(gains)
         self.shifts = [i for i, d in enumerate(vehicle.dof_indices) if d < 3]
-
-    def _limited(self, share: float) -> GainSet:
-        """The gains with limits between what is certified and those of the file."""
-        found = {c.name: c.largest + share * (c.limit - c.largest) for c in self.report.region.commands}
-        limits = dict(self.gains.allocation.limits) | found
-        return replace(self.gains, allocation=self.gains.allocation.model_copy(update={"limits": limits}))
 
     def _claimed(self) -> Array:
         """The largest errors and speeds that are claimed."""
@@ -66,7 +58,7 @@ class Target:
 
     def worst(self, rng: np.random.Generator) -> float:
         """The largest share of a claim that an evolution reaches: above one it is broken."""
-        size = 2 * len(self.names) + 2 + len(self.report.region.parameters)
+        size = 2 * len(self.names) + 1 + len(self.limited) + len(self.report.region.parameters)
         first = rng.uniform(-1, 1, (self.how.many, size))
         found = differential_evolution(
             lambda tries: -self.shares(tries.T), [(-1.0, 1.0)] * size, init=first, rng=rng, tol=0.0,
@@ -82,29 +74,35 @@ class Target:
 
     def shares(self, tries: Array) -> Array:
         """How far each try comes: start's direction, heading, limits and parameters are in (-1, 1)."""
-        n, found = len(self.names), np.zeros(len(tries))
-        counts = self.how.headings, len(self.loops)
-        turn, limits = (
-            np.floor(0.5 * (tries[:, 2 * n + i] + 1) * c * (1 - 1e-12)) for i, c in enumerate(counts)
-        )
-        for t, k in np.unique(np.stack([turn, limits], axis=1), axis=0):
-            own, heading = (turn == t) & (limits == k), float(t) * 2 * np.pi / self.how.headings + 0.3
-            off = np.clip(2 * tries[own, 2 * n + 2 :], -1, 1)
-            found[own] = self._at(self.loops[int(k)], heading, tries[own, : 2 * n], off)
+        directions, turns, *rest = np.split(tries, self._ends, axis=1)
+        found, count = np.zeros(len(tries)), self.how.headings
+        turn = np.floor(0.5 * (turns[:, 0] + 1) * count * (1 - 1e-12))
+        for t in np.unique(turn):
+            own, heading = turn == t, float(t) * 2 * np.pi / count + 0.3
+            found[own] = self._at(heading, directions[own], *(part[own] for part in rest))
         return found
 
-    def _at(self, loop: ClosedLoop, heading: float, directions: Array, off: Array) -> Array:
+    @property
+    def _ends(self) -> Array:
+        """Where the numbers of a try change their meaning."""
+        return np.cumsum([2 * len(self.names), 1, len(self.limited)])
+
+    def _at(self, heading: float, directions: Array, limits: Array, off: Array) -> Array:
         place = np.array([heading if c == "psi" else 0.0 for c in self.names])
         states = self._begun(place, directions)
         n = len(self.names)
         first = np.concatenate([place - states[:, :n], states[:, n:]], axis=1)
         spans = self.report.region.parameters.items()
-        runs = loop.run_many(
+        runs = self.loop.run_many(
             Scenario(tuple(place), self.duration, self.how.step, continuous=self.how.continuous),
             starts=dict(zip((*self.names, *self.velocities), first.T, strict=True)),
+            gains={
+                f"limit_{c.name}": c.largest + np.clip(0.5 + s, 0, 1) * (c.limit - c.largest)
+                for c, s in zip(self.limited, limits.T, strict=True)
+            },
             parameters={
                 name: 0.5 * (low + high) + 0.5 * (high - low) * o
-                for (name, (low, high)), o in zip(spans, off.T, strict=True)
+                for (name, (low, high)), o in zip(spans, np.clip(2 * off, -1, 1).T, strict=True)
             },
         )
         seen = np.concatenate([place - runs.states[..., :n], runs.states[..., n : 2 * n]], axis=-1)

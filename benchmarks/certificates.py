@@ -13,6 +13,7 @@ import json
 import tempfile
 import time
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -209,25 +210,31 @@ def box_of(gains: GainSet, share: float) -> dict[str, float]:
     return {c: share if c in ("phi", "theta", "psi") else share * length for c in names}
 
 
-def called_stable(gains: GainSet, box: dict[str, float], rng: np.random.Generator) -> str:
+def called_stable(
+    gains: GainSet, box: dict[str, float], roots: list[complex], rng: np.random.Generator
+) -> str:
     """What linearisation and simulation of corners of the box say: "stable", "limited", or why not.
 
     Both at the headings of the set-point that a certificate is for: all of them.
     """
-    slowest = -max(r.real for r in roots_of(gains))
+    slowest = -max(r.real for r in roots)
     if slowest <= 0:
         return "unstable at rest"
     duration = max(12 / slowest, 60.0)
     if duration > LONGEST:
         return "too slow to simulate"
     corners = rng.choice((-1.0, 1.0), (16, len(box))) * list(box.values())
+    most = 0.0
     try:
-        runs = [_run(gains, corners, duration, heading) for heading in headings_of(box)]
+        loop = ClosedLoop(gains)
+        for heading in headings_of(box):
+            left, used = _run(loop, corners, duration, heading)
+            if left > 0.3:
+                return "does not come back"
+            most = max(most, used)
     except UndertowError:
         return "not simulated"
-    if max(left for left, _ in runs) > 0.3:
-        return "does not come back"
-    return "stable" if max(used for _, used in runs) < 1 else "limited"
+    return "stable" if most < 1 else "limited"
 
 
 def roots_of(gains: GainSet) -> list[complex]:
@@ -243,13 +250,13 @@ def headings_of(box: dict[str, float]) -> Array:
     return np.arange(count) * 2 * np.pi / Attack().headings + (0.3 if count > 1 else 0.0)
 
 
-def _run(gains: GainSet, corners: Array, duration: float, heading: float) -> tuple[float, float]:
+def _run(loop: ClosedLoop, corners: Array, duration: float, heading: float) -> tuple[float, float]:
     """The largest error left of these errors at a set-point at rest, and the largest command by its limit."""
-    names, limits = gains.plant.vehicle.pose_names, allocation_of(gains).limits
+    names, limits = loop.vehicle.pose_names, allocation_of(loop.gains).limits
     place = np.array([heading if c == "psi" else 0.0 for c in names])
     first = dict(zip(names, (place - corners).T, strict=True))
-    runs = ClosedLoop(gains).run_many(Scenario(tuple(place), duration, 0.02), starts=first)
-    pairs = zip(gains.plant.vehicle.command_names, limits, strict=True)
+    runs = loop.run_many(Scenario(tuple(place), duration, 0.02), starts=first)
+    pairs = zip(loop.gains.plant.vehicle.command_names, limits, strict=True)
     used = [float(np.abs(runs.command(c)).max() / m) for c, m in pairs if np.isfinite(m)]
     left = np.abs(place - runs.states[:, -1, : len(names)]).max(axis=1) / np.abs(corners).max(axis=1)
     return float(np.nan_to_num(left, nan=np.inf).max()), max(used, default=0.0)
@@ -329,6 +336,7 @@ def main() -> int:
     parser.add_argument(
         "--box", type=float, help="PID loops only, with a stated start box: share of a length"
     )
+    parser.add_argument("--first", type=int, default=0, help="of --box the first case, to go on with --rows")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop --box after this time")
     parser.add_argument(
         "--degrees",
@@ -361,32 +369,47 @@ def main() -> int:
 
 def boxes(wish: argparse.Namespace) -> int:
     """PID loops with a stated start box: how many that are called stable are certified, in how long."""
-    rows, begun = [], time.monotonic()
-    if wish.rows and wish.rows.exists():
-        rows = [Outcome(*json.loads(line)) for line in wish.rows.read_text().splitlines()]
-    for k in range(wish.cases):
+    rows, begun = _kept(wish.rows), time.monotonic()
+    cases = wish.first
+    for cases in range(wish.first, wish.cases):
         if time.monotonic() - begun > wish.seconds:
             break
-        rng = np.random.default_rng((wish.seed, k))
-        case, folder = draw(rng, False), wish.keep / f"{wish.seed}-{k}"
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            gains = load(case, folder) if 'law = "pid"' in case.gains else None
-        except UndertowError:
+        rng = np.random.default_rng((wish.seed, cases))
+        gains = _drawn(wish, cases, rng)
+        if gains is None:
             continue
-        if gains is None or gains.unactuated or len(gains.plant.nu) not in wish.degrees:
-            continue
-        found = _boxed(gains, wish, k, rng)
-        if found is not None:
-            rows.append(found)
-            print(*found, flush=True)
-    if wish.rows:
-        wish.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    page = page_of(rows, wish.box)
+        rows.append(_boxed(gains, wish, cases, rng))
+        print(*rows[-1], flush=True)
+        if wish.rows:
+            with wish.rows.open("a") as kept:
+                kept.write(json.dumps(rows[-1]) + "\n")
+    else:
+        cases = max(wish.cases, cases)
+    page = page_of(rows, wish.box, cases)
     print(page)
     if wish.page:
         wish.page.write_text(page)
     return 1 if any(max(r.reached, r.reached_over) > 1 for r in rows) else 0
+
+
+def _kept(rows: Path | None) -> list[Outcome]:
+    """What earlier runs left."""
+    if rows is None or not rows.exists():
+        return []
+    return [Outcome(*json.loads(line)) for line in rows.read_text().splitlines()]
+
+
+def _drawn(wish: argparse.Namespace, number: int, rng: np.random.Generator) -> GainSet | None:
+    """The PID loop of a case with thrusters in all axes, or None."""
+    case, folder = draw(rng, False), wish.keep / f"{wish.seed}-{number}"
+    if 'law = "pid"' not in case.gains:
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        gains = load(case, folder)
+    except UndertowError:
+        return None
+    return None if gains.unactuated or len(gains.plant.nu) not in wish.degrees else gains
 
 
 class Outcome(NamedTuple):
@@ -396,7 +419,8 @@ class Outcome(NamedTuple):
     case: int
     size: int  # degrees of freedom
     called: str  # by linearisation and simulation
-    said: str  # "certified", or why not
+    damping: float  # least damping ratio of the roots at rest
+    said: str  # "certified", or why not; "not asked" where only loops called stable are asked for
     reached: float  # largest share of a claim that an attack came to: above one it is broken
     seconds: float
     # The same of a certificate over parameters within SPREAD of their values:
@@ -405,26 +429,31 @@ class Outcome(NamedTuple):
     seconds_over: float
 
 
-def _boxed(gains: GainSet, wish: argparse.Namespace, case: int, rng: np.random.Generator) -> Outcome | None:
-    """What became of one loop; None where only loops called stable are asked for and it is none."""
+def _boxed(gains: GainSet, wish: argparse.Namespace, case: int, rng: np.random.Generator) -> Outcome:
+    """What became of one loop."""
     box = box_of(gains, wish.box)
-    called = called_stable(gains, box, rng)
-    if wish.stable and called != "stable":
-        return None
-    each = [_judged(gains, box, over, rng) for over in (None, SPREAD)]
-    return Outcome(wish.seed, case, len(box), called, *each[0], *each[1])
+    roots = roots_of(gains)
+    called = called_stable(gains, box, roots, rng)
+    damping = min(-r.real / abs(r) for r in roots)
+    each = [("not asked", 0.0, 0.0)] * 2
+    if called == "stable" or not wish.stable:
+        lasts = max(-12 / max(r.real for r in roots), 60.0)
+        each = [_judged(gains, box, over, lasts, rng) for over in (None, SPREAD)]
+    return Outcome(wish.seed, case, len(box), called, damping, *each[0], *each[1])
 
 
 def _judged(
-    gains: GainSet, box: dict[str, float], over: float | None, rng: np.random.Generator
+    gains: GainSet, box: dict[str, float], over: float | None, lasts: float, rng: np.random.Generator
 ) -> tuple[str, float, float]:
-    """Whether a start box is certified, how far an attack comes, and the processor time, s."""
+    """Whether a start box is certified, how far an attack comes, and the processor time, s.
+
+    `lasts` is how long motions take to come to rest.
+    """
     begun = time.process_time()
     report = certify(gains, forms=["derived"], start=box, uncertain=over)
     seconds = time.process_time() - begun
     reached = 0.0
     if report.ok and report.region.found:
-        lasts = max(-12 / max(r.real for r in roots_of(gains)), 60.0)
         target = target_of(gains, report, min(lasts, ATTACKED), lasts <= ATTACKED, Attack())
         reached = target.worst(rng) if target else 0.0
     return _said(report), reached, seconds
@@ -444,13 +473,14 @@ def _said(report: Report) -> str:
 PAGE = """# Certificates of PID loops
 
 How many PID loops that are stable get a certificate from `undertow gains --start`, and whether attacks break one.
-Written by `python -m benchmarks.certificates --box {share:g} --stable --page docs/certificates.md`; {sample}.
+Written by `python -m benchmarks.certificates --cases {cases} --seed {seeds} --box {share:g} --stable --page docs/certificates.md`.
 
 **Loops.** Random vehicles of some kilograms to some tons with inertia, added mass, Coriolis forces, linear and quadratic
 damping, lift and buoyancy, a third of the coefficients different ahead and astern, a thruster in every axis, most of them
 with limits; random gains of natural frequencies from 0.05 to 2 rad/s in each axis. A loop is *called stable* if every pole
 at rest decays, and simulations of up to {longest:g} s from 16 corners of the start box at {headings} headings of the
-set-point come back with no command at its limit. Only these are counted.
+set-point come back with no command at its limit. Only these are counted. Of {cases} cases, {pid} are PID loops with a thruster in every
+axis: {called}.
 
 **Certificate.** It says of the start box ({share:g} of the vehicle's length in every translation, {share:g} rad in every
 angle, at rest, at any heading of the set-point) that every motion from it comes to rest at the set-point, and bounds errors, speeds and
@@ -458,10 +488,10 @@ commands on the way, these below their limits. It is a quadratic V or bounds in 
 for the parameters of the file ([how](gains.md#a-quadratic-v)), and in a second certificate (`--uncertain {spread:.0%}`) for every value of all
 parameters of inertia and damping within {spread:.0%} of those of the file ([how](gains.md#over-parameters)).
 
-**Attack.** A differential evolution ({tries} simulations) looks for starts, headings, limits of the thrusters from the certified bounds on
-their commands up to those of the file, and for the second certificate parameters that come closest to breaking
-a claim: an error, a speed or a command above its bound, V that rises, or a motion that does not come to rest.
-What seems broken is attacked anew with a law that is not sampled, for which the claims are made.
+**Attack.** Against each certificate, a differential evolution ({tries} simulations of up to {attacked:g} s) looks for the start, the heading, the
+limit of each thruster (from the certified bound on its command up to that of the file) and, for the second certificate, the value of each parameter
+(within {spread:.0%}) that come closest to breaking a claim: an error, a speed or a command above its bound, V that rises, or a motion that does not
+come to rest. What seems broken is attacked anew with a law that is not sampled, for which the claims are made.
 
 With the parameters of the file:
 
@@ -469,45 +499,66 @@ With the parameters of the file:
 |---|---|---|---|---|---|---|---|
 {table}
 
-With parameters within {spread:.0%}:
+With every value of the parameters within {spread:.0%}:
 
 | degrees of freedom | called stable | certified | share (95 % interval) | broken by attacks | closest to a bound | processor seconds, median | longest |
 |---|---|---|---|---|---|---|---|
 {over}
 
-*Closest to a bound* is the largest share of any bound that attacks reached: one would break it.
+*Closest to a bound* is the largest share of any bound that attacks reached: one would break it. Intervals of shares are those of Clopper and Pearson.
 
-Why the others are refused with the parameters of the file:
+## Claims that attacks broke
 
-| degrees of freedom | reason | loops |
-|---|---|---|
-{why}
+{broken}
+
+## Loops without a certificate
+
+| case | degrees of freedom | least damping ratio | with the parameters of the file | within {spread:.0%} |
+|---|---|---|---|---|
+{refused}
 
 *A command meets its limit*: the bound on a command is above the limit of its thruster, although no simulation got there; saturation
 itself is not part of any certificate. *No proof*: neither a V whose level set holds the start nor bounds in
-time that close; in those looked at, lightly damped axes, or weak springs in roll, pitch or yaw beside moments of moving through the water.
+time that close. The least damping ratio is that of the poles at rest, over all headings.
 """  # noqa: E501
 
 
-def page_of(rows: list[Outcome], share: float) -> str:
-    """The tables of the counts."""
+def page_of(rows: list[Outcome], share: float, cases: int) -> str:
+    """The tables of the counts of so many cases."""
     stable = [r for r in rows if r.called == "stable"]
-    seeds = sorted({r.seed for r in stable})
-    last = {size: max(r.case for r in stable if r.size == size) for size in sorted({r.size for r in stable})}
-    cases = ", ".join(f"{case} with {size}" for size, case in last.items())
-    refused = [(r.size, r.said) for r in stable if r.said != "certified"]
     over = [r._replace(said=r.said_over, reached=r.reached_over, seconds=r.seconds_over) for r in stable]
+    called = Counter(r.called for r in rows)
     return PAGE.format(
         share=share,
-        sample=f"seed {', '.join(map(str, seeds))}; the last stable loops: {cases} degrees of freedom",
+        cases=f"{cases}",
+        seeds=", ".join(map(str, sorted({r.seed for r in rows}))),
+        pid=len(rows),
+        called=", ".join(f"{count} {what}" for what, count in called.most_common()),
         longest=LONGEST,
+        attacked=ATTACKED,
         headings=Attack().headings,
         tries=Attack().generations * Attack().many,
         table=_table(stable),
         over=_table(over),
         spread=SPREAD,
-        why="\n".join(f"| {s} | {why} | {refused.count((s, why))} |" for s, why in sorted(set(refused))),
+        broken=_broken(stable),
+        refused="\n".join(
+            f"| {r.case} | {r.size} | {r.damping:.3f} | {r.said} | {r.said_over} |"
+            for r in sorted(stable, key=lambda r: (r.size, r.case))
+            if (r.said, r.said_over) != ("certified", "certified")
+        ),
     )
+
+
+def _broken(rows: list[Outcome]) -> str:
+    """Every claim that an attack broke, in a line."""
+    found = [
+        f"- Case {r.case}, {r.size} degrees of freedom, {what}: {reached:.4f} of a bound."
+        for r in rows
+        for what, reached in (("parameters of the file", r.reached), ("over parameters", r.reached_over))
+        if reached > 1
+    ]
+    return "\n".join(found) or "None."
 
 
 def _table(rows: list[Outcome]) -> str:

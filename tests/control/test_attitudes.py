@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 
@@ -67,6 +68,28 @@ def test_products_of_interval_matrices_contain_the_products() -> None:
         u, v = RNG.uniform(-1, 1, (2, 5, 4, 4))
         product = (a + u * ra) @ (b + v * rb)
         assert np.all((found.lo <= product) & (product <= found.hi))
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-100, 1e100])
+def test_rounding_stays_within_intervals(size: float) -> None:
+    """Sums, products and matrix products of exact numbers, worked out in fractions."""
+    a, b = RNG.normal(size=(2, 6, 6)) * np.array([size, 1.0])[:, None, None]
+    exact = [[Fraction(v) for v in row] for row in a], [[Fraction(v) for v in row] for row in b]
+    A, B = (Interval(m, m) for m in (a, b))
+    turned = [
+        [sum(x * y for x, y in zip(row, c, strict=True)) for c in zip(*exact[1], strict=True)]
+        for row in exact[0]
+    ]
+    each = {
+        "+": (A + B, [[x + y for x, y in zip(*rows, strict=True)] for rows in zip(*exact, strict=True)]),
+        "*": (A * B, [[x * y for x, y in zip(*rows, strict=True)] for rows in zip(*exact, strict=True)]),
+        "@": (A @ B, turned),
+    }
+    for found, values in each.values():
+        for k in np.ndindex(6, 6):
+            assert Fraction(found.lo[k]) < values[k[0]][k[1]] < Fraction(found.hi[k])
+            assert found.hi[k] - found.lo[k] <= 1e-13 * max(size, 1.0)
+    assert (A.radius == 0).all()
 
 
 def test_least_eigenvalue_of_intervals_is_below_that_of_every_matrix_within() -> None:
@@ -147,7 +170,7 @@ def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attitude, "BOUNDS", replace(attitude.BOUNDS, most_boxes=1))
+    monkeypatch.setattr(attitude, "BOUNDS", replace(attitude.BOUNDS, first_boxes=1, most_boxes=1))
     gains = rov_gains(tmp_path, "pd", 10.0)
     found = certify(gains, Uncertainty(rov()), forms=["derived"], tilt=np.radians(80))
     (row,) = [r for r in found.rows if r.condition == "K_V + D" and r.scope == "matrices"]

@@ -89,7 +89,7 @@ def test_a_law_that_is_sampled_breaks_no_bound_of_one_that_is_not() -> None:
         )
         target = BoxTarget(gains, report, 10.0, False, Attack(generations=1, many=5))  # type: ignore[arg-type]
         assert (target.worst(np.random.default_rng(5)) > 1) == broken
-        assert target.shares(np.ones((1, 4))) > 1  # as sampled
+        assert target.shares(np.ones((1, 3))) > 1  # as sampled
 
 
 def test_the_page_has_shares_with_their_exact_intervals() -> None:
@@ -97,11 +97,39 @@ def test_the_page_has_shares_with_their_exact_intervals() -> None:
     said = ("certified", "certified", "no proof", "certified", "certified", "certified")
     sizes = (1, 1, 6, 6, 6, 6)
     rows = [
-        Outcome(1, k, n, "stable", s, 0.9, 2.0, "no proof", 0.0, 3.0)
+        Outcome(1, k, n, "stable", 0.1 * k, s, 0.9, 2.0, "no proof", 0.0, 3.0)
         for k, (n, s) in enumerate(zip(sizes, said, strict=True))
     ]
-    page = page_of([*rows, Outcome(1, 7, 6, "limited", "no proof", 0.0, 1.0, "no proof", 0.0, 1.0)], 0.1)
+    others = [Outcome(1, 7, 6, "limited", 0.2, "not asked", 0.0, 0.0, "not asked", 0.0, 0.0)]
+    page = page_of([*rows, *others], 0.1, 9)
     assert "| 1 | 2 | 2 | 100% (16% to 100%) | 0 | 0.9000 | 2.0 | 2.0 |" in page
     assert "| 6 | 4 | 3 | 75% (19% to 99%) |" in page
     assert "| all | 6 | 5 | 83% (36% to 100%) |" in page
-    assert "| 6 | no proof | 1 |" in page
+    assert "Of 9 cases, 7 are PID loops with a thruster in every\naxis: 6 stable, 1 limited." in page
+    assert "| 2 | 6 | 0.200 | no proof | no proof |" in page
+    assert "| 1 | 1 | 0.100 | certified | no proof |" in page
+    assert "\nNone.\n" in page
+
+
+def test_the_page_lists_claims_that_attacks_broke() -> None:
+    """With the case, and whether it is over parameters."""
+    row = Outcome(1, 4, 3, "stable", 0.3, "certified", 0.99, 2.0, "certified", 1.25, 3.0)
+    assert "- Case 4, 3 degrees of freedom, over parameters: 1.2500 of a bound." in page_of([row], 0.1, 5)
+
+
+def test_an_attack_varies_limits_between_the_bound_and_that_of_the_file() -> None:
+    """Half of the tries have a limit at either end; a law held at the certified bound keeps its claims."""
+    gains = law(sinker(16.2), "pid")
+    report = certify(gains, forms=["derived"], start=START)
+    target = Target(gains, report, 5.0, False, Attack())
+    assert len(target.limited) == len(report.region.commands) > 0
+    seen: list[dict[str, np.ndarray]] = []
+    run_many = target.loop.run_many
+    target.loop.run_many = lambda *a, **k: (seen.append(k["gains"]), run_many(*a, **k))[1]  # type: ignore[assignment, func-returns-value]
+    tries = np.full((3, 2 * 4 + 1 + len(target.limited)), 0.1)
+    tries[:, 9] = -1.0, 0.0, 1.0
+    target.shares(tries)
+    first = report.region.commands[0]
+    assert seen[0][f"limit_{first.name}"] == pytest.approx(
+        [first.largest, 0.5 * (first.largest + first.limit), first.limit]
+    )

@@ -57,6 +57,24 @@ def test_the_virtual_machine_agrees(lanes: int) -> None:
     np.testing.assert_allclose(found.commands, expected.commands, rtol=0, atol=1e-10)
 
 
+def test_limits_of_commands_differ_from_run_to_run(lanes: int) -> None:
+    """As loops of gain files that state them."""
+    limits, scenario = [0.02, 0.1, 3.0], Scenario(GOAL, 5.0, log_interval=0.5)
+
+    def stated(limit: float) -> ClosedLoop:
+        own = {"limits": {"f1": limit}}
+        change = lambda t: t.model_copy(update={"allocation": t.allocation.model_copy(update=own)})  # noqa: E731
+        return ClosedLoop(load_gains("paper-pid", AUV, change), compiled=True)
+
+    many = stated(3.0).run_many(scenario, gains={"limit_f1": np.array(limits)})
+    for i, limit in enumerate(limits):
+        alone = stated(limit).run_many(scenario, starts={"z": np.zeros(1)})
+        np.testing.assert_allclose(many.commands[i], alone.commands[0], rtol=0, atol=1e-9)
+    used = np.abs(many.command("f1")).max(axis=1)
+    assert used[:2] == pytest.approx(limits[:2])
+    assert used[2] > limits[1]
+
+
 def test_run_many_is_run(lanes: int) -> None:
     """The run of the files among others is the run alone, noise of its own seed included."""
     scenario = Scenario(GOAL, 2.0, noise={"psi": 0.01, "u": 0.001}, seed=5, log_interval=0.1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from math import inf, isfinite, pi
 from typing import NamedTuple
@@ -53,6 +53,11 @@ class Sharing:
         """The numbers of an allocation as constants."""
         acting = ca.sparsify(ca.SX(ca.DM(allocation.acting)))
         return cls(allocation, acting, ca.SX(allocation.weights), ca.SX(allocation.limits))
+
+    def with_limits(self, found: Mapping[int, ca.SX]) -> Sharing:
+        """The same with other limits of some commands, by place."""
+        limits = [found.get(i, limit) for i, limit in enumerate(ca.vertsplit(self.limits))]
+        return replace(self, limits=ca.vertcat(*limits))
 
     @classmethod
     def with_names(cls, allocation: Allocation, commands: Sequence[str], forces: Sequence[str]) -> Sharing:
@@ -144,14 +149,15 @@ class Controller:
     """A gain set as CasADi functions of what the sensors report.
 
     y is the reported pose and velocity in the vehicle's degrees of freedom, r the desired pose, s the states
-    of the law and a last one for the gate (0 closed, 1 passed), k the gains, all in SI. With a reference r
-    are the numbers of its mission, and its states stand in s between those of the law and the gate.
+    of the law and a last one for the gate (0 closed, 1 passed), k the gains and then the finite limits of
+    the commands, all in SI. With a reference r are the numbers of its mission, and its states stand in s
+    between those of the law and the gate.
     """
 
     def __init__(self, gains: GainSet, reference: Reference | None = None) -> None:
         self.gains, self.reference = gains, reference
         self.allocation: Allocation = allocation_of(gains)
-        self._sharing, self._opening = Sharing.of(self.allocation), ca.SX(self.gate)
+        self._opening = ca.SX(self.gate)
         self._coordinates = gains.plant.vehicle.pose_names
         self._check_schedule()
         self._numbers = {s: ca.SX(float(v)) for s, v in gains.plant.numbers.items()}
@@ -161,6 +167,10 @@ class Controller:
         self._own, self._passed = ca.SX.sym("s", n_states - 1 - followed), ca.SX.sym(GATE)
         self._at = ca.SX.sym("at", followed)
         self._k, self._dt = ca.SX.sym("k", len(self.gain_names)), ca.SX.sym("dt")
+        named = dict(zip(self.gain_names, ca.vertsplit(self._k), strict=True))
+        self._sharing = Sharing.of(self.allocation).with_limits(
+            {i: named[n] for i, n in self._limits.items()}
+        )
 
     def _check_schedule(self) -> None:
         missing = [c for c in ("x", "psi") if c not in self._coordinates]
@@ -190,12 +200,20 @@ class Controller:
 
     @property
     def gain_names(self) -> tuple[str, ...]:
-        """Names of the entries of k."""
-        return tuple(str(g.symbol(c)) for g in type(self.gains.law).gains for c in self._coordinates)
+        """Names of the entries of k: K_P_x ... of the law, then limit_f1 ... of commands that have one."""
+        own = (str(g.symbol(c)) for g in type(self.gains.law).gains for c in self._coordinates)
+        return (*own, *self._limits.values())
+
+    @property
+    def _limits(self) -> dict[int, str]:
+        """Names of the finite limits, by place of the command."""
+        pairs = enumerate(zip(self.command_names, self.allocation.limits, strict=True))
+        return {i: f"limit_{c}" for i, (c, limit) in pairs if isfinite(limit)}
 
     def gain_values(self) -> list[float]:
         """Values of k."""
-        return [self.gains.values[name] for name in self.gain_names]
+        limits = {name: float(self.allocation.limits[i]) for i, name in self._limits.items()}
+        return [limits[name] if name in limits else self.gains.values[name] for name in self.gain_names]
 
     def initial_states(self) -> list[float]:
         """Values of s at the start: integrals at zero, the gate closed where there is one."""

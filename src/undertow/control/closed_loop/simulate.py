@@ -303,10 +303,10 @@ class ClosedLoop:
     ) -> Runs:
         """Simulate many runs that differ, side by side in the lanes of vectors and in threads.
 
-        `parameters` (of the vehicle that moves: m, X_udot ..., SNAME signs), `gains` (K_P_x ...) and
-        `starts` (first pose and velocity: x ... psi, u ... r, SI) have an array of a value for each run by
-        name. Run i has the noise of seed + i, so that it is what `run` with that seed is. By default as many
-        threads as there are processors. For example::
+        `parameters` (of the vehicle that moves: m, X_udot ..., SNAME signs), `gains` (K_P_x ..., and
+        limit_f1 ... of commands that have a limit) and `starts` (first pose and velocity: x ... psi,
+        u ... r, SI) have an array of a value for each run by name. Run i has the noise of seed + i, so that
+        it is what `run` with that seed is. By default as many threads as there are processors. For example::
 
             masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
             loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses}).state("z")[:, -1].std()

@@ -17,6 +17,8 @@ from undertow.model.symbols import POSE, body_rates, column, symbol
 from undertow.typing import Array, Flags
 
 _EPS = float(np.finfo(float).eps)
+_STEP = 2 * _EPS  # a rounding is a quarter of this at most, relative,
+_TINY = 2.0**-1000  # or far below this where numbers underflow
 
 
 class Interval:
@@ -45,9 +47,9 @@ class Interval:
 
     @property
     def radius(self) -> Array:
-        """At least the distance from the middle to either end."""
+        """At least the distance from the middle to either end; zero where there is no width."""
         middle = self.middle
-        return np.nextafter(np.maximum(self.hi - middle, middle - self.lo), np.inf)
+        return np.asarray(np.maximum(self.hi - middle, middle - self.lo) * (1 + 2 * _EPS))
 
     def __add__(self, other: Any) -> Interval:
         o = enclose(other)
@@ -108,10 +110,11 @@ class Interval:
         """Product of matrices by middle and radius (Rump 1999, Fast and parallel interval arithmetic)."""
         o = enclose(other)
         a, b, ra, rb = self.middle, o.middle, self.radius, o.radius
-        middle = a @ b
-        size = np.abs(a) @ np.abs(b)
-        radius = np.abs(a) @ rb + ra @ (np.abs(b) + rb)
-        radius = (radius + (a.shape[-1] + 2) * _EPS * (size + radius)) * (1 + 4 * _EPS)
+        middle, size_b, rounding = a @ b, np.abs(b), (a.shape[-1] + 4) * _EPS
+        radius = np.abs(a) @ (rb + rounding * size_b)
+        if ra.any():
+            radius += ra @ (size_b + rb)
+        radius = radius * (1 + 4 * rounding) + _TINY
         return _out(middle - radius, middle + radius)
 
     def __rmatmul__(self, other: Any) -> Interval:
@@ -124,8 +127,8 @@ class Interval:
 
 
 def _out(lo: Array, hi: Array) -> Interval:
-    """The next numbers outside: one rounding is half a step at most."""
-    return Interval(np.nextafter(lo, -np.inf), np.nextafter(hi, np.inf))
+    """Numbers outside by more than one rounding, which `nextafter` takes four times as long to find."""
+    return Interval(lo - (_STEP * np.abs(lo) + _TINY), hi + (_STEP * np.abs(hi) + _TINY))
 
 
 def enclose(value: Any) -> Interval:

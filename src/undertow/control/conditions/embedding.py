@@ -17,7 +17,17 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, block, enclose, enclosing, within
-from .commands import Commands, Slopes, Term, inverses_of_inertia, plain, shifts, sizes_and_signs, terms_of
+from .commands import (
+    Commands,
+    Inverses,
+    Slopes,
+    Term,
+    inverses_of_inertia,
+    plain,
+    shifts,
+    sizes_and_signs,
+    terms_of,
+)
 from .problem import NO_SPREAD, Problem, Spread
 
 _EPS = float(np.finfo(float).eps)
@@ -301,11 +311,17 @@ class Embedding:
         every = [within(np.ones(1))] * len(spread)
         return _Moving(rest, lambda *values: added_of(*values, *every), switching, counts)
 
+    @cached_property
+    def _at_rest(self) -> tuple[Array, Inverses, Slopes]:
+        """Cases of the signs, and in each of them the inverse of M, and C + D without motion."""
+        cases, spread = sign_cases(self._moving.switching, self.n), self.problem.spread
+        still = Slopes(sizes_and_signs(self.plant)[1], self._moving.rest, spread, cases)
+        return cases, inverses_of_inertia(self.problem, cases), still
+
     def corners(self, speeds: Array) -> Corners:
         """The corners of |nu_i| <= speeds_i."""
         m, n = self._moving, self.n
-        cases, spread, signs = sign_cases(m.switching, n), self.problem.spread, sizes_and_signs(self.plant)[1]
-        inverses, still = inverses_of_inertia(self.problem, cases), Slopes(signs, m.rest, spread, cases)
+        cases, inverses, still = self._at_rest
         whole, zero = inverses.whole, np.zeros((len(cases), n))
         none = enclose(self._turning(zero)), enclose(zero[..., None])
         rest = Matrices(inverses.middle + within(inverses.rest), still.value + within(still.curved), *none)

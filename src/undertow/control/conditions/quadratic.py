@@ -113,9 +113,10 @@ class Search:
         for centre in self.centres:
             self.centre, self.forms = centre, 0
             share = SETTINGS.share(self.loop.size, SETTINGS.work_power)
-            # Each uncertain parameter is one more sum in every matrix, as each velocity is.
+            # Each uncertain parameter is one more sum in every matrix, as each velocity is, and one more that
+            # is cut in two where all of them together are too large: in vain, if that takes long.
             sums = 1 + len(self.problem.spread) / self.loop.n
-            self.work = Work(int(SETTINGS.most * share / sums))
+            self.work = Work(int(SETTINGS.most * share / sums**2))
             self.chosen.clear()
             proof = self._in_sector(bounds)
             if proof is None:

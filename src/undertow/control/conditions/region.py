@@ -236,14 +236,14 @@ def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Regio
     """The level set of a quadratic V, or bounds in time: what is quickest first.
 
     With many axes there hardly ever is a V, and none where attitudes are in the loop. With few, a smaller
-    usual start may have one, which says more than bounds in time.
+    usual start may have one, which says more than bounds in time; over parameters it takes far longer, too.
     """
     many, in_time = len(problem.coordinates) > PROGRAM.most_full, partial(_in_time, problem, box)
     one_reading, every_reading = (partial(_with_a_form, problem, box, every) for every in (False, True))
     ways: list[Callable[[], Region | None]] = [in_time, one_reading]
     if many and not problem.same(("x", "y", "z")):
         ways = [in_time]
-    elif not many:
+    elif not many and not problem.spread:
         ways = [one_reading, in_time, every_reading] if stated else [one_reading, every_reading]
     refusals: list[UndertowError] = []
     for way in ways:
