@@ -45,8 +45,10 @@ def in_order(context: typer.Context, logs: list[Path] | None) -> list[Path] | No
 
 def _is_log(given: str) -> bool:
     """Whether a file in the place of the vehicle is none: no text in TOML."""
+    from undertow.model.tables import is_file
+
     path = Path(given)
-    if path.suffix == ".toml" or not path.is_file():
+    if path.suffix == ".toml" or not is_file(path):
         return False
     try:
         read_toml(path, "vehicle file")

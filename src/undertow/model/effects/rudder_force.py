@@ -24,12 +24,11 @@ class RudderForce(Wrench):
     rudder = PerThruster("N/(m/s)^2/command", "force per command and speed ahead squared")
 
     def wrench(self, s: Signals) -> sm.Matrix:
-        speed = s.nu_r[0]
-        columns = sm.Matrix.hstack(*map(self._lifting, self.allocation.T.tolist()))
-        return sm.Abs(speed) * speed * columns * s.actuation.multiply_elementwise(self.rudder)
+        speed, across = s.nu_r[0], [self._is_across(ahead) for ahead in self.allocation[0, :]]
+        lift = s.actuation.multiply_elementwise(self.rudder)
+        return sm.Abs(speed) * speed * self.allocation * sm.diag(*across) * lift
 
     @staticmethod
-    def _lifting(entries: list[sm.Expr]) -> sm.Matrix:
-        """The column of a command, zero if it pushes along the hull; directions are rounded in files."""
-        ahead = entries[0]
-        return sm.Matrix([0] * 6 if ahead.is_number and abs(ahead) > 1e-6 else entries)
+    def _is_across(ahead: sm.Expr) -> int:
+        """1 for a command across the hull, or of unknown direction; directions are rounded in files."""
+        return int(not ahead.is_number or abs(float(ahead)) < 1e-6)
