@@ -30,6 +30,7 @@ from .auv import MASS, auv_hull
 BOX = (0.60, 0.42, 0.24)
 RADIUS = 0.25
 SHELF = Path(__file__).parent / "logs"
+BALL = str(Path(__file__).with_name("sphere.csv"))
 CYLINDER = str(Path(__file__).with_name("cylinder.csv"))
 BULLET = str(Path(__file__).with_name("bullet.csv"))
 AUV_STL = SHELF / "auv.stl"
@@ -151,6 +152,15 @@ BODIES = {
     ),
     "re100": Body(
         "sphere, Reynolds 50 and 100", lambda: _spheroid(RADIUS, RADIUS), _VISCOUS, 3, {}, "", coarser=True
+    ),
+    "re200": Body(
+        "sphere, Reynolds 150 and 200",
+        lambda: _spheroid(RADIUS, RADIUS),
+        Orders(65.4, profiles=(BALL,), prescribed=True, viscosity=0.00075, step=4.0, grids=4),
+        3,
+        {},
+        "",
+        coarser=True,
     ),
     "cylinder": Body(
         "cylinder across, without ends",
@@ -349,7 +359,7 @@ def _coefficients(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
             **_effort(root, tank, c, body.grids),
         }
         for c in coefficients(root, tank)
-        if name not in ("re100", "cylinder-drag")  # drag that is neither linear nor quadratic
+        if name not in ("re100", "re200", "cylinder-drag")  # drag that is neither linear nor quadratic
     ]
 
 

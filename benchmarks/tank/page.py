@@ -94,7 +94,7 @@ CYLINDER = {20: 2.045, 40: 1.522}
 
 def known_drag(row: dict[str, Any]) -> float | None:
     """What was published of a drag coefficient."""
-    if row["body"] == "re100":
+    if row["body"] in ("re100", "re200"):
         return published(row["reynolds"])
     return CYLINDER[round(row["reynolds"])] if row["body"] == "cylinder-drag" else None
 

@@ -617,5 +617,5 @@ def test_the_page_says_what_was_measured() -> None:
         for r in rows
         if r["name"] == "Cd" and (k := known_drag(r))
     }
-    assert len(drag) == 4
+    assert len(drag) == 6
     assert max(map(abs, drag.values())) < 0.03, drag
