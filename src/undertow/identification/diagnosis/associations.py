@@ -322,13 +322,13 @@ class Association:
         rng = np.random.default_rng(0)
         signs = [rng.choice([-1.0, 1.0], size=(SETTINGS.patterns, n)) for n in counts]
         by_chance = np.max([t.gain(*signs) for t in tried], axis=0)
-        best = float(gains.max())
-        near = [tried[i] for i in np.argsort(-gains) if gains[i] > SETTINGS.alike * best]
-        first = next((t for t in near if t.term.is_part_of(near[0].term)), near[0])
-        others = (t.term for t in near if t is not first)
-        alike = tuple(t.label for t in others if not (t.is_step and first.term.is_step))
-        chance = (1 + int(np.sum(by_chance >= best))) / (1 + SETTINGS.patterns)
-        return self._found(first, best, chance, alike)
+        terms = [t.term for t in tried]
+        near = [i for i in np.argsort(-gains) if gains[i] > SETTINGS.alike * gains.max()]
+        first = next((i for i in near if terms[i].is_part_of(terms[near[0]])), near[0])
+        others = (terms[i] for i in near if i != first)
+        alike = tuple(t.label for t in others if not (t.is_step and terms[first].is_step))
+        chance = (1 + int(np.sum(by_chance >= gains[first]))) / (1 + SETTINGS.patterns)
+        return self._found(tried[first], float(gains[first]), chance, alike)
 
     def without(self, found: Found) -> Association:
         """The residual without a term; its coefficients remain free."""
