@@ -371,20 +371,16 @@ def boxes(wish: argparse.Namespace) -> int:
     """PID loops with a stated start box: how many that are called stable are certified, in how long."""
     rows, begun = _kept(wish.rows), time.monotonic()
     cases = wish.first
-    for cases in range(wish.first, wish.cases):
-        if time.monotonic() - begun > wish.seconds:
-            break
+    while cases < wish.cases and time.monotonic() - begun <= wish.seconds:
         rng = np.random.default_rng((wish.seed, cases))
         gains = _drawn(wish, cases, rng)
-        if gains is None:
-            continue
-        rows.append(_boxed(gains, wish, cases, rng))
-        print(*rows[-1], flush=True)
-        if wish.rows:
-            with wish.rows.open("a") as kept:
-                kept.write(json.dumps(rows[-1]) + "\n")
-    else:
-        cases = max(wish.cases, cases)
+        if gains is not None:
+            rows.append(_boxed(gains, wish, cases, rng))
+            print(*rows[-1], flush=True)
+            if wish.rows:
+                with wish.rows.open("a") as kept:
+                    kept.write(json.dumps(rows[-1]) + "\n")
+        cases += 1
     page = page_of(rows, wish.box, cases)
     print(page)
     if wish.page:

@@ -172,7 +172,7 @@ def _inertia(f: Functions) -> Inertia:
 def test_inertial_effects_are_found() -> None:
     # Its thrusters push ahead: no force of a rudder at all, which has no part that is not inertial.
     nothing = {"rudder_force"}
-    assert {*_inertia(functions_of("full")).ids} - nothing == {"rigid_body", "added_mass", *CORIOLIS}
+    assert {*_inertia(functions_of("full")).ids} == {"rigid_body", "added_mass", *CORIOLIS} | nothing
 
 
 @pytest.mark.parametrize("dofs", SUBSETS, ids="-".join)

@@ -310,7 +310,7 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
 
 
 def _how_together(dependence: Dependence) -> str:
-    commands = [command_of(c[0]) if c else None for c in dependence.columns]
+    commands = [command_of(column[0]) for column in dependence.columns]
     if None in commands:
         return f"amplitude {float(np.linalg.norm(dependence.coefficients)):.2g} {dependence.units[0]}"
     each = zip(dependence.coefficients, commands, strict=True)

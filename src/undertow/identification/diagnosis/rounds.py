@@ -20,6 +20,7 @@ from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate, possible
 from .evidence import (
     Chance,
+    Comparison,
     FoundEffect,
     IsNoise,
     Linear,
@@ -235,10 +236,8 @@ class _Evidence(NamedTuple):
 def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Evidence) -> Round:
     linears = [linear(t.fit, bench) for t in tried]
     often = inclusion(linears, bench.settings).tolist()
-    chances = [_chances(t, at, bench, evidence) for t, at in zip(tried, linears, strict=True)]
-    findings = [_finding(*found, bench) for found in zip(tried, chances, often, strict=True)] + [
-        _finding(t, (1.0, 1.0), float("nan"), bench) for t in others
-    ]
+    findings = [_finding(*found, bench, evidence) for found in zip(tried, linears, often, strict=True)]
+    findings += [_finding(t, None, float("nan"), bench, evidence) for t in others]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
     best = findings[0].trial.score
     rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench)]
@@ -250,10 +249,13 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Ev
     return Round(bench, findings, rivals)
 
 
-def _finding(trial: Trial, chances: tuple[float, float], inclusion: float, bench: Bench) -> FoundEffect:
+def _finding(
+    trial: Trial, at: Linear | None, inclusion: float, bench: Bench, evidence: _Evidence
+) -> FoundEffect:
+    """A candidate with the evidence for it; without a linearisation one that was not worth a fit."""
     settings = bench.settings
     compared = compare_scores(bench.base_score, trial.score, bench.test)
-    chance, slow = chances
+    chance, slow = (1.0, 1.0) if at is None else _chances(trial, at, compared, bench, evidence)
     strong = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
@@ -261,13 +263,17 @@ def _finding(trial: Trial, chances: tuple[float, float], inclusion: float, bench
     return FoundEffect(trial, compared, share, chance, strong and better, slow, inclusion)
 
 
-def _chances(trial: Trial, at: Linear, bench: Bench, evidence: _Evidence) -> tuple[float, float]:
+def _chances(
+    trial: Trial, at: Linear, compared: Comparison, bench: Bench, evidence: _Evidence
+) -> tuple[float, float]:
     """Probability that the best of all candidates does as well as this one if nothing is missing; and the
     same under a slow disturbance.
 
     The bootstrap weights blocks by their error reduction, the rank test counts them: each may detect what the
     other misses, and each gets half of the false alarms. Few of the longer blocks are in the validation data:
     all are compared, each with models that were fitted to the others.
+
+    compared: the candidate and the model without it over the usual blocks.
     """
     if trial.id not in evidence.falls:
         return 1.0, 1.0
@@ -276,8 +282,7 @@ def _chances(trial: Trial, at: Linear, bench: Bench, evidence: _Evidence) -> tup
         by_draws = evidence.chance.p_value(evidence.falls[trial.id], times)
         return min(1.0, 2.0 * min(by_draws, evidence.among * by_rank))
 
-    usual = chance(compare_scores(bench.base_score, trial.score, bench.test).p_value, 1)
-    longer = times_longer(trial, evidence.left, bench)
+    usual, longer = chance(compared.p_value, 1), times_longer(trial, evidence.left, bench)
     if longer == 1:
         return usual, usual
     return usual, chance(rank_p_value(with_longer_blocks(at, longer, bench).left_out()), longer)
