@@ -38,9 +38,9 @@ class Limits:
     # its weight; newtons taken for kilograms are off by 9.81.
     buoyancy: float = 8.0
     # Places aboard, by the length of the vehicle's displacement (a cube of water as heavy as it) or its
-    # radius of gyration, whichever is larger. The ends of a glider with L/D = 20 are at 4 of them; a length
-    # in cm or mm taken for m is off by 100.
-    farthest: float = 20.0
+    # radius of gyration, whichever is larger. The ends of a ship are at 2.5 of them, those of a glider with
+    # L/D = 20 at 4; a length in cm or mm taken for m is off by 100.
+    farthest: float = 10.0
 
 
 @dataclass(frozen=True)

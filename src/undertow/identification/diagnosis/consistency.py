@@ -13,6 +13,7 @@ from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import Fitted, heterogeneity
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.identification.estimation.residual import plain
+from undertow.identification.estimation.step import at_bounds
 from undertow.model.effect import Effect, Flow, Measurement
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
@@ -266,10 +267,25 @@ def undetermined(
     return ""
 
 
-def left_open(finding: FoundEffect, settings: Settings) -> str:
-    fit = finding.trial.fit
-    free = {n: fit.values[n] for n in fit.model.free}
-    return undetermined(finding.trial.candidate.effect(()), free, fit.standard_errors, settings)
+def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
+    """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none."""
+    effect, free = finding.trial.candidate.effect(()), {n: fit.values[n] for n in fit.model.free}
+    return undetermined(effect, free, fit.standard_errors, settings) or _at_limit(effect, fit)
+
+
+def _at_limit(effect: Effect, fit: Fitted) -> str:
+    """Which parameter is as large as is possible for the vehicle, in words; empty if none.
+
+    A moment without a force acts at infinity: no wind turns a hull that it does not push. What fits best
+    beyond all that is possible is not what it is called, even if it leaves only noise.
+    """
+    own = {p.name: p.unit for p in effect.parameters}
+    allowed = dict(zip(fit.model.free, fit.model.largest.tolist(), strict=True))
+    for name, end in at_bounds(fit.model, fit.p).items():
+        if plain(name) in own and abs(end) >= allowed[name]:
+            value = f"{fit.values[name]:.3g} {own[plain(name)]}".strip()
+            return f"{name} = {value} is at the bound for a vehicle of this mass and inertia"
+    return ""
 
 
 def no_step(finding: FoundEffect, bench: Bench) -> str:

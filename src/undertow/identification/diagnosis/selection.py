@@ -321,7 +321,7 @@ class _Selector:
         leading, near = self._leading([f for f in able if f.id not in springs], ahead, bench)
         worthy = [f for f in leading if worth[f.id].enough(least)]
         # What has run into a bound is not what it is called: to predict, too, others come first.
-        worthy.sort(key=lambda f: bool(left_open(f, self._settings)))
+        worthy.sort(key=lambda f: bool(left_open(f, f.trial.fit, self._settings)))
         many = self._settings.most_equivalent
         doubtful = next(
             (g.chosen.id for g in graded if not _stands(g.chosen, g.doubt, bench) or len(g.rivals) >= many),
@@ -515,7 +515,9 @@ class _Selector:
         forces: whether it explains any of the forces; otherwise they carry no information about it.
         """
         if words := (
-            left_open(finding, self._settings) or never_turned(finding, bench) or no_step(finding, bench)
+            left_open(finding, finding.trial.fit, self._settings)
+            or never_turned(finding, bench)
+            or no_step(finding, bench)
         ):
             return words
         if words := self._in_place_of_inertia(finding, bench):

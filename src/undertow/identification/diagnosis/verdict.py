@@ -28,11 +28,12 @@ from undertow.typing import Array
 
 from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate
+from .consistency import left_open
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
 from .result import NO_EVIDENCE, Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
 from .rounds import other_values
 from .search import Search
-from .selection import Graded, Selection
+from .selection import Graded, Selection, found_beside
 from .settings import DEFAULT, Settings
 from .trial import screen
 
@@ -86,37 +87,60 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remain
 
     noise: (2n,), mean square that sensor noise has under that noise model.
     """
-    winners, settings = found.winners, found.bench.settings
-    share = share_explained(scores, noise, found.bench)
-    sets = _sets(found)
+    winners, share = found.winners, share_explained(scores, noise, found.bench)
     if not winners:
         return _without_effect(left.residual_is_noise, share)
-    if doubt := _doubt(share, left, settings):
+    if doubt := _doubt(share, left, found.bench.settings):
         return _unexplained(winners, share, doubt)
-    verdict: Verdict = "indistinguishable" if sets else "missing_effect"
-    if any(len(s.effects) > settings.most_equivalent for s in sets):
-        verdict = "not_identifiable"
-    return Judgement(verdict, _named(winners, sets, share, left.residual_is_noise), winners, sets, share)
+    firm, doubts = _established(found)
+    named, helping = winners[:firm], winners[firm:]
+    return _with_effects(found, named, helping, doubts, share, left.residual_is_noise)
 
 
 def judge_selection(
     found: Search, scores: tuple[Score, Score], noise: Array, selection: Selection
 ) -> Judgement:
     """Decide if the residual exceeds the noise: each effect by its benefit and by the doubts about it."""
-    settings = found.bench.settings
     share = share_explained(scores, noise, found.bench)
     count = len(selection.established)
     named, helping = found.winners[:count], found.winners[count:]
-    sets = [s for s in _sets(found) if s.effects[0] in unique_ids(named)]
     if not found.winners:
         return _without_effect(residual_is_noise=False, share=share)
     doubts = [_doubtful(f, g) for f, g in zip(helping, selection.graded[count:], strict=True)]
+    return _with_effects(found, named, helping, doubts, share, residual_is_noise=False)
+
+
+def _established(found: Search) -> tuple[int, list[str]]:
+    """How many effects come before the first that its own values refute, and the doubts about the others.
+
+    That the residual is noise shows that a model is sufficient, not that its parts exist.
+    """
+    winners, settings = found.winners, found.bench.settings
+    refuted = [left_open(f, found.effect_set.fit, settings) for f in winners]
+    firm = next((k for k, words in enumerate(refuted) if words), None)
+    if firm is None:
+        return len(winners), []
+    first, *later = winners[firm:]
+    beside = [f"{f.id}: {found_beside(first.id)}." for f in later]
+    return firm, [f"{first.id} is not established: {refuted[firm]}.", *beside]
+
+
+def _with_effects(
+    found: Search,
+    named: list[FoundEffect],
+    helping: list[FoundEffect],
+    doubts: list[str],
+    share: float,
+    residual_is_noise: bool,
+) -> Judgement:
+    """That effects are missing, or only help, with the doubts about the latter."""
     if not named:
         return Judgement("helps_prediction", " ".join(doubts), [], [], share, helping)
+    sets = [s for s in _sets(found) if s.effects[0] in unique_ids(named)]
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
-    if any(len(s.effects) > settings.most_equivalent for s in sets):
+    if any(len(s.effects) > found.bench.settings.most_equivalent for s in sets):
         verdict = "not_identifiable"
-    text = " ".join([_named(named, sets, share, residual_is_noise=False), *doubts])
+    text = " ".join([_named(named, sets, share, residual_is_noise), *doubts])
     return Judgement(verdict, text, named, sets, share, helping)
 
 

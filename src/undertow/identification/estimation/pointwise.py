@@ -93,7 +93,9 @@ def _largest(
     natural = _natural_size(parameter, size, known, rows)
     if not natural or not isfinite(stated):
         return inf
-    within = _LIMITS.farthest if parameter.arm_of else parameter.within
+    if parameter.arm_of:  # the vehicle is no longer for a value that is stated or was fitted
+        return max(_LIMITS.farthest * natural, stated)
+    within = parameter.within
     return max(within * natural, stated) if name in vehicle.fitted_to else within * max(natural, stated)
 
 
