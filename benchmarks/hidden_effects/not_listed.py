@@ -64,6 +64,44 @@ def heading_force(world: World, draw: Draw) -> Values:
     return {"A": force, "psi_0": angle}
 
 
+@hidden("heading_moment", TURNING, kind="alien")
+def heading_moment(world: World, draw: Draw) -> Values:
+    """N = A sin(psi - psi_0): a moment towards a heading, without a force, as of a cable that is twisted."""
+    moment, angle = _row_force(world, 5, 0.2, 2.0, draw), draw.shape(-np.pi, np.pi)
+    world.wrenches.append(lambda now: _only(now, 5, moment * np.sin(now.eta[5] - angle)))
+    return {"A": moment, "psi_0": angle}
+
+
+@hidden("damping_by_thrust", TURNING, kind="alien")
+def damping_by_thrust(world: World, draw: Draw) -> Values:
+    """N = -k r sum |f_i|: turning is damped more the more the thrusters push, by their slipstream."""
+    pace = world.vehicle.pace
+    k = _row_force(world, 5, 0.3, 3.0, draw) / (pace[5] * world.vehicle.peak_command)
+    world.wrenches.append(lambda now: _only(now, 5, -k * np.abs(now.thrust).sum(axis=0) * now.nu[5]))
+    return {"k": k}
+
+
+@hidden("sinking_in_turns", with_motions(2, 5), kind="alien")
+def sinking_in_turns(world: World, draw: Draw) -> Values:
+    """Z = k r^2: the vehicle is drawn down in turns."""
+    k = _row_force(world, 2, 0.2, 2.0, draw) / world.vehicle.pace[5] ** 2
+    world.wrenches.append(lambda now: _only(now, 2, k * now.nu[5] ** 2))
+    return {"k": k}
+
+
+@hidden("failing_thruster", SURGING, kind="alien")
+def failing_thruster(world: World, draw: Draw) -> Values:
+    """From t_0 on the first thruster gives a share s less: a blade broke, or weed got into it."""
+    share, when = draw.size(0.1, 0.8, most=0.9), draw.shape(20.0, 60.0)
+
+    def wrench(now: Moment) -> np.ndarray:
+        lost = -share * np.outer(world.allocation[:, 0], now.thrust[0])
+        return lost if now.t >= when else 0.0 * lost
+
+    world.wrenches.append(wrench)
+    return {"s": share, "t_0": when}
+
+
 @hidden("gusts", SURGING, kind="alien")
 def gusts(world: World, draw: Draw) -> Values:
     """A random force to the north: 12 sines between 0.01 and 0.3 Hz, other phases in every run."""

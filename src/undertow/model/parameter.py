@@ -39,8 +39,10 @@ class Limits:
     buoyancy: float = 8.0
     # Places aboard, by the length of the vehicle's displacement (a cube of water as heavy as it) or its
     # radius of gyration, whichever is larger. The ends of a ship are at 2.5 of them, those of a glider with
-    # L/D = 20 at 4; a length in cm or mm taken for m is off by 100.
-    farthest: float = 10.0
+    # L/D = 20 at 4. Where a fit may put a place:
+    aboard: float = 10.0
+    # Where a file may put it; a length in cm or mm taken for m is off by 100.
+    farthest: float = 20.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Parameter:
     within : float
         Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
         sqrt(length / g)) that a fit allows if the file states no standard deviation. Positions on board have
-        `Limits.farthest` instead.
+        `Limits.aboard` instead.
     """
 
     unit: str

@@ -94,7 +94,7 @@ def _largest(
     if not natural or not isfinite(stated):
         return inf
     if parameter.arm_of:  # the vehicle is no longer for a value that is stated or was fitted
-        return max(_LIMITS.farthest * natural, stated)
+        return max(_LIMITS.aboard * natural, stated)
     within = parameter.within
     return max(within * natural, stated) if name in vehicle.fitted_to else within * max(natural, stated)
 
