@@ -24,7 +24,7 @@ from undertow.version import __version__
 from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
 from .diagnosis.candidates import possible
 from .diagnosis.consistency import kept_beside, knows_time, own_variables, states_time
-from .diagnosis.evidence import EffectSet, FoundEffect, fitted, with_effects
+from .diagnosis.evidence import EffectSet, FoundEffect, fitted, too_quick_to_tell, with_effects
 from .diagnosis.floors import noise_floors
 from .diagnosis.reference import is_disturbance, predictable
 from .diagnosis.residual import remaining, unknown_to
@@ -405,6 +405,10 @@ def validated(found: Search, validator: SimulationValidator) -> Search:
         if found.rivals[place]:
             equals = [found.effect_set, *found.rivals[place]]
             best, *others = validator.surviving([validator.contender(c) for c in equals])
+            ids = {c.findings[place].id for c in (best, *others)}
+            dropped = [c for c in equals if c.findings[place].id not in ids]
+            chosen, bench = best.findings[place], found.bench
+            others += [c for c in dropped if too_quick_to_tell(chosen, c.findings[place], bench)]
             rivals: list[list[EffectSet]] = list(found.rivals)
             rivals[place] = others
             found = replace(found, effect_set=best, rivals=rivals)

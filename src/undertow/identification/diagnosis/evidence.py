@@ -16,7 +16,7 @@ from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
-from undertow.model.effect import Measurement
+from undertow.model.effect import Actuation, Measurement
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -90,6 +90,25 @@ def as_good(best: Score, other: Score, bench: Bench) -> bool:
     """Whether the validation data do not decide which of two models is better."""
     gap, settings = compare_scores(other, best, bench.test), bench.settings
     return gap.p_value > settings.comparison_level or gap.mean < settings.least_fall
+
+
+def too_quick_to_tell(one: FoundEffect, other: FoundEffect, bench: Bench) -> bool:
+    """Whether two effects that shift commands in time differ only within a fraction of a sample.
+
+    A lag that short and a dead time as long differ by how the weak form integrates between samples.
+    """
+    step = min(float(np.median(np.diff(s.t))) for s in bench.test.segments)
+    times = [_times(f) for f in (one, other)]
+    enough = min(one.explained, other.explained) >= bench.settings.named_share
+    return all(times) and min(map(max, times)) < bench.settings.resolved_time * step and enough
+
+
+def _times(finding: FoundEffect) -> list[float]:
+    """Free parameters, s, of an effect that acts on commands, if all are times."""
+    if not issubclass(finding.trial.candidate.effect, Actuation):
+        return []
+    own = [p for p in finding.trial.candidate.parameters if p.name in finding.parameters]
+    return [finding.trial.fit.values[p.name] for p in own] if all(p.unit == "s" for p in own) else []
 
 
 @dataclass(frozen=True)
@@ -514,7 +533,7 @@ def alternatives(
     The noise model of the bench is that of the effect found: sensor noise passed through that model, plus its
     disturbance. An effect that does worse under it may do better under its own noise model.
     """
-    found = []
+    found, chosen = [], effect_set.findings[place]
     least = cache(lambda: _times_own_noise(under_own_noise(effect_set, bench), bench))
     for rival in rivals:
         others = list(effect_set.findings)
@@ -524,7 +543,8 @@ def alternatives(
         tried = fitted(vehicle, others, bench)
         if len(tried.findings) < len(others):
             continue
-        if not as_good(effect_set.score, tried.score, bench):
+        alike = as_good(effect_set.score, tried.score, bench) or too_quick_to_tell(chosen, rival, bench)
+        if not alike:
             tried = under_own_noise(tried, bench)
             if _times_own_noise(tried, bench) > least():
                 continue

@@ -37,6 +37,7 @@ from .evidence import (
     fitted,
     hidden_by_disturbance,
     thinned,
+    too_quick_to_tell,
     under_own_noise,
     with_effects,
 )
@@ -403,7 +404,12 @@ def possible_rivals(
         others = [f for f in current.findings if f is not effect and f.significant]
         if effect in current.findings and others:
             if len(rounds) == len(effect_set.findings) == 1:
-                others = [f for f in others if as_good(effect_set.score, f.trial.score, bench)]
+                best = effect_set.score
+                others = [
+                    f
+                    for f in others
+                    if as_good(best, f.trial.score, bench) or too_quick_to_tell(effect, f, bench)
+                ]
             return others[: bench.settings.rivals]
     return []
 

@@ -347,6 +347,12 @@ class Settings:
         "a wrong effect often explains half of a residual, seldom four fifths",
         off=0.0,
     )
+    resolved_time: float = _number(
+        0.25,
+        "sampling intervals below which a lag cannot be told from a dead time as long",
+        "the weak form integrates in four steps per sample",
+        off=0.0,
+    )
     nearly_noise: float = _number(
         2.0, "largest mean square of an equation for which several effects are named", _DEVELOPMENT, off=0.0
     )
