@@ -89,6 +89,10 @@ def _confirmed(
     """
     ordered = selection.established_first
     builder = ResultBuilder(vehicle, selected(found, ordered), validator, known, ordered)
+    place = builder.superfluous
+    if place is not None:
+        rest = selection.without(ordered.graded[place])
+        return _confirmed(vehicle, found, validator, known, rest)
     worth = builder.worth()
     least = builder.settings.worth
     lacking = next((g for g, w in zip(ordered.graded, worth, strict=True) if not w.enough(least)), None)

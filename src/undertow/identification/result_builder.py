@@ -133,6 +133,11 @@ class ResultBuilder:
                 return [*graded[:i], *later]
         return graded
 
+    @property
+    def superfluous(self) -> int | None:
+        """Place of an effect that is not needed for only noise to remain; None if there is none."""
+        return _superfluous(self.found, self.validator) if self._residual_is_noise else None
+
     def worth(self) -> list[Worth]:
         """Improvement of predictions by every added effect, from the fits of the result."""
         ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
@@ -428,15 +433,31 @@ def _without_surplus(found: Search, validator: SimulationValidator) -> Search:
     """The search without effects that the simulation does not need."""
     if _hidden_in_noise(found, validator):
         return replace(found, effect_set=fitted(found.vehicle, [], found.bench), rivals=[])
-    for place in range(len(found.winners)) if len(found.winners) > 1 else ():
-        kept = [i for i in range(len(found.winners)) if i != place]
-        shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
-        if validator.leaves_only_noise(shorter.fit) and not validator.significantly_worse(
-            shorter.fit, found.effect_set.fit
+    place = _superfluous(found, validator)
+    if place is None:
+        return found
+    kept = [i for i in range(len(found.winners)) if i != place]
+    shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
+    rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
+    return _without_surplus(replace(found, effect_set=shorter, rivals=rivals), validator)
+
+
+def _superfluous(found: Search, validator: SimulationValidator) -> int | None:
+    """Place of the first of several effects without which the others leave only noise and simulate as well.
+
+    None if all are needed.
+    """
+    winners = found.winners if len(found.winners) > 1 else []
+    for place, effect in enumerate(winners):
+        others = [f for f in winners if f is not effect]
+        # Parameters that the others could do without beside it.
+        candidates = [f.trial.candidate for f in others]
+        shorter = last_fit(fitted(found.vehicle, others, found.bench).fit, candidates, found.bench.settings)
+        if validator.leaves_only_noise(shorter) and not validator.significantly_worse(
+            shorter, found.effect_set.fit
         ):
-            rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
-            return _without_surplus(replace(found, effect_set=shorter, rivals=rivals), validator)
-    return found
+            return place
+    return None
 
 
 def _hidden_in_noise(found: Search, validator: SimulationValidator) -> bool:

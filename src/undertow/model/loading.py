@@ -121,6 +121,13 @@ class Statements:
                 if (factor := scaled / other).is_number:
                     yield taken.key, (str(other), float(factor))
 
+    def errors_of_taken(self, effect: Effect, values: Mapping[str, Value]) -> dict[str, float]:
+        """Standard deviations of what an effect takes from quantities that are to be found: the weight."""
+        owners = {key: (values.get(other), factor) for key, (other, factor) in self._multiples_of(effect)}
+        return {
+            k: abs(f) * v.sigma for k, (v, f) in owners.items() if v and v.estimate and v.sigma is not None
+        }
+
     def differing(self) -> Iterator[str]:
         """One line for every value that another table states differently, unless marked as override."""
         for effect in self.effects:
@@ -272,7 +279,8 @@ def _vehicle_and_remarks(
     statements = Statements(effects, table.effects, environment, table.signs)
     tables, values = statements.completed(), dict[str, Value]()
     for effect in effects:
-        values |= _effect_values(effect, tables[effect.id], table.signs)
+        known_to = statements.errors_of_taken(effect, values)
+        values |= _effect_values(effect, tables[effect.id], table.signs, known_to)
     values |= _hardware_values(table, names, surfaces, values)
     vehicle = Vehicle(
         name=table.name,
@@ -359,7 +367,9 @@ def _chosen(effect_id: str, known: Catalogue) -> type[Effect]:
     return cls
 
 
-def _effect_values(effect: Effect, table: Mapping[str, Any], signs: str) -> dict[str, Value]:
+def _effect_values(
+    effect: Effect, table: Mapping[str, Any], signs: str, known_to: Mapping[str, float]
+) -> dict[str, Value]:
     parameters = {p.name: p for p in effect.parameters}
     aliases = effect.file_units()
     values: dict[str, Value] = {}
@@ -372,14 +382,16 @@ def _effect_values(effect: Effect, table: Mapping[str, Any], signs: str) -> dict
                 f"[effects.{effect.id}] has no parameter '{key}'{nearest(key, known)}; "
                 f"it has {_listing(known)}"
             )
-    return values | _alias_values(effect, table, values)
+    return values | _alias_values(effect, table, values, known_to)
 
 
 def _listing(names: list[str]) -> str:
     return ", ".join(names[:12]) + (" ..." if len(names) > 12 else "") if names else "none"
 
 
-def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str, Value]) -> dict[str, Value]:
+def _alias_values(
+    effect: Effect, table: Mapping[str, Any], values: Mapping[str, Value], known_to: Mapping[str, float]
+) -> dict[str, Value]:
     aliases = {k: as_table(v) for k, v in table.items() if k in effect.file_units()}
     if not aliases:
         return {}
@@ -389,8 +401,10 @@ def _alias_values(effect: Effect, table: Mapping[str, Any], values: Mapping[str,
     source = "; ".join(dict.fromkeys(e.source for e in aliases.values() if e.source))
     assumed = any(e.assumed for e in aliases.values())
     estimated = {n: v.sigma for n, v in values.items() if v.estimate and v.sigma is not None}
+    estimated |= {n: sigma for n, sigma in known_to.items() if n in values}
     sought = {n for k in aliases if aliases[k].estimate for n in _touched(effect, plain, converted, k)}
-    # A mass that is to be found, at a known place, leaves its static moment to be found, too.
+    # A mass that is to be found, at a known place, leaves its static moment to be found, too, and so does
+    # its weight the righting moment.
     sought |= _carried_over(effect, plain, converted, estimated).keys()
     stated = {k: _error_of(effect, k, e.sigma) for k, e in aliases.items() if e.sigma is not None}
     sigma = _carried_over(effect, plain, converted, estimated | stated)

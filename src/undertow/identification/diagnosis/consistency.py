@@ -274,17 +274,16 @@ def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
 
 
 def _at_limit(effect: Effect, fit: Fitted) -> str:
-    """Which parameter is as large as is possible for the vehicle, in words; empty if none.
+    """Which place is as far off as anything aboard the vehicle can be, in words; empty if none.
 
     A moment without a force acts at infinity: no wind turns a hull that it does not push. What fits best
-    beyond all that is possible is not what it is called, even if it leaves only noise.
+    there is not what it is called, even if it leaves only noise.
     """
-    own = {p.name: p.unit for p in effect.parameters}
+    places = {p.name for p in effect.parameters if p.arm_of}
     allowed = dict(zip(fit.model.free, fit.model.largest.tolist(), strict=True))
     for name, end in at_bounds(fit.model, fit.p).items():
-        if plain(name) in own and abs(end) >= allowed[name]:
-            value = f"{fit.values[name]:.3g} {own[plain(name)]}".strip()
-            return f"{name} = {value} is at the bound for a vehicle of this mass and inertia"
+        if plain(name) in places and abs(end) >= allowed[name]:
+            return f"{name} = {fit.values[name]:.3g} m is at the bound for a vehicle of this mass and inertia"
     return ""
 
 
