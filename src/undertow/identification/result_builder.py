@@ -82,7 +82,7 @@ class ResultBuilder:
     ) -> None:
         self.vehicle, self.validator, self._known = vehicle, validator, known
         self._selection = selection
-        self.found = found = validated(found, validator) if selection is None else _with_last_fit(found)
+        self.found = found = (validated if selection is None else _as_selected)(found, validator)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
         # What is called refitted is the model that `fit` and `add` end with: of a model that lacks something
@@ -405,19 +405,32 @@ def validated(found: Search, validator: SimulationValidator) -> Search:
     set of equally good effects are fitted by output error, started from the weak form, and simulate the
     validation runs; the best of them leads, and is fitted once more.
     """
-    found = _without_surplus(found, validator)
+    return _with_last_fit(_among_equals(_without_surplus(found, validator), validator))
+
+
+def _as_selected(found: Search, validator: SimulationValidator) -> Search:
+    """The search with what simulation selected; if only noise remains, with the rivals that do as well."""
+    found = _with_last_fit(found)
+    if found.winners and validator.residual_is_noise(found.effect_set.fit, found.bench.test):
+        return _with_last_fit(_among_equals(found, validator))
+    return found
+
+
+def _among_equals(found: Search, validator: SimulationValidator) -> Search:
+    """The search with the best of every set by simulation, and the others of it that do as well."""
+    bench = found.bench
     for place in range(len(found.rivals)):
         if found.rivals[place]:
             equals = [found.effect_set, *found.rivals[place]]
             best, *others = validator.surviving([validator.contender(c) for c in equals])
             ids = {c.findings[place].id for c in (best, *others)}
             dropped = [c for c in equals if c.findings[place].id not in ids]
-            chosen, bench = best.findings[place], found.bench
+            chosen = best.findings[place]
             others += [c for c in dropped if too_quick_to_tell(chosen, c.findings[place], bench)]
             rivals: list[list[EffectSet]] = list(found.rivals)
             rivals[place] = others
             found = replace(found, effect_set=best, rivals=rivals)
-    return _with_last_fit(found)
+    return found
 
 
 def _with_last_fit(found: Search) -> Search:
