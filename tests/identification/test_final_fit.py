@@ -26,7 +26,7 @@ from undertow.identification.estimation.output_error import (
 )
 from undertow.identification.estimation.pointwise import largest_values
 from undertow.identification.estimation.weak_form import fit_weak
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 BUNDLED = ("box-hull", "cybership2", "mini-auv", "bluerov2")
 STEP = 0.1
@@ -256,6 +256,20 @@ def test_a_bound_does_not_grow_with_every_fit() -> None:
     again, edited = (float(largest_values(Functions(v), ["N_rdot"])[0]) for v in (fitted, far))
     assert 0.9 * first <= again <= first
     assert edited == pytest.approx(9.0 * first)  # what a user writes is stated
+
+
+def test_a_place_stays_aboard_wherever_a_fit_has_put_it() -> None:
+    """The Otter displaces 0.06 m^3 and is 2 m long; the next fit of an arm begins where the last one ended."""
+    otter = ut.load_vehicle("otter")
+    model = replace(otter, effects=(*otter.effects, ut.catalogue()["wind"](otter.command_names)))
+
+    def reach(x: float) -> float:
+        at = model.with_values({"x_wind": Value(x, estimate=True)})
+        return float(largest_values(Functions(at), ["x_wind"])[0])
+
+    assert 2.0 < reach(0.0) < 20.0
+    assert reach(0.9 * reach(0.0)) == reach(0.0)
+    assert reach(50.0) == 50.0  # what a user states is possible
 
 
 def test_a_slow_disturbance_moves_no_mass_far_from_what_is_stated() -> None:

@@ -108,3 +108,23 @@ def test_what_stood_in_for_an_effect_found_later_is_dropped() -> None:
     found = diagnose(vehicle_of(case), runs[:-1], runs[-1:], known=known).diagnosis
     assert found.verdict == "missing_effect"
     assert sorted(found.effects) == ["radiation_memory", "thruster_asymmetry"]
+
+
+@pytest.mark.slow
+def test_a_moment_by_the_heading_is_no_wind() -> None:
+    """Wind that turns a hull pushes it, too: without a force it would act metres off the hull."""
+    case = make_case("catamaran", ("heading_moment",), 85585421, strength=0.4, closed_loop=True)
+    *train, aside = runs_of(case)
+    found = diagnose(vehicle_of(case), train, [aside]).diagnosis
+    assert found.verdict in {"helps_prediction", "unexplained"}
+    assert not found.effects
+
+
+@pytest.mark.slow
+def test_what_made_up_for_added_mass_goes_once_that_is_found() -> None:
+    """More thrust looked like less mass, until the mass of the water was in the model."""
+    case = make_case("micro-auv", ("no_added_mass",), 7978866)
+    *train, aside = runs_of(case)
+    found = diagnose(vehicle_of(case), train, [aside]).diagnosis
+    assert set(found.effects) == {"added_mass", "added_mass_coriolis"}
+    assert not found.indistinguishable

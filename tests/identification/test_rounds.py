@@ -7,10 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from undertow.identification.diagnosis.evidence import FoundEffect, as_good
+from undertow.identification.diagnosis.evidence import FoundEffect, as_good, too_quick_to_tell
 from undertow.identification.diagnosis.rounds import far_behind
 from undertow.identification.diagnosis.search import much_plainer, possible_rivals
 from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.model.catalogue import catalogue
+from undertow.model.effect import Wrench
 
 _BENCH = SimpleNamespace(test=SimpleNamespace(block=np.arange(400) // 10), settings=DEFAULT)
 
@@ -22,7 +24,7 @@ def _score(size: float, seed: int = 1) -> SimpleNamespace:
 def _effect(name: str, parameters: int = 1, error: float = 1.0) -> FoundEffect:
     own = [SimpleNamespace(name=f"{name}_{i}") for i in range(parameters)]
     fit = SimpleNamespace(model=SimpleNamespace(free=[p.name for p in own]))
-    candidate = SimpleNamespace(parameters=own)
+    candidate = SimpleNamespace(parameters=own, effect=Wrench)
     trial = SimpleNamespace(score=_score(error), fit=fit, candidate=candidate, id=name)
     return FoundEffect(trial, None, 1.0, 0.0, True)  # type: ignore[arg-type]
 
@@ -49,6 +51,32 @@ def test_what_may_stand_for_one_effect_of_a_pair_is_tried_beside_the_other(
     rounds = [SimpleNamespace(findings=list(found.values()))]
     tried = possible_rivals(effect_set, 0, rounds, _BENCH)  # type: ignore[arg-type]
     assert [f.id for f in tried if f.id not in effects] == expected
+
+
+@pytest.mark.parametrize(
+    ("delay", "lag", "explained", "alike"),
+    [(0.009, 0.01, 0.92, True), (0.009, 0.01, 0.5, False), (0.06, 0.08, 0.92, False)],
+)
+def test_within_a_fraction_of_a_sample_a_lag_is_a_dead_time(
+    delay: float, lag: float, explained: float, *, alike: bool
+) -> None:
+    """At 20 Hz: unless the one explains less than an effect must, or both last longer than a sample."""
+    known = catalogue()
+
+    def found(effect: str, value: float, share: float) -> FoundEffect:
+        own = known[effect](("port",))
+        (name,) = (p.name for p in own.parameters)
+        fit = SimpleNamespace(model=SimpleNamespace(free=[name]), values={name: value})
+        candidate = SimpleNamespace(parameters=own.parameters, effect=known[effect])
+        trial = SimpleNamespace(fit=fit, candidate=candidate, id=effect)
+        return FoundEffect(trial, None, share, 0.0, True)  # type: ignore[arg-type]
+
+    data = SimpleNamespace(segments=[SimpleNamespace(t=np.arange(100) / 20.0)])
+    bench = SimpleNamespace(test=data, settings=DEFAULT)
+    one, other = found("actuation_delay", delay, 0.95), found("thruster_lag", lag, explained)
+    assert too_quick_to_tell(one, other, bench) is alike  # type: ignore[arg-type]
+    assert too_quick_to_tell(other, one, bench) is alike  # type: ignore[arg-type]
+    assert not too_quick_to_tell(one, found("thruster_gain", 0.01, 0.95), bench)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("parameters", "expected"), [(3, ["trim"]), (6, [])])

@@ -21,6 +21,7 @@ from undertow.identification.diagnosis.selection import (
     Selection,
     alternatives,
     dominated,
+    merged,
     rivals_beside_later,
     without_inertia,
 )
@@ -122,6 +123,20 @@ def test_what_is_needed_beside_an_effect_is_no_rival_of_it(doubt: str, left: lis
     first, second = rivals_beside_later([angle, graded("buoyancy", "force", doubt=doubt)])
     assert [r.id for r in first.rivals] == left
     assert [r.id for r in second.rivals] == ["force"]
+
+
+def test_an_effect_that_is_found_in_two_parts_is_one() -> None:
+    """What does as well in place of its second part only is no rival of the whole."""
+
+    def graded(chosen: str, *rivals: str, doubt: str = "") -> Graded:
+        return Graded(_effect(chosen), [_effect(r) for r in rivals], _gain(0.2), doubt)
+
+    parts = [graded("munk", "lift", doubt="varies"), graded("mass"), graded("munk", "lift", "drag")]
+    whole, mass = merged(parts)
+    assert (whole.chosen.id, mass.chosen.id) == ("munk", "mass")
+    assert whole.chosen is parts[2].chosen
+    assert [r.id for r in whole.rivals] == ["lift"]
+    assert whole.doubt == "varies"
 
 
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:

@@ -70,6 +70,26 @@ def test_weight_and_centre_of_gravity_come_from_the_rigid_body(load: Load) -> No
     assert vehicle.values["W"].source == "taken from [effects.rigid_body]"
 
 
+def test_a_mass_that_is_to_be_found_leaves_the_righting_moment_to_be_found(
+    load: Load, tmp_path: Path
+) -> None:
+    """Of a weight known to 5 % the moment is known no better; with a weight that is stated it is known."""
+
+    def moment(restoring: str) -> Value:
+        text = ROV.format(centre="z_g = 0.08", restoring=restoring)
+        file = tmp_path / "guessed.toml"
+        file.write_text(text.replace("m = 11.5", "m = { value = 11.5, estimate = true, sigma = 0.6 }"))
+        return load_vehicle(file).values["S_z"]
+
+    guessed = moment("B = 112.815")
+    assert guessed.estimate
+    assert guessed.sigma == pytest.approx(0.08 * 0.6 * 9.81)
+    weighed = moment("W = 112.815\nB = 112.815")
+    assert not weighed.estimate
+    assert weighed.sigma is None
+    assert not load("z_g = 0.08").values["S_z"].estimate
+
+
 def test_static_moments_tell_the_centre_too(load: Load) -> None:
     assert load("mz_g = 0.92").values["S_z"].value == pytest.approx(0.08 * 11.5 * 9.81)
 

@@ -97,10 +97,11 @@ def too_quick_to_tell(one: FoundEffect, other: FoundEffect, bench: Bench) -> boo
 
     A lag that short and a dead time as long differ by how the weak form integrates between samples.
     """
+    times, enough = [_times(f) for f in (one, other)], bench.settings.named_share
+    if not all(times) or min(one.explained, other.explained) < enough:
+        return False
     step = min(float(np.median(np.diff(s.t))) for s in bench.test.segments)
-    times = [_times(f) for f in (one, other)]
-    enough = min(one.explained, other.explained) >= bench.settings.named_share
-    return all(times) and min(map(max, times)) < bench.settings.resolved_time * step and enough
+    return min(map(max, times)) < bench.settings.resolved_time * step
 
 
 def _times(finding: FoundEffect) -> list[float]:

@@ -205,7 +205,7 @@ def rivals_beside_later(graded: Sequence[Graded]) -> list[Graded]:
     return found[::-1]
 
 
-def _merged(graded: Sequence[Graded]) -> list[Graded]:
+def merged(graded: Sequence[Graded]) -> list[Graded]:
     """Every effect once, where it was found first: one that was found in two parts as it was found last.
 
     What does as well in place of one part only is no rival of the whole.
@@ -253,7 +253,7 @@ class _Selector:
                 break
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
-        kept = self._without_superfluous(_merged(graded), rounds[0].bench)
+        kept = self._without_superfluous(merged(graded), rounds[0].bench)
         return Selection(rivals_beside_later(kept), rounds, self._reasons, self._worth)
 
     def _without_superfluous(
