@@ -259,7 +259,7 @@ def test_a_bound_does_not_grow_with_every_fit() -> None:
 
 
 def test_a_place_stays_aboard_wherever_a_fit_has_put_it() -> None:
-    """The Otter displaces 0.06 m^3 and is 2 m long; the next fit of an arm begins where the last one ended."""
+    """The Otter is 2 m long; the next fit of an arm begins where the last one ended."""
     otter = ut.load_vehicle("otter")
     model = replace(otter, effects=(*otter.effects, ut.catalogue()["wind"](otter.command_names)))
 
