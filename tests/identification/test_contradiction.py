@@ -107,6 +107,12 @@ def test_nothing_speaks_against_an_effect_that_is_there() -> None:
     assert _tried(("lift",), "lift").doubt == ""
 
 
+@pytest.mark.parametrize("effect", ["added_mass", "entrained_water"])
+def test_a_share_of_what_drives_a_vehicle_does_not_speak_against_mass(effect: str) -> None:
+    """Of a box on a rail, mass that is missing looks like a smaller force of its one actuator."""
+    assert _tried(("no_added_mass",), effect, "box").doubt == ""
+
+
 @pytest.mark.slow
 def test_a_rudder_is_not_blamed_for_a_periodic_force() -> None:
     """By chance fins go with it a little: the force gets smaller by 2 %, and predictions no better."""

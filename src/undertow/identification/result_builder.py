@@ -519,6 +519,8 @@ def _unknown_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) ->
     candidate, grown = effect.trial.candidate, effect.trial.fit.model.functions.vehicle
     own = {*own_variables(candidate, vehicle, grown)}
     own |= {"t"} if knows_time(candidate, vehicle, grown) else set()
+    # Mass that is missing looks like a share of the force that drives the vehicle.
+    own |= {*vehicle.command_names} if grown.mass_matrix != vehicle.mass_matrix else set()
     return unknown_to(own, left, vehicle, periodic=states_time(vehicle, grown))
 
 
