@@ -395,11 +395,11 @@ def test_translations_that_do_not_turn_as_a_rotation_get_no_bounds() -> None:
 
 def test_what_coarse_pieces_of_time_do_not_prove_finer_ones_may() -> None:
     """A start that is only just proved: no certificate is given up for the time that coarse pieces save."""
-    motion, (coarse, *_, fine) = Motion(Problem(loop())), KERNELS.ratios
+    motion, (coarse, middle, *_) = Motion(Problem(loop())), KERNELS.ratios
     search, where = Search(motion, 3.95 * np.array([*START.values()])), [(0.0, 0.0)]
-    assert search.lost(where, [], [coarse]) == where
+    assert search.lost(where, [], coarse) == where
     found: list[Transient] = []
-    assert search.lost(where, found, [coarse, fine]) == []
+    assert search.lost(where, found, middle) == []
     assert len(found) == 1
     begun = np.abs(found[0].errors[0])
     assert np.all(begun >= search.starts.box)
@@ -410,25 +410,22 @@ class _Told(Search):
 
     def __init__(self, half: Callable[[float], float], ratio: float) -> None:
         self.half, self.ratio, self.motion = half, ratio, SimpleNamespace(mirrors=False)
-        self.looked: list[tuple[int, float]] = []  # how many ranges at a time, and by which last ratio
+        self.looked: list[tuple[int, float]] = []  # how many ranges at a time, in which pieces of time
         self.proved: list[Span] = []
 
-    def lost(
-        self, ranges: Sequence[Span], found: list, ratios: Sequence[float] = KERNELS.ratios
-    ) -> list[Span]:
-        if ranges:
-            self.looked.append((len(ranges), ratios[-1]))
-        there = [h <= self.half(m) and ratios[-1] <= self.ratio for m, h in ranges]
+    def lost(self, ranges: Sequence[Span], found: list, ratio: float) -> list[Span]:
+        self.looked.append((len(ranges), ratio))
+        there = [h <= self.half(m) and ratio <= self.ratio for m, h in ranges]
         found += [there] * sum(there)
         self.proved += [span for span, holds in zip(ranges, there, strict=True) if holds]
         return [span for span, holds in zip(ranges, there, strict=True) if not holds]
 
 
 def test_a_search_is_given_up_where_a_narrowest_range_has_no_bounds() -> None:
-    coarse, *_, fine = KERNELS.ratios
+    coarse, middle, fine = KERNELS.ratios
     hopeless = _Told(lambda _: 0.0, fine)
     assert hopeless.whole([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) is None
-    assert hopeless.looked == [(3, coarse), (3, coarse), (3, fine)]
+    assert hopeless.looked == [(3, coarse), (3, coarse), (3, middle), (3, fine)]
 
 
 @pytest.mark.parametrize("widest", [1.0, 0.5, 0.25, 0.125], ids=lambda w: f"{w:g} of a range")
@@ -452,14 +449,14 @@ def test_ranges_are_cut_as_narrow_as_they_need_and_every_heading_is_in_one(
 def test_pieces_of_time_too_coarse_for_single_headings_are_tried_of_no_range(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    coarse, *finer = KERNELS.ratios
-    told = _Told(lambda _: np.pi, finer[0])
+    coarse, middle, fine = KERNELS.ratios
+    told = _Told(lambda _: np.pi, fine)
     for name, of in {"Search": lambda *_: told, "Motion": lambda *_: None, "_together": len}.items():
         monkeypatch.setattr(transient, name, of)
     monkeypatch.setattr(Problem, "heading_counts", True)
     gains = load_gains("paper-pd", load_vehicle("mini-auv"))
     problem = Problem(replace(gains, schedule=ScheduleTable()))
     assert bounds_in_time(problem, {"x": 0.1}) == 16
-    assert told.looked == [(8, coarse), (8, finer[-1]), (16, finer[0])]
+    assert told.looked == [(8, coarse), (8, middle), (8, fine), (16, fine)]
     told.motion.mirrors = True
     assert bounds_in_time(problem, {"x": 0.1}) == 8

@@ -399,15 +399,16 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
     search = Search(Motion(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
     if not problem.heading_counts:
         return search.whole([(0.0, 0.0)], 0)
-    coarse, *finer = KERNELS.ratios
     # A half turn in the plane changes no bound; nor does a mirror, where port is as starboard.
     turn, share = (0.5 * np.pi, 2) if search.motion.mirrors else (np.pi, 1)
     looks, ranges = (_ranges(turn, count // share) for count in (SETTINGS.looks, SETTINGS.ranges))
-    lost = search.lost([(h, 0.0) for h, _ in looks], [], [coarse])
-    if lost and search.lost(lost, [], finer):
-        return None
-    # What coarse pieces of time do not prove of a single heading, they prove of no range around it.
-    return search.whole(ranges, SETTINGS.cuts, finer if lost else KERNELS.ratios)
+    lost = [(h, 0.0) for h, _ in looks]
+    for k, ratio in enumerate(KERNELS.ratios):
+        lost = search.lost(lost, [], ratio)
+        if not lost:
+            # What coarser pieces of time do not prove of a single heading, they prove of no range around it.
+            return search.whole(ranges, SETTINGS.cuts, KERNELS.ratios[k:])
+    return None
 
 
 def _ranges(turn: float, count: int) -> list[Span]:
@@ -421,10 +422,11 @@ class Sweep:
 
     The sizes of parts are powers of two of the narrowest one. The first part is the whole range. Where that
     has no bounds, the next one is a narrowest one: where that has none either, no other need be looked at.
+    As long as parts can be cut, that is tried before finer pieces of time.
     """
 
-    def __init__(self, span: Span, cuts: int) -> None:
-        self.span, self.count, self.done = span, 2**cuts, 0
+    def __init__(self, span: Span, cuts: int, ratios: Sequence[float]) -> None:
+        self.span, self.count, self.ratios, self.done = span, 2**cuts, list(ratios), 0
         self.widest = self.count  # that may have bounds
 
     @property
@@ -441,11 +443,13 @@ class Sweep:
         return middle + half * ((2 * self.done + self.size) / self.count - 1), half * self.size / self.count
 
     def go_on(self, bounded: bool) -> None:
-        """The next part has bounds, or is to be narrower."""
+        """The next part has bounds, or is to be narrower, or in finer pieces of time."""
         if bounded:
             self.done += self.size
-        else:
+        elif self.size > 1:
             self.widest = self.size // 2
+        else:
+            self.ratios, self.widest = self.ratios[1:], self.count // 2
 
 
 class Search:
@@ -461,38 +465,30 @@ class Search:
     ) -> Transient | None:
         """Bounds for all of these (middle, half), which are cut in two where there are none; None if none."""
         found: list[Transient] = []
-        sweeps = [Sweep(span, cuts) for span in ranges]
+        sweeps = [Sweep(span, cuts, ratios) for span in ranges]
         while sweeps:
-            lost = self.lost([s.part for s in sweeps], found, ratios[:1])
-            # As long as parts can be cut, that is tried before finer pieces of time.
-            narrow = [s.part for s in sweeps if s.size == 1 and s.part in lost]
-            if self.lost(narrow, found, ratios[1:]):
+            for ratio in {s.ratios[0] for s in sweeps}:
+                own = [s for s in sweeps if s.ratios[0] == ratio]
+                lost = self.lost([s.part for s in own], found, ratio)
+                for sweep in own:
+                    sweep.go_on(sweep.part not in lost)
+            if not all(s.ratios for s in sweeps):
                 return None
-            for sweep in sweeps:
-                sweep.go_on(sweep.part not in lost or sweep.part in narrow)
             sweeps = [s for s in sweeps if s.done < s.count]
         return _together(found)
 
-    def lost(
-        self, ranges: Sequence[Span], found: list[Transient], ratios: Sequence[float] = KERNELS.ratios
-    ) -> list[Span]:
-        """The ranges without bounds; those of the others are added to what was found."""
-        if not ranges:
-            return []
-        left = [
-            (r, Sector(self.motion, self.starts, self.left, r[0], r[1] * (1 + PROOFS.room))) for r in ranges
+    def lost(self, ranges: Sequence[Span], found: list[Transient], ratio: float) -> list[Span]:
+        """The ranges without bounds in pieces of time of this ratio; those of the others are added."""
+        sectors = [
+            Sector(self.motion, self.starts, self.left, r[0], r[1] * (1 + PROOFS.room)) for r in ranges
         ]
-        for ratio in ratios:
-            tubes = Tubes(Bounds([sector for _, sector in left], self.caps), ratio)
-            B, held = tubes.found()
-            if held.any():
-                largest = tubes.bounds.commands(B)
-                held = held & _sufficient(self.motion, largest, held, refuse=ratio == KERNELS.ratios[-1])
-                found += _stated(tubes, B, largest, held)
-            left = [pair for pair, there in zip(left, held, strict=True) if not there]
-            if not left:
-                break
-        return [r for r, _ in left]
+        tubes = Tubes(Bounds(sectors, self.caps), ratio)
+        B, held = tubes.found()
+        if held.any():
+            largest = tubes.bounds.commands(B)
+            held = held & _sufficient(self.motion, largest, held, refuse=ratio == KERNELS.ratios[-1])
+            found += _stated(tubes, B, largest, held)
+        return [r for r, there in zip(ranges, held, strict=True) if not there]
 
 
 def _caps(motion: Motion, box: Array) -> Array:
