@@ -276,8 +276,7 @@ class Problem:
 
         Diagonal M and D are not enough: an attitude that gains do not commute with mixes the axes.
         """
-        apart = self.turned and (self.attitudes.orthogonal or not self.attitudes.angles(turned=True))
-        return self.sets[:2] if self.decoupled and apart else self.sets
+        return self.sets[:2] if self.decoupled and self.attitudes.unchanged(self.turned) else self.sets
 
     @cached_property
     def decoupled(self) -> bool:
@@ -323,7 +322,7 @@ class Problem:
     def sampled(self) -> list[tuple[dict[str, float], Array]]:
         """Attitudes spread over the range with J^-1, to choose iota by and to estimate the region at."""
         angles = self.attitudes.angles(self.turned)
-        if not angles or (self.attitudes.orthogonal and self.turned):
+        if self.attitudes.unchanged(self.turned):
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
         axes = [
