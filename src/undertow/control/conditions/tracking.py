@@ -260,12 +260,16 @@ class Falling:
         return least_eigenvalue(block(Q))
 
     def best(self, span: Span) -> float:
-        """The iota of those that are tried with which the margin at some attitudes is largest."""
-        iotas = np.geomspace(max(span[0], 1e-6), min(span[1], 1e6), TRACKING.iotas + 2)[1:-1]
+        """The iota with which the margin at some attitudes is largest, on a grid and on a finer one."""
         places = [angles for angles, _ in self.problem.sampled]
         stack = np.array([self.attitudes.at(p) for p in places[:: max(1, len(places) // 8)]])
         place, case = (m.ravel() for m in np.indices((len(stack), len(self.nu))))
-        return float(iotas[int(np.argmax([self.margin(i, stack, place, case).min() for i in iotas]))])
+        low, high = max(span[0], 1e-6), min(span[1], 1e6)
+        for _ in range(2):  # the margin is concave in iota
+            iotas = np.geomspace(low, high, TRACKING.iotas + 2)
+            k = 1 + int(np.argmax([self.margin(i, stack, place, case).min() for i in iotas[1:-1]]))
+            low, high = iotas[k - 1], iotas[k + 1]
+        return float(iotas[k])
 
     def certificate(self, iota: float) -> Certificate:
         """The margin over all attitudes and corners, with its proof."""
