@@ -269,7 +269,8 @@ def _falls(gains: GainSet, eta: np.ndarray, nu: np.ndarray, iota: float) -> floa
     K_P, K_V, K_I = (np.array(gains.matrix(k).tolist(), dtype=float) for k in ("K_P", "K_V", "K_I"))
     K = K_V + inverse.T @ D @ inverse
     cross = iota * (K - C_q.T) / 2
-    return float(np.linalg.eigvalsh(np.block([[iota * K_P - K_I, cross], [cross.T, K - iota * M_q]]))[0])
+    Q = np.block([[iota * K_P - K_I, cross], [cross.T, K - iota * M_q]])
+    return float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
 
 
 def test_pid_with_six_degrees_of_freedom_is_proved_on_a_reference() -> None:
@@ -344,6 +345,29 @@ def test_damping_is_least_at_a_corner_of_the_speeds() -> None:
         own = np.array(D(*nu), dtype=float)
         assert np.linalg.eigvalsh(0.5 * (own + own.T))[0] >= least - 1e-12
     assert least == pytest.approx(0.07)  # K_p, M_q and N_r at rest
+
+
+def test_cubic_drag_is_within_its_corners() -> None:
+    """CyberShip II has X_uuu: a parabola is below its chord, so that its product has a corner of its own."""
+    gains = ship("pid")
+    assert all(r.verdict == "holds" for r in check_mission(gains, mission("spline", SQUARE, speed=0.1)).rows)
+    most, random = np.array([0.5, 0.3, 0.4]), np.random.default_rng(4)
+    falling = Falling(Problem(gains), most)
+    assert falling.affine
+    own = falling.attitudes.at({})[None]
+    every = np.arange(len(falling.nu))
+    least = falling.margin(0.3, own, 0 * every, every).min()
+    for nu in random.uniform(-most, most, (200, 3)):
+        assert _falls(gains, np.zeros(3), nu, 0.3) >= least
+    assert {*np.round(falling.D[:, 0, 0][np.abs(falling.nu[:, 0]) == 0.5], 3)} > {
+        round(float(d), 3) for d in (_drag(gains, 0.5), _drag(gains, -0.5))
+    }
+
+
+def _drag(gains: GainSet, u: float) -> float:
+    """D in surge at a speed, kg/s."""
+    known = dict(zip(gains.plant.nu, map(sm.Float, (u, 0.0, 0.0)), strict=True))
+    return float(gains.plant.D.xreplace(gains.plant.numbers).xreplace(known)[0, 0])
 
 
 def test_conditions_on_a_reference_hold_until_a_limit_is_asked_for() -> None:

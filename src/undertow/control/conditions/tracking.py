@@ -20,6 +20,7 @@ from undertow.control.guidance.line_of_sight import LineOfSight
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.reference import TimedReference
 from undertow.control.laws import JUMPING
+from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
@@ -50,6 +51,7 @@ class TrackingSettings:
     # of error.
     reach: float = 2.0
     iotas: int = 12  # values of iota that are tried in the range which serves a set-point
+    products: int = 3  # products of velocities in D at most, each of which doubles the corners
     samples: int = 400  # times at which the commands on the reference are looked at
     dt: float = 0.02  # sampling interval of the loop on legs, s: what autopilots have
     # A leg is followed for so many times the slowest of lookahead / speed and lookahead / integral, so that
@@ -203,7 +205,7 @@ def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
     return _row("K_V + D", "K_V + D_q(nu) ≻ 0", f"{_PD} {_BOUNDED}", certificate.found, proved, where)
 
 
-_CURVED = "; damping is no straight line in each velocity, so that corners are samples"
+_CURVED = "; damping is no sum of a few products of velocities, so that corners are samples"
 
 
 def _pid_rows(problem: Problem, mission: Mission) -> Iterator[MissionRow]:
@@ -280,7 +282,8 @@ class Falling:
 def corners(problem: Problem, most: Array) -> tuple[Array, Array, bool]:
     """Corners of |nu| <= most with each choice of signs, and D there; and whether D has no more between.
 
-    Shapes (k, n) and (k, n, n). Between the signs the usual drag is affine in nu.
+    Shapes (k, n) and (k, n, n). Between the signs the usual drag is affine in nu. A product of velocities in
+    D counts as a quantity of its own, anywhere between its least and its largest value.
     """
     plant = problem.plant
     sizes, signs = sizes_and_signs(plant)
@@ -292,11 +295,33 @@ def corners(problem: Problem, most: Array) -> tuple[Array, Array, bool]:
     rows = np.array(list(product(*ends)))
     nu, way = rows[..., 0], rows[..., 1]
     found = enclosing([*plant.nu, *sizes, *signs], D)(*map(enclose, (*nu.T, *np.abs(nu).T, *way.T)))
+    own = np.broadcast_to(found.middle, (len(nu), *D.shape))
     try:
-        affine = all(sum(t.powers[: 2 * len(nu.T)]) <= 1 for t in terms_of(plant, plant.D))
+        curved = _products(plant, most)
     except UndertowError:
-        affine = False
-    return nu, np.broadcast_to(found.middle, (len(nu), *D.shape)), affine
+        return nu, own, False
+    if len(curved) > TRACKING.products:
+        return nu, own, False
+    there = np.concatenate([nu, np.abs(nu), way], axis=1)
+    for powers, (matrix, lowest, largest) in curved.items():
+        here = (there ** np.array(powers)).prod(axis=1)
+        own = np.concatenate([own + (e - here)[:, None, None] * matrix for e in (lowest, largest)])
+        nu, there = (np.concatenate([m, m]) for m in (nu, there))
+    return nu, own, True
+
+
+def _products(plant: Plant, most: Array) -> dict[tuple[int, ...], tuple[Array, float, float]]:
+    """Products of velocities in D by their powers: what D has of each, its least and its largest value."""
+    n = len(most)
+    found: dict[tuple[int, ...], tuple[Array, float, float]] = {}
+    for row, column, powers, value in terms_of(plant, plant.D):
+        if sum(powers[: 2 * n]) <= 1:
+            continue
+        largest = float(np.prod(np.tile(most, 2) ** np.array(powers[: 2 * n])))
+        signed = any(p % 2 for p in (*powers[:n], *powers[2 * n : 3 * n]))
+        matrix, *_ = found.setdefault(powers, (np.zeros((n, n)), -largest * signed, largest))
+        matrix[row, column] += value
+    return found
 
 
 def damping_corners(problem: Problem, most: Array) -> tuple[Array, bool]:
