@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
-from undertow.model.symbols import POSE, body_rates, column, skew, symbol
+from undertow.model.symbols import POSE, body_rates, column, rotation, skew, symbol
 from undertow.typing import Array, Flags, Index
 
 _EPS = float(np.finfo(float).eps)
@@ -256,8 +256,8 @@ class Attitudes:
     `isotropic` says that every gain is the same for x, y and z. With J^-1 = diag(I, W) diag(R', I) the
     rotation R of the translations then changes no eigenvalue, and J^-1 stands for diag(I, W) here.
 
-    With `rates` J^-1 is followed, below it, by its rate of change at a unit of each velocity, so that it has
-    the shape (k, (n + 1) n, n).
+    With `rates` J^-1 is followed, below it, by its rate of change at a unit of each velocity and, where R is
+    left out of it, by diag(R, I), so that it has the shape (k, (n + 1) n, n) or (k, (n + 2) n, n).
     """
 
     def __init__(self, plant: Plant, tilt: float, isotropic: bool = False, rates: bool = False) -> None:
@@ -313,7 +313,10 @@ class Attitudes:
     def _inverse(self) -> sm.Matrix:
         whole = self._plant.J_inverse
         own = sm.diag(sm.eye(3), body_rates(column(POSE[3:]))) if self._isotropic else whole
-        return sm.Matrix.vstack(own, *self._slopes(own)) if self._rates else own
+        if not self._rates:
+            return own
+        turn = [sm.diag(rotation(column(POSE[3:])), sm.eye(3))] if self._isotropic else []
+        return sm.Matrix.vstack(own, *self._slopes(own), *turn)
 
     def _slopes(self, inverse: sm.Matrix) -> Iterator[sm.Matrix]:
         """How J^-1 changes at a unit of each velocity; where R is left out of it, seen from the body."""

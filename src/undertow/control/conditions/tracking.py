@@ -243,28 +243,40 @@ class Falling:
         self.M = problem.sets[0].inertia
         C = function_of(list(plant.nu), plant.C.xreplace(dict(plant.numbers)).tolist())
         self.C = np.array([C(*unit) for unit in np.eye(len(plant.nu))], dtype=float)
-        iso = problem.same(("x", "y", "z"))
-        self.attitudes = Attitudes(plant, problem.attitudes.tilt, iso, rates=True)
+        # Seen from the body, R is left in the gains alone, and there in their differences.
+        self.body = len(plant.nu) == 6
+        seen = self.body or problem.same(("x", "y", "z"))
+        self.attitudes = Attitudes(plant, problem.attitudes.tilt, seen, rates=True)
 
     def margin(self, iota: float, stack: Any, place: Index, case: Index) -> Array:
         """Least eigenvalue of Q by J^-1 with its rates at some attitudes, for pairs of these and corners."""
         n, own, one = len(self.M), self.problem.driven, self.problem.sets[0]
-        inverse, rates = stack[..., :n, :], stack[..., n:, :].reshape(len(stack), n, n, n)
+        inverse, rates = stack[..., :n, :], stack[..., n : n + n * n, :].reshape(len(stack), n, n, n)
         columns = inverse[..., own]
         every, m = columns[:, None], len(own)
         # C_q = J^-T (C J^-1 + M d(J^-1)/dt) of a unit of each velocity, and then of all of them.
         swung = transposed(every) @ (self.C @ every + self.M @ rates[..., own])
         C = self.nu[case][:, None] @ swung.reshape(len(stack), n, m * m)[place]
         s = self.problem.quantities(one, inverse, iota)
-        K = s.K_V + transposed(columns)[place] @ self.D[case] @ columns[place]
+        K_V, spring = (self._seen(K, stack)[place] for K in (s.K_V, iota * s.K_P - s.K_I))
+        K = K_V + transposed(columns)[place] @ self.D[case] @ columns[place]
         cross = (K - transposed(C.reshape(len(place), m, m))) * (iota / 2)
-        Q = [[iota * s.K_P - s.K_I, cross], [transposed(cross), K - s.M[place] * iota]]
-        return least_eigenvalue(block(Q))
+        return least_eigenvalue(block([[spring, cross], [transposed(cross), K - s.M[place] * iota]]))
+
+    def _seen(self, gain: Array, stack: Any) -> Any:
+        """A gain as the body sees it: what is the same for all translations plus what turns, (k, m, m)."""
+        if not self.body:
+            return np.repeat(gain[None], len(stack), axis=0)
+        own = self.problem.driven
+        shifts = [k for k, i in enumerate(own) if i < 3]
+        least = np.diag(gain)[shifts].min() if len(shifts) == 3 else 0.0
+        mean = np.diag([least if k in shifts else gain[k, k] for k in range(len(own))])
+        turn = stack[..., -len(self.M) :, :][..., own, :][..., own]
+        return mean + transposed(turn) @ (gain - mean) @ turn
 
     def best(self, span: Span) -> float:
         """The iota with which the margin at some attitudes is largest, on a grid and on a finer one."""
-        places = [angles for angles, _ in self.problem.sampled]
-        stack = np.array([self.attitudes.at(p) for p in places[:: max(1, len(places) // 8)]])
+        stack = self.attitudes.numbers(self._places())
         place, case = (m.ravel() for m in np.indices((len(stack), len(self.nu))))
         low, high = max(span[0], 1e-6), min(span[1], 1e6)
         for _ in range(2):  # the margin is concave in iota
@@ -272,6 +284,18 @@ class Falling:
             k = 1 + int(np.argmax([self.margin(i, stack, place, case).min() for i in iotas[1:-1]]))
             low, high = iotas[k - 1], iotas[k + 1]
         return float(iotas[k])
+
+    def _places(self) -> dict[str, Array]:
+        """Level and with the largest roll and pitch, each at another heading if that counts."""
+        if self.attitudes.unchanged(self.problem.turned):
+            return {}
+        angles = self.attitudes.angles(self.problem.turned)
+        tilts = [a for a in angles if a != "psi"]
+        most = self.attitudes.tilt
+        rows = np.array(list(product((-most, 0.0, most), repeat=len(tilts)))).T
+        found = dict(zip(tilts, rows, strict=True))
+        headings = {"psi": np.linspace(0, np.pi, 9, endpoint=False)} if "psi" in angles else {}
+        return found | {a: np.resize(v, rows.shape[1] if tilts else 9) for a, v in headings.items()}
 
     def certificate(self, iota: float) -> Certificate:
         """The margin over all attitudes and corners, with its proof."""
