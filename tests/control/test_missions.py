@@ -273,9 +273,10 @@ def _falls(gains: GainSet, eta: np.ndarray, nu: np.ndarray, iota: float) -> floa
     return float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
 
 
-def test_pid_with_six_degrees_of_freedom_is_proved_on_a_reference() -> None:
+@pytest.mark.parametrize("changed", first_quick([{}, {"K_P": {"z": 30.0}}]), ids=["equal", "other in depth"])
+def test_pid_with_six_degrees_of_freedom_is_proved_on_a_reference(changed: dict) -> None:
     """Over all attitudes up to the tilt and all velocities, of which none that is tried has less margin."""
-    gains, where = six(), load_mission(EXAMPLES / "bluerov2-spline.toml")
+    gains, where = six(**changed), load_mission(EXAMPLES / "bluerov2-spline.toml")
     found = check_mission(gains, where)
     assert found.ok
     rows = {r.condition: r for r in found.rows}

@@ -300,8 +300,15 @@ class Attitudes:
         return tuple(a for a in found if not (a == "psi" and turned and self.heading_turns_out))
 
     def box(self, angles: tuple[str, ...]) -> Array:
-        """Range of these angles, shape (n, 2), rad."""
-        return np.array([[-np.pi, np.pi] if a == "psi" else [-self.tilt, self.tilt] for a in angles])
+        """Range of these angles, shape (n, 2), rad; of headings half a turn.
+
+        The other half turns x and y round, which changes no eigenvalue, as gains are diagonal.
+        """
+        ends = [0.5 * np.pi if a == "psi" and self.heading_turns_out else self._most(a) for a in angles]
+        return np.array([[-e, e] for e in ends])
+
+    def _most(self, angle: str) -> float:
+        return np.pi if angle == "psi" else self.tilt
 
     def unchanged(self, turned: bool) -> bool:
         """Whether no attitude changes an eigenvalue: J J' = I, and every gain commutes with J."""

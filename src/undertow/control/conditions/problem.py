@@ -326,7 +326,7 @@ class Problem:
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
         axes = [
-            np.linspace(low / 2, high / 2, SEARCH.headings)
+            np.linspace(-np.pi / 2, np.pi / 2, SEARCH.headings)
             if a == "psi"
             else np.linspace(low, high, SEARCH.tilts)
             for a, (low, high) in pairs
