@@ -118,6 +118,38 @@ def test_a_level_vehicle_needs_no_sampling_of_headings() -> None:
         np.testing.assert_allclose(np.linalg.eigvalsh(turned), of_M, rtol=1e-12)
 
 
+SURGE_HEAVE_PITCH = """
+schema = "undertow/vehicle/1"
+name = "four"
+degrees_of_freedom = ["surge", "sway", "heave", "pitch"]
+signs = "sname"
+[effects.rigid_body]
+m = 20.0
+I_y = 1.0
+[effects.linear_damping]
+X_u = -1.0
+Y_v = -1.0
+Z_w = -30.0
+M_q = -1.0
+"""
+
+
+def test_pitch_counts_where_gains_tell_depth_from_the_level_though_j_is_a_rotation(tmp_path: Path) -> None:
+    """Pitched by 60 degrees, heave damps surge, too: K_V + R D R' is less than on an even keel."""
+    (tmp_path / "v.toml").write_text(SURGE_HEAVE_PITCH)
+    rows = {"K_P": [20.0, 20.0, 2.0, 2.0], "K_V": [10.0, 10.0, 1.0, 9.0]}
+    gains = {name: dict(zip(("x", "y", "z", "theta"), row, strict=True)) for name, row in rows.items()}
+    axes = ["surge", "sway", "heave", "pitch"]
+    table = {"schema": "undertow/gains/1", "name": "four", "law": "pd", "unactuated": axes, "gains": gains}
+    problem = Problem(gains_from_table(GainTable.model_validate(table), load_vehicle(tmp_path / "v.toml")))
+    (damper,) = (c for c in problem.conditions if c.form == "derived" and c.id == "K_V + D")
+    found = problem.certificate(damper, problem.sets[:1], None)
+    turn = np.array([[0.5, np.sqrt(0.75)], [-np.sqrt(0.75), 0.5]])
+    block = np.diag([10.0, 1.0]) + turn @ np.diag([1.0, 30.0]) @ turn.T
+    least = np.linalg.eigvalsh(block)[0]
+    assert 0.1 * least < found.bound <= found.found == pytest.approx(least, rel=1e-6)
+
+
 def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
     """The bound is below 2000 random attitudes and the attitude shown is the worst of them."""
     attitudes = Attitudes(Plant(rov()), np.radians(60))

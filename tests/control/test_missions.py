@@ -21,9 +21,7 @@ from undertow.codegen.spelling import slug
 from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario
 from undertow.control.closed_loop.pictures import track
 from undertow.control.conditions.problem import Problem
-
-# Private: C of the conditions, in a derivative that is worked out by differences.
-from undertow.control.conditions.tracking import _coriolis, check_mission, damping_corners
+from undertow.control.conditions.tracking import Falling, check_mission, damping_corners, speeds
 from undertow.control.conditions.whole import certify
 from undertow.control.controller import Controller
 from undertow.control.controller_c import controller_c
@@ -224,9 +222,8 @@ def _rates(gains: GainSet, seed: int, iota: float) -> tuple[float, float]:
         both = z * iota + e
         return float((s @ M_q @ s + e @ spring @ e + both @ K["K_I"] @ both / iota) / 2)
 
-    problem = Problem(gains)
     inverse = np.linalg.inv(J)
-    C_q = _coriolis(problem, dict(zip(map(str, plant.eta), eta, strict=True)), nu[None])[0]
+    C_q = inverse.T @ (C - M @ inverse @ J_dot) @ inverse
     damper = K["K_V"] + inverse.T @ D @ inverse
     M_q = inverse.T @ M @ inverse
     # With K not symmetric the cross term has K itself, e' K e_dot.
@@ -246,6 +243,98 @@ def test_the_lyapunov_function_of_the_tracking_error_falls_as_claimed(law: str, 
     assert found == pytest.approx(claimed, rel=1e-7)
 
 
+def six(**changed: dict[str, float]) -> GainSet:
+    """PID for the bundled BlueROV2, which pushes in all six axes."""
+    axes = ("x", "y", "z", "phi", "theta", "psi")
+    gains = {
+        "K_P": dict(zip(axes, (25.0, 25.0, 25.0, 2.0, 2.0, 2.0), strict=True)),
+        "K_V": dict(zip(axes, (50.0, 50.0, 50.0, 2.0, 2.0, 2.0), strict=True)),
+        "K_I": dict(zip(axes, (1.0, 1.0, 1.0, 0.1, 0.1, 0.1), strict=True)),
+    }
+    gains = {name: row | changed.get(name, {}) for name, row in gains.items()}
+    table = {"schema": "undertow/gains/1", "name": "six", "law": "pid", "gains": gains}
+    return gains_from_table(GainTable.model_validate(table), load_vehicle("bluerov2"))
+
+
+def _falls(gains: GainSet, eta: np.ndarray, nu: np.ndarray, iota: float) -> float:
+    """Least eigenvalue of Q, by the matrices of the model at one pose and velocity."""
+    plant = gains.plant
+    known = dict(zip([*plant.eta, *plant.nu], map(sm.Float, [*eta, *nu]), strict=True))
+    J, J_dot, C, D, M = (
+        np.array(m.xreplace(plant.numbers).xreplace(known).evalf().tolist(), dtype=float)
+        for m in (plant.J, plant.J_dot, plant.C, plant.D, plant.M)
+    )
+    inverse = np.linalg.inv(J)
+    C_q, M_q = inverse.T @ (C - M @ inverse @ J_dot) @ inverse, inverse.T @ M @ inverse
+    K_P, K_V, K_I = (np.array(gains.matrix(k).tolist(), dtype=float) for k in ("K_P", "K_V", "K_I"))
+    K = K_V + inverse.T @ D @ inverse
+    cross = iota * (K - C_q.T) / 2
+    Q = np.block([[iota * K_P - K_I, cross], [cross.T, K - iota * M_q]])
+    return float(np.linalg.eigvalsh(0.5 * (Q + Q.T))[0])
+
+
+@pytest.mark.parametrize("changed", first_quick([{}, {"K_P": {"z": 30.0}}]), ids=["equal", "other in depth"])
+def test_pid_with_six_degrees_of_freedom_is_proved_on_a_reference(changed: dict) -> None:
+    """Over all attitudes up to the tilt and all velocities, of which none that is tried has less margin."""
+    gains, where = six(**changed), load_mission(EXAMPLES / "bluerov2-spline.toml")
+    found = check_mission(gains, where)
+    assert found.ok
+    rows = {r.condition: r for r in found.rows}
+    assert [*rows] == ["K_I", "V", "V_dot", "commands"]
+    iota = float(rows["V_dot"].where.split("iota = ")[1].split()[0])
+    assert f"iota = {iota:.4g} 1/s; certainly above" in rows["V"].where
+    most, random = speeds(Problem(gains), where), np.random.default_rng(2)
+    least = np.inf
+    for _ in range(300):
+        eta = np.concatenate(
+            [np.zeros(3), random.choice([-1, -0.5, 0.1, 1], 2) * np.pi / 3, [random.uniform(-3, 3)]]
+        )
+        least = min(least, _falls(gains, eta, random.choice([-1, 0, 1], 6) * most, iota))
+    assert rows["V_dot"].margin <= least < 2 * rows["V_dot"].margin
+
+
+@pytest.mark.parametrize(("turn_rate", "verdict"), [(3.0, "not proved"), (20.0, "fails")])
+def test_pid_with_six_degrees_of_freedom_that_turns_fast_is_not_claimed(
+    turn_rate: float, verdict: str
+) -> None:
+    """Coriolis forces grow with the velocities that are covered, twice the limits of the mission."""
+    fast = mission("spline", scattered(3), speed=0.3, limits={**LIMITS, "turn_rate": turn_rate})
+    (row,) = (r for r in check_mission(six(), fast).rows if r.condition == "V_dot")
+    assert row.verdict == verdict
+
+
+def test_q_of_pid_is_that_of_the_model_whatever_frame_it_is_worked_out_in() -> None:
+    """Of equal gains the rotation is left out, of others the heading or nothing."""
+    random = np.random.default_rng(3)
+    for changed in ({}, {"K_P": {"z": 30.0}}, {"K_P": {"y": 30.0}}):
+        gains, most = six(**changed), np.array([1.0, 0.8, 0.6, 0.5, 0.4, 0.7])
+        falling = Falling(Problem(gains), most)
+        for _ in range(4):
+            eta = np.concatenate([np.zeros(3), random.uniform(-1, 1, 3)])
+            if changed.get("K_P", {}).get("z"):
+                eta[5] = 0.0  # left out, as it changes no eigenvalue
+            angles = dict(zip(("phi", "theta", "psi"), eta[3:], strict=True))
+            corner = np.array([random.integers(len(falling.nu))])
+            one = falling.margin(0.3, falling.attitudes.at(angles)[None], np.zeros(1, dtype=int), corner)
+            assert one[0] == pytest.approx(_falls(gains, eta, falling.nu[corner[0]], 0.3), rel=1e-9)
+
+
+def test_more_damping_at_speed_may_break_v_of_pid() -> None:
+    """Damping is in the mixed block of Q, too, so that its largest value counts as well as its least."""
+    gains = six(K_P={"x": 3.0, "y": 3.0, "z": 3.0}, K_I={"x": 0.1, "y": 0.1, "z": 0.1})
+    slow = check_mission(gains, mission("spline", scattered(3), speed=0.05))
+    fast = check_mission(gains, mission("spline", scattered(3), speed=3.0))
+    margins = [next(r.margin for r in m.rows if r.condition == "V_dot") for m in (slow, fast)]
+    assert margins[0] > 0
+    assert margins[1] < 0
+    problem = Problem(gains)
+    falling = Falling(problem, speeds(problem, mission("spline", scattered(3), speed=3.0)))
+    still = np.abs(falling.nu[:, :3]).max(axis=1) == 0
+    level = np.repeat(falling.attitudes.at({})[None], len(falling.nu), axis=0)
+    each = falling.margin(0.2, level, np.arange(len(level)), np.arange(len(level)))
+    assert each[still].min() > each[~still].min()
+
+
 def test_damping_is_least_at_a_corner_of_the_speeds() -> None:
     problem = Problem(load_gains(EXAMPLES / "bluerov2-gains.toml", load_vehicle("bluerov2")))
     most = np.array([1.0, 1.0, 1.0, 0.7, 0.7, 0.7])
@@ -257,6 +346,29 @@ def test_damping_is_least_at_a_corner_of_the_speeds() -> None:
         own = np.array(D(*nu), dtype=float)
         assert np.linalg.eigvalsh(0.5 * (own + own.T))[0] >= least - 1e-12
     assert least == pytest.approx(0.07)  # K_p, M_q and N_r at rest
+
+
+def test_cubic_drag_is_within_its_corners() -> None:
+    """CyberShip II has X_uuu: a parabola is below its chord, so that its product has a corner of its own."""
+    gains = ship("pid")
+    assert all(r.verdict == "holds" for r in check_mission(gains, mission("spline", SQUARE, speed=0.1)).rows)
+    most, random = np.array([0.5, 0.3, 0.4]), np.random.default_rng(4)
+    falling = Falling(Problem(gains), most)
+    assert falling.affine
+    own = falling.attitudes.at({})[None]
+    every = np.arange(len(falling.nu))
+    least = falling.margin(0.3, own, 0 * every, every).min()
+    for nu in random.uniform(-most, most, (200, 3)):
+        assert _falls(gains, np.zeros(3), nu, 0.3) >= least
+    assert {*np.round(falling.D[:, 0, 0][np.abs(falling.nu[:, 0]) == 0.5], 3)} > {
+        round(float(d), 3) for d in (_drag(gains, 0.5), _drag(gains, -0.5))
+    }
+
+
+def _drag(gains: GainSet, u: float) -> float:
+    """D in surge at a speed, kg/s."""
+    known = dict(zip(gains.plant.nu, map(sm.Float, (u, 0.0, 0.0)), strict=True))
+    return float(gains.plant.D.xreplace(gains.plant.numbers).xreplace(known)[0, 0])
 
 
 def test_conditions_on_a_reference_hold_until_a_limit_is_asked_for() -> None:

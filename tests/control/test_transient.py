@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from undertow.model.loading import load_vehicle
 
 FINE = KERNELS.ratios[-1]
 NAMES = ("x", "y", "z", "phi", "theta", "psi")
+MIRROR = (1, -1, 1, -1, 1, -1)  # port for starboard
 BODY = """
 schema = "undertow/vehicle/1"
 name = "six"
@@ -68,19 +70,23 @@ z_b = -0.01
 START = {"x": 0.05, "y": 0.05, "z": 0.05, "phi": 0.06, "theta": 0.06, "psi": 0.06}
 
 
-def loop(limit: float = 40.0, **changed: dict[str, float]) -> GainSet:
-    """A loop whose gains tell x, y and z apart."""
-    thrusters = "".join(
+def _single(limit: float) -> str:
+    """A thruster for each axis."""
+    return "".join(
         f'[[thrusters]]\nname = "f{i}"\nwrench = {[float(i == k) for k in range(6)]}\nlimit = {limit}\n'
         for i in range(6)
     )
+
+
+def loop(limit: float = 40.0, **changed: dict[str, float]) -> GainSet:
+    """A loop whose gains tell x, y and z apart."""
     gains = {
         "K_P": dict(zip(NAMES, (10.0, 14.0, 12.0, 1.0, 1.4, 1.2), strict=True)),
         "K_V": dict(zip(NAMES, (20.0, 25.0, 22.0, 0.8, 1.2, 1.0), strict=True)),
         "K_I": dict(zip(NAMES, (0.4, 0.6, 0.5, 0.05, 0.06, 0.05), strict=True)),
     } | changed
     table = {"schema": "undertow/gains/1", "name": "six-pid", "law": "pid", "gains": gains}
-    return gains_from_table(GainTable.model_validate(table), loaded(BODY + thrusters))
+    return gains_from_table(GainTable.model_validate(table), loaded(BODY + _single(limit)))
 
 
 # --- the linear loop --------------------------------------------------------------------------------
@@ -186,10 +192,19 @@ def _sector(heading: float = 0.7, half: float = 0.0) -> Sector:
     return Sector(motion, Starts(start, motion.plane), motion.leftover(_caps(motion, start)), heading, half)
 
 
-@pytest.mark.parametrize(("heading", "half"), [(0.0, 0.0), (0.7, 0.1)])
-def test_what_the_linear_loop_leaves_out_is_below_its_bound(heading: float, half: float) -> None:
-    """The acceleration of the model itself at random states, in every direction of motion."""
-    rng = np.random.default_rng(6)
+@pytest.mark.parametrize(
+    ("heading", "half", "mirror"),
+    [(0.0, 0.0, (1,) * 6), (0.7, 0.1, (1,) * 6), (0.7, 0.1, MIRROR)],
+    ids=["a heading", "a range", "the opposite range"],
+)
+def test_what_the_linear_loop_leaves_out_is_below_its_bound(
+    heading: float, half: float, mirror: tuple[int, ...]
+) -> None:
+    """The acceleration of the model itself at random states, in every direction of motion.
+
+    At the opposite headings the same bounds are those of the motion seen in a mirror.
+    """
+    rng, seen = np.random.default_rng(6), np.array(mirror)
     sector = _sector(heading, half)
     bounds, at = Bounds([sector], _caps(sector.motion, sector.starts.box)), sector.signals
     closest = 0.0
@@ -197,13 +212,62 @@ def test_what_the_linear_loop_leaves_out_is_below_its_bound(heading: float, half
         size = 10 ** rng.uniform(-2, 0)
         error = rng.uniform(-1, 1, 6) * np.array([0.2, 0.2, 0.2, 0.2, 0.2, 0.2]) * size
         z = np.concatenate([rng.uniform(-0.3, 0.3, 6) * size, error, rng.uniform(-0.3, 0.3, 6) * size])
-        place = heading + half * rng.choice((-1.0, 1.0))
-        signals = np.abs(sector.rows @ z)[None]
+        place = seen[-1] * (heading + half * rng.choice((-1.0, 1.0)))
+        own = np.tile(seen, 3) * z
+        signals = np.abs(sector.rows @ own)[None]
         (push,) = bounds.push(Known(0 * signals, signals, np.zeros((1, 18))))
-        off = np.abs(_acceleration(sector.motion.problem.gains, z, place) - sector.rows[at.acceleration] @ z)
+        acceleration = seen * _acceleration(sector.motion.problem.gains, z, place)
+        off = np.abs(acceleration - sector.rows[at.acceleration] @ own)
         assert (off <= push[at.rate] + 1e-12).all(), k
         closest = max(closest, float((off / push[at.rate]).max()))
     assert closest > 0.3
+
+
+def _changed(text: str, thrusters: str = "") -> Motion:
+    gains = loop()
+    own = loaded(BODY.replace(*text.split("->")) + (thrusters or _single(40.0)))
+    table = {n: {c: gains.values[f"{n}_{c}"] for c in NAMES} for n in ("K_P", "K_V", "K_I")}
+    raw = {"schema": "undertow/gains/1", "name": "six-pid", "law": "pid", "gains": table}
+    return Motion(Problem(gains_from_table(GainTable.model_validate(raw), own)))
+
+
+@pytest.mark.parametrize(
+    ("text", "mirrors"),
+    [
+        ("I_x = 0.5->I_x = 0.5\nx_g = 0.02\nz_g = 0.01", True),
+        (
+            "[effects.quad->[effects.linear_damping_coupling]\nN_v = -0.4\nM_w = 0.2\n[effects.quad",
+            True,
+        ),
+        ("N_r = -0.7->N_r = { forward = -0.7, backward = -0.5 }", True),  # bounded by magnitudes
+        ("I_x = 0.5->I_x = 0.5\ny_g = 0.02", False),
+        ("[effects.quad->[effects.linear_damping_coupling]\nN_u = -0.4\n[effects.quad", False),
+    ],
+)
+def test_only_a_vehicle_whose_port_is_as_its_starboard_is_its_mirror_image(text: str, mirrors: bool) -> None:
+    assert _changed(text).mirrors == mirrors
+
+
+def test_commands_at_the_opposite_heading_are_below_the_bounds_of_the_mirror_image() -> None:
+    """One thruster pushes ahead beside the centre line: in a mirror it would be on the other side."""
+    one = _single(40.0).replace("wrench = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "wrench = [1.0, 0, 0, 0, 0, -0.4]")
+    motion, rng, seen = _changed("N_r = -0.7->N_r = -0.7", one), np.random.default_rng(8), np.array(MIRROR)
+    start = np.array([START[c] for c in NAMES])
+    sector = Sector(motion, Starts(start, motion.plane), motion.leftover(_caps(motion, start)), 0.7, 0.0)
+    bounds = Bounds([sector], _caps(motion, start))
+    assert motion.mirrors
+    assert motion.sides[0].shape == (2, 6, 6)
+    force = motion.law(-0.7)[0]
+    closest, one_sided = 0.0, 0.0
+    for z in 1e-4 * rng.normal(size=(200, 18)):
+        (most,) = bounds.commands(np.abs(sector.rows @ (np.tile(seen, 3) * z))[None])
+        asked = np.abs(motion.commands.share @ force @ z + motion.holding @ z[6:12])
+        assert (asked <= most - motion.commands.steady() + 1e-12).all()
+        closest = max(closest, float((asked / (most - motion.commands.steady())).max()))
+        alone = np.abs(motion.commands.share @ motion.law(0.7)[0] @ (np.tile(seen, 3) * z))
+        one_sided = max(one_sided, float((asked / alone).max()))
+    assert closest > 0.99
+    assert one_sided > 2  # the bounds of one side alone would be too small
 
 
 def test_sums_of_signals_are_bounded_by_what_they_are_made_of() -> None:
@@ -331,48 +395,68 @@ def test_translations_that_do_not_turn_as_a_rotation_get_no_bounds() -> None:
 
 def test_what_coarse_pieces_of_time_do_not_prove_finer_ones_may() -> None:
     """A start that is only just proved: no certificate is given up for the time that coarse pieces save."""
-    motion, (coarse, fine) = Motion(Problem(loop())), KERNELS.ratios
+    motion, (coarse, middle, *_) = Motion(Problem(loop())), KERNELS.ratios
     search, where = Search(motion, 3.95 * np.array([*START.values()])), [(0.0, 0.0)]
-    assert search.lost(where, [], [coarse]) == where
+    assert search.lost(where, [], coarse) == where
     found: list[Transient] = []
-    assert search.lost(where, found, [coarse, fine]) == []
+    assert search.lost(where, found, middle) == []
     assert len(found) == 1
     begun = np.abs(found[0].errors[0])
     assert np.all(begun >= search.starts.box)
 
 
 class _Told(Search):
-    """A search that is told which ranges have bounds: those up to a width, in pieces of time fine enough."""
+    """A search that is told up to which half width ranges have bounds, and in how fine pieces of time."""
 
-    def __init__(self, half: float, ratio: float) -> None:
-        self.half, self.ratio = half, ratio
-        self.looked: list[tuple[int, float]] = []  # how many ranges at a time, and by which last ratio
+    def __init__(self, half: Callable[[float], float], ratio: float) -> None:
+        self.half, self.ratio, self.motion = half, ratio, SimpleNamespace(mirrors=False)
+        self.looked: list[tuple[int, float]] = []  # how many ranges at a time, in which pieces of time
+        self.proved: list[Span] = []
 
-    def lost(
-        self, ranges: Sequence[Span], found: list, ratios: Sequence[float] = KERNELS.ratios
-    ) -> list[Span]:
-        self.looked.append((len(ranges), ratios[-1]))
-        there = [h <= self.half and ratios[-1] <= self.ratio for _, h in ranges]
+    def lost(self, ranges: Sequence[Span], found: list, ratio: float) -> list[Span]:
+        self.looked.append((len(ranges), ratio))
+        there = [h <= self.half(m) and ratio <= self.ratio for m, h in ranges]
         found += [there] * sum(there)
+        self.proved += [span for span, holds in zip(ranges, there, strict=True) if holds]
         return [span for span, holds in zip(ranges, there, strict=True) if not holds]
 
 
 def test_a_search_is_given_up_where_a_narrowest_range_has_no_bounds() -> None:
-    coarse, fine = KERNELS.ratios
-    hopeless = _Told(0.0, fine)
+    coarse, middle, fine = KERNELS.ratios
+    hopeless = _Told(lambda _: 0.0, fine)
     assert hopeless.whole([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) is None
-    assert hopeless.looked == [(3, coarse), (3, fine)]
+    assert hopeless.looked == [(3, coarse), (3, coarse), (3, middle), (3, fine)]
+
+
+@pytest.mark.parametrize("widest", [1.0, 0.5, 0.25, 0.125], ids=lambda w: f"{w:g} of a range")
+def test_ranges_are_cut_as_narrow_as_they_need_and_every_heading_is_in_one(
+    monkeypatch: pytest.MonkeyPatch, widest: float
+) -> None:
+    """Below 0.4 rad whole ranges have bounds, above it parts of them, which are found without detours."""
+    monkeypatch.setattr(transient, "_together", len)
+    told = _Told(lambda middle: 0.1001 * (1.0 if middle < 0.4 else widest), KERNELS.ratios[-1])
+    told.ratio = KERNELS.ratios[0]
+    assert told.whole([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) == len(told.proved)
+    ends = sorted((m - h, m + h) for m, h in told.proved)
+    assert ends[0][0] == pytest.approx(0.0)
+    assert ends[-1][1] == pytest.approx(0.6)
+    assert [a for a, _ in ends[1:]] == pytest.approx([b for _, b in ends[:-1]])
+    assert max(h for m, h in told.proved if m > 0.4) == pytest.approx(0.1 * widest)
+    # One range is looked at too wide, and half a part where parts grow from the narrowest.
+    assert sum(count for count, _ in told.looked) <= 3 + 8 + 2
 
 
 def test_pieces_of_time_too_coarse_for_single_headings_are_tried_of_no_range(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    coarse, fine = KERNELS.ratios
-    told = _Told(np.pi, fine)
+    coarse, middle, fine = KERNELS.ratios
+    told = _Told(lambda _: np.pi, fine)
     for name, of in {"Search": lambda *_: told, "Motion": lambda *_: None, "_together": len}.items():
         monkeypatch.setattr(transient, name, of)
     monkeypatch.setattr(Problem, "heading_counts", True)
     gains = load_gains("paper-pd", load_vehicle("mini-auv"))
     problem = Problem(replace(gains, schedule=ScheduleTable()))
     assert bounds_in_time(problem, {"x": 0.1}) == 16
-    assert told.looked == [(8, coarse), (8, fine), (16, fine)]
+    assert told.looked == [(8, coarse), (8, middle), (8, fine), (16, fine)]
+    told.motion.mirrors = True
+    assert bounds_in_time(problem, {"x": 0.1}) == 8

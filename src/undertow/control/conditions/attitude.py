@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 
 from undertow.control.plant import Plant
 from undertow.model.composition import function_of
-from undertow.model.symbols import POSE, body_rates, column, symbol
-from undertow.typing import Array, Flags
+from undertow.model.symbols import POSE, body_rates, column, rotation, skew, symbol
+from undertow.typing import Array, Flags, Index
 
 _EPS = float(np.finfo(float).eps)
 _STEP = 2 * _EPS  # a rounding is a quarter of this at most, relative,
@@ -226,9 +226,11 @@ class BoundSettings:
 
     # A bound that is not positive by then counts as not proved; it limits time and memory.
     most_boxes: int = 40_000
+    most_pairs: int = 200_000  # the same of boxes with their cases
     # Boxes after which a proof that would take more than those is given up: the first ones are so large that
     # they say little of it.
     first_boxes: int = 2000
+    together: int = 8000  # boxes that are bounded at a time: memory
     share: float = 0.1  # of the least margin found, up to which a bound is refined: its sign is what counts
     grid: int = 9  # points for each angle from which the least margin is searched for
     heading_cuts: int = 36  # boxes of a whole turn where a bound is not refined
@@ -253,10 +255,14 @@ class Attitudes:
 
     `isotropic` says that every gain is the same for x, y and z. With J^-1 = diag(I, W) diag(R', I) the
     rotation R of the translations then changes no eigenvalue, and J^-1 stands for diag(I, W) here.
+
+    With `rates` J^-1 is followed, below it, by its rate of change at a unit of each velocity and, where R is
+    left out of it, by diag(R, I), so that it has the shape (k, (n + 1) n, n) or (k, (n + 2) n, n).
     """
 
-    def __init__(self, plant: Plant, tilt: float, isotropic: bool = False) -> None:
-        self._plant, self.tilt = plant, tilt
+    def __init__(self, plant: Plant, tilt: float, isotropic: bool = False, rates: bool = False) -> None:
+        self._plant, self.tilt, self._rates = plant, tilt, rates
+        self._same = isotropic
         self._isotropic = isotropic and len(plant.nu) == 6
 
     @cached_property
@@ -294,12 +300,40 @@ class Attitudes:
         return tuple(a for a in found if not (a == "psi" and turned and self.heading_turns_out))
 
     def box(self, angles: tuple[str, ...]) -> Array:
-        """Range of these angles, shape (n, 2), rad."""
-        return np.array([[-np.pi, np.pi] if a == "psi" else [-self.tilt, self.tilt] for a in angles])
+        """Range of these angles, shape (n, 2), rad; of headings half a turn.
+
+        The other half turns x and y round, which changes no eigenvalue, as gains are diagonal.
+        """
+        ends = [0.5 * np.pi if a == "psi" and self.heading_turns_out else self._most(a) for a in angles]
+        return np.array([[-e, e] for e in ends])
+
+    def _most(self, angle: str) -> float:
+        return np.pi if angle == "psi" else self.tilt
+
+    def unchanged(self, turned: bool) -> bool:
+        """Whether no attitude changes an eigenvalue: J J' = I, and every gain commutes with J."""
+        if not self.angles(turned):
+            return True
+        return turned and (self._same or self.angles(False) == ("psi",)) and self.orthogonal
 
     @cached_property
     def _inverse(self) -> sm.Matrix:
-        return sm.diag(sm.eye(3), body_rates(column(POSE[3:]))) if self._isotropic else self._plant.J_inverse
+        whole = self._plant.J_inverse
+        own = sm.diag(sm.eye(3), body_rates(column(POSE[3:]))) if self._isotropic else whole
+        if not self._rates:
+            return own
+        turn = [sm.diag(rotation(column(POSE[3:])), sm.eye(3))] if self._isotropic else []
+        return sm.Matrix.vstack(own, *self._slopes(own), *turn)
+
+    def _slopes(self, inverse: sm.Matrix) -> Iterator[sm.Matrix]:
+        """How J^-1 changes at a unit of each velocity; where R is left out of it, seen from the body."""
+        eta, J = self._plant.eta, self._plant.J
+        for k in range(J.cols):
+            rate = sum((inverse.diff(a) * v for a, v in zip(eta, J[:, k], strict=True)), 0 * inverse)
+            if self._isotropic:  # d(R')/dt = -S(omega) R'
+                omega = sm.Matrix([int(i == k) for i in range(3, 6)])
+                rate -= sm.diag(skew(omega), sm.zeros(3, 3))
+            yield rate
 
     @cached_property
     def _function(self) -> Callable[..., Any]:
@@ -386,56 +420,88 @@ def least(
     `margin` leads from J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below
     it. `turned` says that it is the same at every heading, `depends` that it contains J at all.
     """
+    return least_of_cases(lambda J, place, _: margin(J)[place], attitudes, turned, depends=depends)
+
+
+Cases = Callable[[Any, Index, Index], Array]
+"""Leads from J^-1 at some attitudes to margins, or bounds below them, of pairs: place in J^-1 and case."""
+
+
+def least_of_cases(
+    margin: Cases, attitudes: Attitudes, turned: bool, cases: int = 1, *, depends: bool = True
+) -> Certificate:
+    """As `least`, over a number of cases, too: a box of attitudes is cut for those cases that need it."""
     angles = attitudes.angles(turned)
-    if not depends or not angles or (attitudes.orthogonal and turned):
-        value = float(margin(attitudes.at({})[None])[0])
+    if not depends or attitudes.unchanged(turned):
+        value = float(margin(attitudes.at({})[None], np.zeros(cases, dtype=int), np.arange(cases)).min())
         return Certificate(value, value, {}, _algebra(attitudes) if depends else "gains alone")
-    best, worst = _search(margin, attitudes, angles)
+    best, worst = _search(margin, attitudes, angles, cases)
     place = dict(zip(angles, map(float, worst), strict=True))
     if best <= 0:
         return Certificate(best, best, place, "fails there")
-    bound, seen = _bound(margin, attitudes, angles, best)
+    bound, seen = _bound(margin, attitudes, angles, cases, best)
     return Certificate(bound, best, place, _bounds(attitudes, angles, seen, bound))
 
 
-def _search(
-    margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...]
-) -> tuple[float, Array]:
+def _search(margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], cases: int) -> tuple[float, Array]:
     """The least margin on a grid, polished from there."""
     box = attitudes.box(angles)
     axes = [np.linspace(low, high, BOUNDS.grid) for low, high in box]
     grid = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
 
-    def at(points: Array) -> Array:
-        return margin(attitudes.numbers(dict(zip(angles, points.T, strict=True))))
+    def at(points: Array, place: Index, case: Index) -> Array:
+        return margin(attitudes.numbers(dict(zip(angles, points.T, strict=True))), place, case)
 
-    start = grid[int(at(grid).argmin())]
+    place, case = (m.ravel() for m in np.indices((len(grid), cases)))
+    least = [
+        (float(values.min()), k + int(values.argmin()))
+        for k in range(0, len(place), BOUNDS.together)
+        for values in [at(grid, place[k : k + BOUNDS.together], case[k : k + BOUNDS.together])]
+    ]
+    lowest, first = min(least)
+    one = np.zeros(1, dtype=int)
     found = minimize(
-        lambda x: float(at(np.clip(x, box[:, 0], box[:, 1])[None])[0]), start, method="Nelder-Mead",
-        options={"xatol": 1e-6, "fatol": 1e-12, "maxiter": 200},
+        lambda x: float(at(np.clip(x, box[:, 0], box[:, 1])[None], one, case[[first]])[0]),
+        grid[place[first]], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-12, "maxiter": 200},
     )  # fmt: skip
     worst = np.clip(found.x, box[:, 0], box[:, 1])
-    return float(at(worst[None])[0]), worst
+    polished = float(at(worst[None], one, case[[first]])[0])
+    return (polished, worst) if polished <= lowest else (lowest, grid[place[first]])
 
 
 def _bound(
-    margin: Callable[[Any], Array], attitudes: Attitudes, angles: tuple[str, ...], best: float
+    margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], cases: int, best: float
 ) -> tuple[float, int]:
-    boxes, done, seen = attitudes.box(angles)[None], np.inf, 0
+    boxes, case = np.repeat(attitudes.box(angles)[None], cases, axis=0), np.arange(cases)
+    done, seen, most = np.inf, 0, BOUNDS.most_boxes if cases == 1 else BOUNDS.most_pairs
     while len(boxes):
         seen += len(boxes)
-        bounds = margin(_inverses(attitudes, angles, boxes))
+        bounds = _bounds_of_pairs(margin, attitudes, angles, boxes, case)
         enough = bounds >= BOUNDS.share * best
         if seen > BOUNDS.first_boxes:
             middles = dict(zip(angles, boxes[~enough].mean(axis=-1).T, strict=True))
-            inside = margin(attitudes.numbers(middles))
+            J, place = attitudes.numbers(middles), np.arange(int(np.sum(~enough)))
+            inside = margin(J, place, case[~enough])
             # What a bound is below the value inside shrinks with the box, so that each has to be cut into
             # about so many.
             more = float(np.sum((inside - bounds[~enough]) / (inside - BOUNDS.share * best)))
-            enough |= seen + more > BOUNDS.most_boxes
+            enough |= seen + more > most
         done = min(done, float(bounds[enough].min(initial=np.inf)))
-        boxes = _halved(boxes[~enough])
+        boxes, case = _halved(boxes[~enough]), np.tile(case[~enough], 2)
     return min(done, best), seen
+
+
+def _bounds_of_pairs(
+    margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], boxes: Array, case: Index
+) -> Array:
+    """Bounds of each box with its case; what boxes have in common is worked out once."""
+    found = np.empty(len(boxes))
+    for k in range(0, len(boxes), BOUNDS.together):
+        own = slice(k, k + BOUNDS.together)
+        every, place = np.unique(boxes[own].reshape(len(boxes[own]), -1), axis=0, return_inverse=True)
+        J = _inverses(attitudes, angles, every.reshape(len(every), *boxes.shape[1:]))
+        found[own] = margin(J, place.ravel(), case[own])
+    return found
 
 
 def _inverses(attitudes: Attitudes, angles: tuple[str, ...], boxes: Array) -> Interval:

@@ -42,7 +42,7 @@ class MotionSettings:
 
     first: float = 0.05  # of the time in which the fastest mode changes: the first piece of time
     # Of the ends of a piece of time: what the first does not prove, in a third of the time, is tried again.
-    ratios: tuple[float, ...] = (1.12, 1.04)
+    ratios: tuple[float, ...] = (1.12, 1.08, 1.04)
     finer: int = 4  # pieces of what a push does later, in one of these
     last: float = 20.0  # slowest time constants, after which one bound serves for all time
     dies: float = 0.02  # part of the slowest mode's rate at which everything dies out at last
@@ -177,20 +177,30 @@ def bounds_within(of: Amplitudes, exponents: Array, times: Array, growing: Ampli
     With `growing` the sum is of (a + t b) e^(exponent t); then the last piece has to begin after the slowest
     time.
     """
-    decay = np.exp(np.outer(exponents.real, times))
-    turned = decay * np.exp(1j * np.outer(exponents.imag, times))
-    value, spread, bend = of.value @ turned, of.radius @ decay, (of.size * np.abs(exponents) ** 2) @ decay
-    envelope = of.size @ decay
+    count, rate = len(times), np.abs(exponents)[:, None]
+    decay, angle = np.exp(np.outer(exponents.real, times)), np.outer(exponents.imag, times)
+    waves = np.concatenate([decay * np.cos(angle), -decay * np.sin(angle)])
+    # Both bounds in one product of matrices.
+    both = of.size @ np.concatenate([decay, rate**2 * decay], axis=1)
+    value, spread = _parts(of.value) @ waves, of.radius @ decay
+    envelope, bend = both[:, :count], both[:, count:]
     if growing is not None:
-        later, rate = np.append(times[1:], times[-1]), np.abs(exponents)
-        value = value + growing.value @ (turned * times)
-        spread = spread + growing.radius @ (decay * times)
-        bend = bend + (growing.size * rate**2) @ (decay * later) + 2 * (growing.size * rate) @ decay
-        envelope = envelope + growing.size @ (decay * later)
-    at = np.abs(value.real) + spread
+        later = np.append(times[1:], times[-1])
+        both = growing.size @ np.concatenate([decay * later, rate * decay * (rate * later + 2)], axis=1)
+        value, spread = (
+            value + _parts(growing.value) @ (waves * times),
+            spread + growing.radius @ (decay * times),
+        )
+        envelope, bend = envelope + both[:, :count], bend + both[:, count:]
+    at = np.abs(value) + spread
     within = np.maximum(at[:, :-1], at[:, 1:]) + bend[:, :-1] * np.diff(times) ** 2 / 8
     found = np.concatenate([np.minimum(within, envelope[:, :-1]), envelope[:, -1:]], axis=1)
     return np.asarray(found * (1 + PROOFS.level))
+
+
+def _parts(values: Array) -> Array:
+    """Real parts beside imaginary ones."""
+    return np.concatenate([values.real, values.imag], axis=-1)
 
 
 def grid(rates: Array, ratio: float, finer: int = 1, until: float = 0.0) -> Array:
@@ -465,7 +475,7 @@ class Motion:
                 "pose rates are not velocities on an even keel: no bounds in time are searched for"
             )
 
-    @property
+    @cached_property
     def angle_pairs(self) -> tuple[Index, Index]:
         """Places of the first and of the second angle of each pair."""
         return np.triu_indices(len(self.angles))
@@ -538,6 +548,39 @@ class Motion:
             if a in self.names:
                 found[:, self.names.index(a)] = -slope  # an angle is the error turned round
         return found
+
+    @cached_property
+    def mirrors(self) -> bool:
+        """Whether the loop at a heading is the mirror image, port for starboard, of one at its opposite.
+
+        Whatever is bounded by magnitudes, as what a coefficient differs by ahead and astern, may be either
+        way: only the rest has to keep its signs.
+        """
+        signs, J = self._mirror, self.plant.J
+        turned = {symbol(a): -symbol(a) for a in ("phi", "psi")}
+        if sm.diag(*map(int, signs)) * J.xreplace(turned) * sm.diag(*map(int, signs)) != J:
+            return False
+        inertia = plain(self.plant, self.plant.M)
+        if any(inertia[i, j] != 0 for i, j in zip(*np.nonzero(np.outer(signs, signs) < 0), strict=True)):
+            return False
+        odd = np.einsum("i,j,k->ijk", signs, signs, signs) < 0
+        return not (self.forces.Q[odd].any() or self.forces.D[np.outer(signs, signs) < 0].any())
+
+    @property
+    def _mirror(self) -> Array:
+        """What a mirror between port and starboard does to each coordinate and velocity."""
+        return np.array([-1.0 if d in (1, 3, 5) else 1.0 for d in self.plant.vehicle.dof_indices])
+
+    @cached_property
+    def sides(self) -> tuple[Array, Array]:
+        """Rows on the force, and on the errors, that give the commands, each of shape (sides, commands, n).
+
+        With a second side where commands of a motion and of its mirror image differ and both are meant.
+        """
+        rows, mirror = np.hstack([self.commands.share, self.holding]), np.tile(self._mirror, 2)
+        apart = rows[:, mirror > 0].any(axis=1) & rows[:, mirror < 0].any(axis=1)
+        both = np.stack([rows, rows * mirror] if self.mirrors and apart.any() else [rows])
+        return both[..., : self.n], both[..., self.n :]
 
     # --- what is left over ------------------------------------------------------------------------
     @cached_property

@@ -35,6 +35,7 @@ class SearchSettings:
     points: int = 19  # points in between at first, one for each power of ten
     finer: int = 9  # points between the neighbours of the best one, again and again
     close: float = 1e-8  # relative distance of neighbours that is close enough
+    rounding: float = 1e-12  # of margins, relative to the largest at any attitude
     headings: int = 7  # samples of half a turn, after which J M J' is the same: every 30 degrees
     tilts: int = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
     most_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
@@ -275,8 +276,7 @@ class Problem:
 
         Diagonal M and D are not enough: an attitude that gains do not commute with mixes the axes.
         """
-        apart = self.turned and (self.attitudes.orthogonal or not self.attitudes.angles(turned=True))
-        return self.sets[:2] if self.decoupled and apart else self.sets
+        return self.sets[:2] if self.decoupled and self.attitudes.unchanged(self.turned) else self.sets
 
     @cached_property
     def decoupled(self) -> bool:
@@ -322,11 +322,11 @@ class Problem:
     def sampled(self) -> list[tuple[dict[str, float], Array]]:
         """Attitudes spread over the range with J^-1, to choose iota by and to estimate the region at."""
         angles = self.attitudes.angles(self.turned)
-        if not angles or (self.attitudes.orthogonal and self.turned):
+        if self.attitudes.unchanged(self.turned):
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
         axes = [
-            np.linspace(low / 2, high / 2, SEARCH.headings)
+            np.linspace(-np.pi / 2, np.pi / 2, SEARCH.headings)
             if a == "psi"
             else np.linspace(low, high, SEARCH.tilts)
             for a, (low, high) in pairs
@@ -377,8 +377,12 @@ class Problem:
             quantities = self.channel_quantities(one, channel, iotas[:, None, None])
             return np.broadcast_to(condition.margin(quantities), len(iotas))
         inverses = self.few_attitudes if few else self._samples
+        return self._at_attitudes(condition, one, iotas, inverses).min(axis=1)
+
+    def _at_attitudes(self, condition: Condition, one: SignSet, iotas: Array, inverses: Array) -> Array:
+        """Margins for every iota at every attitude, shape (iotas, attitudes)."""
         found = condition.margin(self.quantities(one, inverses, iotas[:, None, None, None]))
-        return np.asarray(np.broadcast_to(found, (len(iotas), len(inverses))).min(axis=1))
+        return np.broadcast_to(found, (len(iotas), len(inverses)))
 
     def margin(
         self, condition: Condition, one: SignSet, iota: float | None, channel: int | None = None
@@ -406,13 +410,37 @@ class Problem:
     ) -> Span | None:
         """The values of iota for which conditions hold together in all of these sets, or None."""
         pairs = [(c, one) for c in conditions for one in differing(c, sets)]
+        if channel is None:
+            return self._iota_of_matrices(pairs)
+        return where_positive(
+            lambda iotas: np.min([self.margins(c, one, iotas, channel) for c, one in pairs], axis=0)
+        )
 
-        def together(iotas: Array, few: bool = False) -> Array:
-            return np.min([self.margins(c, one, iotas, channel, few) for c, one in pairs], axis=0)
+    def _iota_of_matrices(self, pairs: Sequence[tuple[Condition, SignSet]]) -> Span | None:
+        """From a few attitudes, and then from those at which the ends of the interval fail."""
+        span = where_positive(
+            lambda iotas: np.min([self.margins(*pair, iotas, few=True) for pair in pairs], axis=0)
+        )
+        active: dict[int, set[int]] = {}  # attitudes by pair
 
-        if channel is None and where_positive(lambda iotas: together(iotas, few=True)) is None:
-            return None
-        return where_positive(together)
+        def least(iotas: Array) -> Array:
+            each = (
+                self._at_attitudes(*pairs[k], iotas, self._samples[sorted(own)]).min(axis=1)
+                for k, own in active.items()
+            )
+            return np.min([*each], axis=0)
+
+        while span is not None:
+            places = np.clip([span[0], inside(span), span[1]], SEARCH.low, SEARCH.high)
+            found = np.array([self._at_attitudes(*pair, places, self._samples) for pair in pairs])
+            close = SEARCH.rounding * np.abs(found).max(axis=(0, 2))
+            if active and (found.min(axis=(0, 2)) >= least(places) - close).all():
+                return span
+            for margins in found.swapaxes(0, 1):
+                k, place = np.unravel_index(int(margins.argmin()), margins.shape)
+                active.setdefault(int(k), set()).add(int(place))
+            span = where_positive(least)
+        return None
 
 
 def differing(condition: Condition, sets: Sequence[SignSet]) -> list[SignSet]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
 import casadi as ca
 import numpy as np
-import sympy as sm
 
 from undertow.control.closed_loop.parts import Parts
 from undertow.control.closed_loop.simulate import Choices
@@ -20,13 +20,26 @@ from undertow.control.guidance.line_of_sight import LineOfSight
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.reference import TimedReference
 from undertow.control.laws import JUMPING
+from undertow.control.plant import Plant
+from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
-from .attitude import least
+from .attitude import (
+    Attitudes,
+    Certificate,
+    block,
+    enclose,
+    enclosing,
+    least,
+    least_eigenvalue,
+    least_of_cases,
+    transposed,
+)
 from .by_law import CONDITIONS, DERIVED_PD_DAMPER, POSITIVE_CANDIDATE, Condition
-from .problem import Problem
+from .commands import plain, sizes_and_signs, terms_of
+from .problem import Problem, Span
 from .result import FAILS, HOLDS, SETTINGS, UNPROVED
 
 
@@ -38,6 +51,7 @@ class TrackingSettings:
     # of error.
     reach: float = 2.0
     iotas: int = 12  # values of iota that are tried in the range which serves a set-point
+    products: int = 3  # products of velocities in D at most, each of which doubles the corners
     samples: int = 400  # times at which the commands on the reference are looked at
     dt: float = 0.02  # sampling interval of the loop on legs, s: what autopilots have
     # A leg is followed for so many times the slowest of lookahead / speed and lookahead / integral, so that
@@ -138,9 +152,10 @@ def _law_rows(gains: GainSet, mission: Mission, tilt: float) -> Iterator[Mission
         yield _plain_row(problem, condition, f"{condition.about} {about}")
     if any(v in gains.plant.M.free_symbols for v in gains.plant.reversing):
         yield _reversing_row(gains)
-    if gains.law.id in ("pd", "pid"):
-        rule = _pd_row if gains.law.id == "pd" else _pid_row
-        yield rule(problem, mission)
+    if gains.law.id == "pd":
+        yield _pd_row(problem, mission)
+    if gains.law.id == "pid":
+        yield from _pid_rows(problem, mission)
 
 
 def _plain_row(problem: Problem, condition: Condition, about: str) -> MissionRow:
@@ -185,107 +200,162 @@ def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
         return np.broadcast_to(np.min(found, axis=0), len(inverse))
 
     certificate = least(margins, problem.attitudes, problem.turned)
-    where = f"{_covered(problem, most)}; {certificate.proof}"
-    if not affine:
-        where += "; damping is no straight line in each velocity, so that corners are samples"
-    statement = "K_V + D_q(nu) ≻ 0"
+    where = f"{_covered(problem, most)}; {certificate.proof}{'' if affine else _CURVED}"
     proved = affine and certificate.bound > 0
-    return _row("K_V + D", statement, f"{_PD} {_BOUNDED}", certificate.found, proved, where)
+    return _row("K_V + D", "K_V + D_q(nu) ≻ 0", f"{_PD} {_BOUNDED}", certificate.found, proved, where)
 
 
-def _pid_row(problem: Problem, mission: Mission) -> MissionRow:
-    most = speeds(problem, mission)
-    one = problem.sets[0]
+_CURVED = "; damping is no sum of a few products of velocities, so that corners are samples"
+
+
+def _pid_rows(problem: Problem, mission: Mission) -> Iterator[MissionRow]:
+    """V is positive, and falls, with one iota."""
+    most, one = speeds(problem, mission), problem.sets[0]
     span = problem.iota([POSITIVE_CANDIDATE], [one])
-    places = problem.sampled[:: max(1, len(problem.sampled) // 8)]
     if span is None:
-        return _row("V_dot", "Q(iota, nu) ≻ 0", _PID, -1.0, False, "V is positive for no iota")
-    D, affine = damping_corners(problem, most)
-    nu = np.array(
-        list(product(*((-m, m) for m in most)))
-    )  # C is linear in nu, and Q affine: corners are enough
-    low, high = max(span[0], 1e-6), min(span[1], 1e6)
-    iotas = np.geomspace(low, high, TRACKING.iotas + 2)[1:-1]
-    J_inverse = function_of(list(problem.plant.eta), problem.plant.J_inverse.tolist())
-    cases = []
-    for angles, _ in places:
-        inverse = np.array(J_inverse(*_pose(problem, angles)), dtype=float)
-        cases.append((inverse, _coriolis(problem, angles, nu)))
-    found = [min(_pid_margin(problem, i, case, _lowest(D)) for case in cases) for i in iotas]
-    best = int(np.argmax(found))
-    single = len(problem.sampled) == 1
-    where = f"{_covered(problem, most)}; iota = {iotas[best]:.4g} 1/s" + (
-        "" if single else f"; at {len(places)} sampled attitudes, which is no proof for all"
+        yield _row("V", POSITIVE_CANDIDATE.matrices, _PID, -1.0, False, "V is positive for no iota")
+        return
+    falling = Falling(problem, most)
+    iota = falling.best(span)
+    positive = problem.certificate(POSITIVE_CANDIDATE, [one], iota)
+    at = f"iota = {iota:.4g} 1/s"
+    about = f"{POSITIVE_CANDIDATE.about} The same with a reference."
+    yield _row(
+        "V", POSITIVE_CANDIDATE.matrices, about, positive.found, positive.bound > 0, f"{at}; {positive.proof}"
     )
-    return _row("V_dot", "Q(iota, nu) ≻ 0", f"{_PID} {_BOUNDED}", found[best], single and affine, where)
+    found = falling.certificate(iota)
+    where = f"{_covered(problem, most)}; {at}; {found.proof}{'' if falling.affine else _CURVED}"
+    proved = falling.affine and found.bound > 0
+    yield _row("V_dot", "Q(iota, nu) ≻ 0", f"{_PID} {_BOUNDED}", found.found, proved, where)
 
 
-def _pose(problem: Problem, angles: Mapping[str, float]) -> list[float]:
-    return [angles.get(str(q), 0.0) for q in problem.plant.eta]
+class Falling:
+    """Q of PID on a reference, V_dot = -z' Q z for z = (e, e_dot), at velocities up to some.
+
+    With the signs of the velocities fixed, C and the usual drag are affine in nu, and so is Q: its least
+    eigenvalue is concave, and least at a corner. More damping is not always better, for it is beside the
+    diagonal, too: every corner counts.
+    """
+
+    def __init__(self, problem: Problem, most: Array) -> None:
+        self.problem, plant = problem, problem.plant
+        self.nu, self.D, self.affine = corners(problem, most)
+        self.M = problem.sets[0].inertia
+        C = function_of(list(plant.nu), plant.C.xreplace(dict(plant.numbers)).tolist())
+        self.C = np.array([C(*unit) for unit in np.eye(len(plant.nu))], dtype=float)
+        # Seen from the body, R is left in the gains alone, and there in their differences.
+        self.body = len(plant.nu) == 6
+        seen = self.body or problem.same(("x", "y", "z"))
+        self.attitudes = Attitudes(plant, problem.attitudes.tilt, seen, rates=True)
+
+    def margin(self, iota: float, stack: Any, place: Index, case: Index) -> Array:
+        """Least eigenvalue of Q by J^-1 with its rates at some attitudes, for pairs of these and corners."""
+        n, own, one = len(self.M), self.problem.driven, self.problem.sets[0]
+        inverse, rates = stack[..., :n, :], stack[..., n : n + n * n, :].reshape(len(stack), n, n, n)
+        columns = inverse[..., own]
+        every, m = columns[:, None], len(own)
+        # C_q = J^-T (C J^-1 + M d(J^-1)/dt) of a unit of each velocity, and then of all of them.
+        swung = transposed(every) @ (self.C @ every + self.M @ rates[..., own])
+        C = self.nu[case][:, None] @ swung.reshape(len(stack), n, m * m)[place]
+        s = self.problem.quantities(one, inverse, iota)
+        K_V, spring = (self._seen(K, stack)[place] for K in (s.K_V, iota * s.K_P - s.K_I))
+        K = K_V + transposed(columns)[place] @ self.D[case] @ columns[place]
+        cross = (K - transposed(C.reshape(len(place), m, m))) * (iota / 2)
+        return least_eigenvalue(block([[spring, cross], [transposed(cross), K - s.M[place] * iota]]))
+
+    def _seen(self, gain: Array, stack: Any) -> Any:
+        """A gain as the body sees it: what is the same for all translations plus what turns, (k, m, m)."""
+        if not self.body:
+            return np.repeat(gain[None], len(stack), axis=0)
+        own = self.problem.driven
+        shifts = [k for k, i in enumerate(own) if i < 3]
+        least = np.diag(gain)[shifts].min() if len(shifts) == 3 else 0.0
+        mean = np.diag([least if k in shifts else gain[k, k] for k in range(len(own))])
+        turn = stack[..., -len(self.M) :, :][..., own, :][..., own]
+        return mean + transposed(turn) @ (gain - mean) @ turn
+
+    def best(self, span: Span) -> float:
+        """The iota with which the margin at some attitudes is largest, on a grid and on a finer one."""
+        stack = self.attitudes.numbers(self._places())
+        place, case = (m.ravel() for m in np.indices((len(stack), len(self.nu))))
+        low, high = max(span[0], 1e-6), min(span[1], 1e6)
+        for _ in range(2):  # the margin is concave in iota
+            iotas = np.geomspace(low, high, TRACKING.iotas + 2)
+            k = 1 + int(np.argmax([self.margin(i, stack, place, case).min() for i in iotas[1:-1]]))
+            low, high = iotas[k - 1], iotas[k + 1]
+        return float(iotas[k])
+
+    def _places(self) -> dict[str, Array]:
+        """Level and with the largest roll and pitch, each at another heading if that counts."""
+        if self.attitudes.unchanged(self.problem.turned):
+            return {}
+        angles = self.attitudes.angles(self.problem.turned)
+        tilts = [a for a in angles if a != "psi"]
+        most = self.attitudes.tilt
+        rows = np.array(list(product((-most, 0.0, most), repeat=len(tilts)))).T
+        found = dict(zip(tilts, rows, strict=True))
+        headings = {"psi": np.linspace(0, np.pi, 9, endpoint=False)} if "psi" in angles else {}
+        return found | {a: np.resize(v, rows.shape[1] if tilts else 9) for a, v in headings.items()}
+
+    def certificate(self, iota: float) -> Certificate:
+        """The margin over all attitudes and corners, with its proof."""
+        own = partial(self.margin, iota)
+        return least_of_cases(own, self.attitudes, self.problem.turned, len(self.nu))
 
 
-def _pid_margin(problem: Problem, iota: float, case: tuple[Array, Array], lowest: Array) -> float:
-    """Least eigenvalue of Q over the corners of the velocities, for C and D apart: both are affine."""
-    inverse, coriolis = case
-    own, one = problem.driven, problem.sets[0]
-    s = problem.quantities(one, inverse, iota)
-    columns = inverse[:, own]
-    C = coriolis[:, own][:, :, own]
-    least_of = []
-    for d in lowest:
-        K = s.K_V + columns.T @ d @ columns
-        cross = iota * (K - np.swapaxes(C, 1, 2)) / 2
-        upper = np.broadcast_to(iota * s.K_P - s.K_I, C.shape)
-        lower = np.broadcast_to(K - iota * s.M, C.shape)
-        Q = np.block([[upper, cross], [np.swapaxes(cross, 1, 2), lower]])
-        least_of.append(np.linalg.eigvalsh(0.5 * (Q + np.swapaxes(Q, 1, 2)))[:, 0].min())
-    return float(min(least_of))
+def corners(problem: Problem, most: Array) -> tuple[Array, Array, bool]:
+    """Corners of |nu| <= most with each choice of signs, and D there; and whether D has no more between.
 
-
-def _coriolis(problem: Problem, angles: Mapping[str, float], nu: Array) -> Array:
-    """C_q at an attitude for velocities, shape (k, n, n); linear in them, so that its slopes are enough."""
+    Shapes (k, n) and (k, n, n). Between the signs the usual drag is affine in nu. A product of velocities in
+    D counts as a quantity of its own, anywhere between its least and its largest value.
+    """
     plant = problem.plant
-    pose, n = _pose(problem, angles), len(plant.nu)
-    known = [*plant.eta, *plant.nu]
-    J_inverse, J_dot, C = (
-        function_of(known, m.xreplace(dict(plant.numbers)).tolist())
-        for m in (plant.J_inverse, plant.J_dot, plant.C)
-    )
-    M = problem.sets[0].inertia
-    slopes = []
-    for unit in np.eye(n):
-        inverse, J_rate, own = (np.array(f(*pose, *unit), dtype=float) for f in (J_inverse, J_dot, C))
-        slopes.append(inverse.T @ (own - M @ inverse @ J_rate) @ inverse)
-    return np.einsum("kv,vij->kij", nu, np.array(slopes))
+    sizes, signs = sizes_and_signs(plant)
+    D = plain(plant, plant.D)
+    ends = []
+    for v, size, sign, end in zip(plant.nu, sizes, signs, most, strict=True):
+        still = [(0.0, 1.0), (0.0, -1.0)] if sign in D.free_symbols else [(0.0, 1.0)]
+        ends.append([(end, 1.0), (-end, -1.0), *(still if {v, size, sign} & D.free_symbols else [])])
+    rows = np.array(list(product(*ends)))
+    nu, way = rows[..., 0], rows[..., 1]
+    found = enclosing([*plant.nu, *sizes, *signs], D)(*map(enclose, (*nu.T, *np.abs(nu).T, *way.T)))
+    own = np.broadcast_to(found.middle, (len(nu), *D.shape))
+    try:
+        curved = _products(plant, most)
+    except UndertowError:
+        return nu, own, False
+    if len(curved) > TRACKING.products:
+        return nu, own, False
+    there = np.concatenate([nu, np.abs(nu), way], axis=1)
+    for powers, (matrix, lowest, largest) in curved.items():
+        here = (there ** np.array(powers)).prod(axis=1)
+        own = np.concatenate([own + (e - here)[:, None, None] * matrix for e in (lowest, largest)])
+        nu, there = (np.concatenate([m, m]) for m in (nu, there))
+    return nu, own, True
+
+
+def _products(plant: Plant, most: Array) -> dict[tuple[int, ...], tuple[Array, float, float]]:
+    """Products of velocities in D by their powers: what D has of each, its least and its largest value."""
+    n = len(most)
+    found: dict[tuple[int, ...], tuple[Array, float, float]] = {}
+    for row, column, powers, value in terms_of(plant, plant.D):
+        if sum(powers[: 2 * n]) <= 1:
+            continue
+        largest = float(np.prod(np.tile(most, 2) ** np.array(powers[: 2 * n])))
+        signed = any(p % 2 for p in (*powers[:n], *powers[2 * n : 3 * n]))
+        matrix, *_ = found.setdefault(powers, (np.zeros((n, n)), -largest * signed, largest))
+        matrix[row, column] += value
+    return found
 
 
 def damping_corners(problem: Problem, most: Array) -> tuple[Array, bool]:
-    """D at the corners of |nu| <= most with each choice of signs, shape (k, n, n), and whether that is all.
-
-    With the signs of the velocities fixed, the usual drag is affine in nu; then the least eigenvalue of its
-    symmetric part is concave, and over the box it is least at a corner.
-    """
-    plant = problem.plant
-    D = plant.D.xreplace(dict(plant.numbers))
-    moving = [i for i, v in enumerate(plant.nu) if v in D.free_symbols]
-    affine, found = True, []
-    for signs in product((1, -1), repeat=len(moving)):
-        way = {plant.nu[i]: s for i, s in zip(moving, signs, strict=True)}
-        own = D.xreplace(
-            {sm.Abs(v): s * v for v, s in way.items()} | {sm.sign(v): sm.Integer(s) for v, s in way.items()}
-        )
-        affine = affine and all(
-            own.diff(v).applyfunc(sm.expand).free_symbols.isdisjoint(plant.nu) for v in way
-        )
-        function = function_of(list(way), own.tolist())
-        for share in product((0.0, 1.0), repeat=len(moving)):
-            nu = [s * x * most[i] for s, x, i in zip(signs, share, moving, strict=True)]
-            found.append(np.array(function(*nu), dtype=float))
-    return np.unique(np.array(found), axis=0), affine
+    """D at the corners of |nu| <= most, shape (k, n, n), and whether it has no more between them."""
+    _, D, affine = corners(problem, most)
+    return np.unique(D, axis=0), affine
 
 
 def _lowest(matrices: Array) -> Array:
-    """Those whose symmetric part is not above that of another one: the others decide nothing."""
+    """Those whose symmetric part is not above that of another one: the others decide nothing for PD."""
     symmetric = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
     symmetric = np.unique(symmetric.round(12), axis=0)
     kept: list[Array] = []

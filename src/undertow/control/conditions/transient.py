@@ -48,9 +48,8 @@ class TransientSettings:
     # Where gains tell north from east: ranges of the set-points' headings in half a turn, and how often each
     # is cut in two before it is given up.
     ranges: int = 16
-    looks: int = 8  # single headings that are looked at before any range of them
+    looks: int = 8  # single headings in half a turn that are looked at before any range of them
     cuts: int = 3
-    together: int = 16  # ranges that are looked at together: memory
     # Angles up to which what is left over is bounded, times those of the start.
     caps: tuple[float, ...] = (0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
     # What counts as the start of an angle at least, so that it may be moved: a part of the largest, and rad.
@@ -90,8 +89,9 @@ class Sector:
         self.A = A = motion.linear(force)
         self.modes: Modes = modes(enclose(A))
         self.force, n, size = force, motion.n, len(A)
-        commands = motion.commands.share @ force
-        commands[:, size - 2 * n : size - n] += motion.holding
+        share, holding = (np.concatenate(m) for m in motion.sides)
+        commands = share @ force
+        commands[:, size - 2 * n : size - n] += holding
         rate = np.eye(size)[-n:]
         pull, bent = left.W @ force - left.P @ rate, left.W_bent @ force - left.P_bent @ rate
         first, second = motion.angle_pairs
@@ -124,7 +124,7 @@ class Sector:
         first, second = motion.angle_pairs
         found = np.zeros((len(self.rows) - len(self.base), len(self.base)))
         count = at.commands.stop - at.commands.start
-        found[:count, at.force], found[:count, at.error] = motion.commands.share, motion.holding
+        found[:count, at.force], found[:count, at.error] = (np.concatenate(m) for m in motion.sides)
         found[count:, at.force] = left.W_bent[first, second].reshape(-1, motion.n)
         found[count:, at.rate] = left.P_bent[first, second].reshape(-1, motion.n)
         return np.abs(found) * (1 + PROOFS.room)
@@ -236,7 +236,9 @@ class Bounds:
         turned = share @ np.swapaxes(_all(self.angles(B), self.left.J[-1]), -1, -2)
         force = B[..., at.force] + _times(self.rounded, B[..., at.z])
         body = _times(turned + PROOFS.room * share, force) + _times(turned + share, self._turned(B, B))
-        return np.asarray(B[..., at.commands] + body + self.motion.commands.steady() + self._held(B))
+        sides = len(self.motion.sides[0])
+        linear = B[..., at.commands].reshape(*B.shape[:-1], sides, len(share)).max(axis=-2)
+        return np.asarray(linear + body + self.motion.commands.steady() + self._held(B))
 
     def _held(self, B: Array) -> Array:
         """What holding the weight differs by from its tangent."""
@@ -397,26 +399,57 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
     search = Search(Motion(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
     if not problem.heading_counts:
         return search.whole([(0.0, 0.0)], 0)
-    coarse, *finer = KERNELS.ratios
-    looks = search.lost([(h, 0.0) for h in _middles(SETTINGS.looks)], [], [coarse])
-    if looks and search.lost(looks, [], finer):
-        return None
-    half = 0.5 * np.pi / SETTINGS.ranges
-    # What coarse pieces of time do not prove of a single heading, they prove of no range around it.
-    ratios = finer if looks else KERNELS.ratios
-    return search.whole([(h, half) for h in _middles(SETTINGS.ranges)], SETTINGS.cuts, ratios)
+    # A half turn in the plane changes no bound; nor does a mirror, where port is as starboard.
+    turn, share = (0.5 * np.pi, 2) if search.motion.mirrors else (np.pi, 1)
+    looks, ranges = (_ranges(turn, count // share) for count in (SETTINGS.looks, SETTINGS.ranges))
+    lost = [(h, 0.0) for h, _ in looks]
+    for k, ratio in enumerate(KERNELS.ratios):
+        lost = search.lost(lost, [], ratio)
+        if not lost:
+            # What coarser pieces of time do not prove of a single heading, they prove of no range around it.
+            return search.whole(ranges, SETTINGS.cuts, KERNELS.ratios[k:])
+    return None
 
 
-def _middles(count: int) -> Array:
-    """The middle of each of so many ranges of headings in half a turn."""
-    return np.asarray((np.arange(count) + 0.5) * np.pi / count)
+def _ranges(turn: float, count: int) -> list[Span]:
+    """So many ranges, middle and half, in a turn from zero."""
+    half = 0.5 * turn / count
+    return [((2 * k + 1) * half, half) for k in range(count)]
 
 
-def _parts(span: Span, cuts: int) -> list[Span]:
-    """A range, middle and half, cut in two so often."""
-    middle, half = span
-    parts = 2**cuts
-    return [(middle + m * half, half / parts) for m in (np.arange(parts) + 0.5) / parts * 2 - 1]
+class Sweep:
+    """How a range of headings is gone through: from its lower end on, in parts as wide as have bounds.
+
+    The sizes of parts are powers of two of the narrowest one. The first part is the whole range. Where that
+    has no bounds, the next one is a narrowest one: where that has none either, no other need be looked at.
+    As long as parts can be cut, that is tried before finer pieces of time.
+    """
+
+    def __init__(self, span: Span, cuts: int, ratios: Sequence[float]) -> None:
+        self.span, self.count, self.ratios, self.done = span, 2**cuts, list(ratios), 0
+        self.widest = self.count  # that may have bounds
+
+    @property
+    def size(self) -> int:
+        """How many of the narrowest parts the next one is."""
+        if not self.done:
+            return self.count if self.widest == self.count else 1
+        return min(self.widest, self.done & -self.done)  # a part begins at a multiple of its size
+
+    @property
+    def part(self) -> Span:
+        """The next part, middle and half."""
+        middle, half = self.span
+        return middle + half * ((2 * self.done + self.size) / self.count - 1), half * self.size / self.count
+
+    def go_on(self, bounded: bool) -> None:
+        """The next part has bounds, or is to be narrower, or in finer pieces of time."""
+        if bounded:
+            self.done += self.size
+        elif self.size > 1:
+            self.widest = self.size // 2
+        else:
+            self.ratios, self.widest = self.ratios[1:], self.count // 2
 
 
 class Search:
@@ -432,43 +465,30 @@ class Search:
     ) -> Transient | None:
         """Bounds for all of these (middle, half), which are cut in two where there are none; None if none."""
         found: list[Transient] = []
-        looked = False
-        while ranges:
-            lost: list[Span] = []
-            for k in range(0, len(ranges), SETTINGS.together):
-                # As long as ranges can be cut, that is tried before finer pieces of time.
-                tried = ranges[k : k + SETTINGS.together]
-                lost += self.lost(tried, found, ratios if cuts == 0 else ratios[:1])
-                if lost and cuts == 0:
-                    return None
-            # Where one of the narrowest parts has no bounds, the many others need not be looked at.
-            narrow = [_parts(span, cuts)[0] for span in lost[: SETTINGS.together]]
-            if not looked and lost and self.lost(narrow, [], ratios):
+        sweeps = [Sweep(span, cuts, ratios) for span in ranges]
+        while sweeps:
+            for ratio in {s.ratios[0] for s in sweeps}:
+                own = [s for s in sweeps if s.ratios[0] == ratio]
+                lost = self.lost([s.part for s in own], found, ratio)
+                for sweep in own:
+                    sweep.go_on(sweep.part not in lost)
+            if not all(s.ratios for s in sweeps):
                 return None
-            looked = True
-            step = min(cuts, 2 if len(lost) == len(ranges) else 1)  # far too wide, or nearly narrow enough
-            cuts -= step
-            ranges = [part for span in lost for part in _parts(span, step)]
+            sweeps = [s for s in sweeps if s.done < s.count]
         return _together(found)
 
-    def lost(
-        self, ranges: Sequence[Span], found: list[Transient], ratios: Sequence[float] = KERNELS.ratios
-    ) -> list[Span]:
-        """The ranges without bounds; those of the others are added to what was found."""
-        left = [
-            (r, Sector(self.motion, self.starts, self.left, r[0], r[1] * (1 + PROOFS.room))) for r in ranges
+    def lost(self, ranges: Sequence[Span], found: list[Transient], ratio: float) -> list[Span]:
+        """The ranges without bounds in pieces of time of this ratio; those of the others are added."""
+        sectors = [
+            Sector(self.motion, self.starts, self.left, r[0], r[1] * (1 + PROOFS.room)) for r in ranges
         ]
-        for ratio in ratios:
-            tubes = Tubes(Bounds([sector for _, sector in left], self.caps), ratio)
-            B, held = tubes.found()
-            if held.any():
-                largest = tubes.bounds.commands(B)
-                held = held & _sufficient(self.motion, largest, held, refuse=ratio == KERNELS.ratios[-1])
-                found += _stated(tubes, B, largest, held)
-            left = [pair for pair, there in zip(left, held, strict=True) if not there]
-            if not left:
-                break
-        return [r for r, _ in left]
+        tubes = Tubes(Bounds(sectors, self.caps), ratio)
+        B, held = tubes.found()
+        if held.any():
+            largest = tubes.bounds.commands(B)
+            held = held & _sufficient(self.motion, largest, held, refuse=ratio == KERNELS.ratios[-1])
+            found += _stated(tubes, B, largest, held)
+        return [r for r, there in zip(ranges, held, strict=True) if not there]
 
 
 def _caps(motion: Motion, box: Array) -> Array:
