@@ -88,10 +88,10 @@ Seconds are those of the diagnosis alone, without the simulation, with whatever 
 Results on other base seeds, each new when it was used; the program was changed between them, and they are not
 in the tables above.
 
-- **811237, 664421**, commits d04e24a to 31cb574, 454 cases, before verdicts were graded: one wrong name, since
-  corrected (tether_tension for a trim); strong 119 of 119 first and named alone, medium 95 of 96 first and 92
-  named alone, weak 38 of 39 first and in the set, pairs 21 of 24, no false alarm in 130 complete models, 29 of
-  29 effects outside the catalogue unexplained.
+- **811237, 664421**, commits d04e24a to 31cb574, 454 cases, before verdicts were graded: one wrong name,
+  since corrected (tether_tension for a trim); strong 119 of 119 first and named alone, medium 95 of 96
+  first and 92 named alone, weak 38 of 39 first and in the set, pairs 21 of 24, no false alarm in 130
+  complete models, 29 of 29 effects outside the catalogue unexplained.
 - **8821**, commits 0889b3d (60 cases) and ff78b02, the first 94 cases of the plan: strong 26 of 26 first and
   named alone, medium 18 of 18 first and 17 named alone, weak 5 of 6 first and 6 of 6 in the set, pairs 4 of
   4; of 5 effects outside the catalogue three unexplained and two helps_prediction. Three wrong answers, since
