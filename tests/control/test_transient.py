@@ -428,6 +428,14 @@ def test_a_search_is_given_up_where_a_narrowest_range_has_no_bounds() -> None:
     assert hopeless.looked == [(3, coarse), (3, coarse), (3, middle), (3, fine)]
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_a_range_without_bounds_ends_a_search_in_which_others_are_still_gone_through(*, first: bool) -> None:
+    """It is in the finest pieces of time when the other one is in the coarsest, in either order."""
+    told = _Told(lambda middle: 0.026 * ((middle < 0.2) is not first), KERNELS.ratios[0])
+    assert told.whole([(0.1, 0.1), (0.3, 0.1)], 3) is None
+    assert told.proved
+
+
 @pytest.mark.parametrize("widest", [1.0, 0.5, 0.25, 0.125], ids=lambda w: f"{w:g} of a range")
 def test_ranges_are_cut_as_narrow_as_they_need_and_every_heading_is_in_one(
     monkeypatch: pytest.MonkeyPatch, widest: float

@@ -468,7 +468,7 @@ class Search:
         sweeps = [Sweep(span, cuts, ratios) for span in ranges]
         while sweeps:
             for ratio in {s.ratios[0] for s in sweeps}:
-                own = [s for s in sweeps if s.ratios[0] == ratio]
+                own = [s for s in sweeps if s.ratios[:1] == [ratio]]  # one may have none left by now
                 lost = self.lost([s.part for s in own], found, ratio)
                 for sweep in own:
                     sweep.go_on(sweep.part not in lost)
