@@ -289,7 +289,7 @@ def test_scores_of_records_made_by_hand() -> None:
     assert pair.reported
     assert not pair.only
     assert failures(scored(BY_HAND)) == [weak, alarm]
-    assert why(weak) == "taken for noise"
+    assert why(weak) == "taken for noise or a disturbance"
 
 
 def test_goals_of_records_made_by_hand() -> None:

@@ -51,7 +51,8 @@ def why(case: Scored) -> str:
     if case.kind == "complete":
         return f"false alarm on a complete model ({case.record['label']})"
     if case.kind == "uncatalogued":
-        return "the effects it names explain enough to pass" if case.answer.claims else "taken for noise"
+        claimed = "the effects it names explain enough to pass"
+        return claimed if case.answer.claims else _MEANING.get(case.answer.verdict, case.answer.verdict)
     if case.false_claim and case.cost <= _AS_GOOD:
         return "what it names predicts the validation data as well as the truth does: they cannot tell"
     if case.grade not in VISIBLE:
@@ -65,9 +66,15 @@ def why(case: Scored) -> str:
     return f"something else is named; the truth stands at place {_place(case)}"
 
 
+_MEANING = {
+    "adequate": "taken for noise or a disturbance",
+    "helps_prediction": "nothing is named; an effect is said to help predictions only",
+}
+
+
 def _missed(case: Scored) -> str:
     if case.answer.verdict == "adequate":
-        return "taken for noise"
+        return _MEANING["adequate"]
     return f"nothing is named; the truth stands at place {_place(case)}"
 
 
