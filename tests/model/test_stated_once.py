@@ -77,9 +77,15 @@ def test_a_mass_that_is_to_be_found_leaves_the_righting_moment_to_be_found(
 
     def moment(restoring: str) -> Value:
         text = ROV.format(centre="z_g = 0.08", restoring=restoring)
+        text = text.replace("m = 11.5", "m = { value = 11.5, estimate = true, sigma = 0.6 }")
+        head, body, water = text.split("[effects.")
         file = tmp_path / "guessed.toml"
-        file.write_text(text.replace("m = 11.5", "m = { value = 11.5, estimate = true, sigma = 0.6 }"))
-        return load_vehicle(file).values["S_z"]
+        found = []
+        for tables in ((body, water), (water, body)):
+            file.write_text("\n[effects.".join((head, *tables)))
+            found.append(load_vehicle(file).values["S_z"])
+        assert found[0] == found[1]
+        return found[0]
 
     guessed = moment("B = 112.815")
     assert guessed.estimate

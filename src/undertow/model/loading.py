@@ -279,8 +279,10 @@ def _vehicle_and_remarks(
     statements = Statements(effects, table.effects, environment, table.signs)
     tables, values = statements.completed(), dict[str, Value]()
     for effect in effects:
-        known_to = statements.errors_of_taken(effect, values)
-        values |= _effect_values(effect, tables[effect.id], table.signs, known_to)
+        values |= _effect_values(effect, tables[effect.id], table.signs)
+    for effect in effects:  # tables come in any order
+        if known_to := statements.errors_of_taken(effect, values):
+            values |= _effect_values(effect, tables[effect.id], table.signs, known_to)
     values |= _hardware_values(table, names, surfaces, values)
     vehicle = Vehicle(
         name=table.name,
@@ -368,8 +370,9 @@ def _chosen(effect_id: str, known: Catalogue) -> type[Effect]:
 
 
 def _effect_values(
-    effect: Effect, table: Mapping[str, Any], signs: str, known_to: Mapping[str, float]
+    effect: Effect, table: Mapping[str, Any], signs: str, known_to: Mapping[str, float] | None = None
 ) -> dict[str, Value]:
+    """Values of an effect; `known_to` has standard deviations of what it takes from other tables."""
     parameters = {p.name: p for p in effect.parameters}
     aliases = effect.file_units()
     values: dict[str, Value] = {}
@@ -382,7 +385,7 @@ def _effect_values(
                 f"[effects.{effect.id}] has no parameter '{key}'{nearest(key, known)}; "
                 f"it has {_listing(known)}"
             )
-    return values | _alias_values(effect, table, values, known_to)
+    return values | _alias_values(effect, table, values, known_to or {})
 
 
 def _listing(names: list[str]) -> str:

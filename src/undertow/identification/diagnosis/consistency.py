@@ -279,11 +279,12 @@ def _at_limit(effect: Effect, fit: Fitted) -> str:
     A moment without a force acts at infinity: no wind turns a hull that it does not push. What fits best
     there is not what it is called, even if it leaves only noise.
     """
-    places = {p.name for p in effect.parameters if p.arm_of}
+    places = {p.name: p.unit for p in effect.parameters if p.arm_of}
     allowed = dict(zip(fit.model.free, fit.model.largest.tolist(), strict=True))
     for name, end in at_bounds(fit.model, fit.p).items():
         if plain(name) in places and abs(end) >= allowed[name]:
-            return f"{name} = {fit.values[name]:.3g} m is at the bound for a vehicle of this mass and inertia"
+            value = f"{name} = {fit.values[name]:.3g} {places[plain(name)]}"
+            return f"{value} is at the bound for a vehicle of this mass and inertia"
     return ""
 
 
