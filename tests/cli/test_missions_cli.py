@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -60,9 +61,14 @@ def test_a_mission_is_simulated_and_told(here: Path, capsys: Capture) -> None:
 
 
 def test_the_conditions_on_a_mission_are_reported(here: Path, capsys: Capture) -> None:
-    # Cubic drag in surge is no straight line in u, so that corners prove nothing.
-    assert main(["gains", "cybership2", "g.toml", "--path", "m.toml"]) == 1
-    assert "K_V + D_q(nu) ≻ 0: not proved" in capsys.readouterr().out
+    # Cubic drag in surge is straight in u^2, whose ends are known.
+    assert main(["gains", "cybership2", "g.toml", "--path", "m.toml"]) == 0
+    assert "K_V + D_q(nu) ≻ 0: holds" in capsys.readouterr().out
+    ship = (resources.files("undertow") / "vehicles" / "cybership2.toml").read_text()
+    both_ways = 'X_udot = { forward = "-2.0 kg", backward = "-1.5 kg", '
+    Path("ship.toml").write_text(ship.replace('X_udot = { value = "-2.0 kg", ', both_ways))
+    assert main(["gains", "ship.toml", "g.toml", "--path", "m.toml"]) == 1
+    assert "not proved" in capsys.readouterr().out
 
 
 @pytest.mark.slow
