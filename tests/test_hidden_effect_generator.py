@@ -30,10 +30,12 @@ pytestmark = pytest.mark.docs
 
 Run = dict[str, np.ndarray]
 
-# Seconds and seed of effects that show only after a while: a weight that drops, a rope slack at first.
-LATE = {"dropped_weight": (22.0, 13), "tether_tension": (20.0, 2)}
+# Seconds and seed of effects that show only after a while: a weight that drops, a rope slack at first, a
+# thruster that fails.
+LATE = {"dropped_weight": (22.0, 13), "tether_tension": (20.0, 2), "failing_thruster": (24.0, 21)}
 OLDEST = ("mini-auv", "rov", "usv")
-LATER = {"dropped_weight": 62.0, "tether_tension": 30.0, "drag_asymmetry": 25.0}  # of the other vehicles
+# Seconds of the other vehicles.
+LATER = {"dropped_weight": 62.0, "failing_thruster": 62.0, "tether_tension": 30.0, "drag_asymmetry": 25.0}
 
 
 def able(number: int, name: str) -> list[str]:
