@@ -16,7 +16,7 @@ from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.cli.main import main
 from undertow.codegen import Functions, Simulator
-from undertow.control import as_nlsys, close_loop, find_trim, in_direction, linearize
+from undertow.control import as_controller, as_nlsys, close_loop, find_trim, in_direction, linearize
 from undertow.control.closed_loop.parts import SampledLoop
 from undertow.control.gains import load_gains
 from undertow.control.linear import analysis
@@ -114,6 +114,33 @@ def test_labels_may_say_units(auv: Vehicle) -> None:
     plain = linearize(auv, {"u": 0.5})
     assert system["r [rad/s]", "f2 [N]"](0.1j) == plain["r", "f2"](0.1j)
     assert as_nlsys(auv, units=True).output_labels[:2] == ["x [m]", "y [m]"]
+
+
+def test_vehicle_and_law_connect_by_labels_with_units(auv: Vehicle) -> None:
+    gains, references = load_gains("paper-pid", auv), (("x", "m"), ("y", "m"), ("z", "m"), ("psi", "rad"))
+    plain, labelled = (
+        ct.interconnect(
+            [as_nlsys(auv, units=units), as_controller(gains, units=units)],
+            inputs=[f"{n}_ref [{own}]" if units else f"{n}_ref" for n, own in references],
+            outputs=["u [m/s]", "f1 [N]"] if units else ["u", "f1"],
+        )
+        for units in (False, True)
+    )
+    assert {"law_integral_x [m s]", "mini-auv_r [rad/s]"} <= set(labelled.state_labels)
+    x = np.random.default_rng(3).uniform(-0.3, 0.3, plain.nstates)
+    np.testing.assert_array_equal(
+        labelled.dynamics(0.0, x, [1.0, 0.2, 0.1, 0.3]), plain.dynamics(0.0, x, [1.0, 0.2, 0.1, 0.3])
+    )
+    np.testing.assert_array_equal(
+        labelled.output(0.0, x, [1.0, 0.2, 0.1, 0.3]), plain.output(0.0, x, [1.0, 0.2, 0.1, 0.3])
+    )
+
+
+@pytest.mark.parametrize("name", ["remus100", "kvlcc2"])
+def test_every_label_of_a_vehicle_with_surfaces_has_its_unit(name: str) -> None:
+    system = as_nlsys(load_vehicle(name), units=True)
+    labels = [*system.state_labels, *system.input_labels, *system.output_labels]
+    assert [label for label in labels if not label.endswith("]")] == []
 
 
 # --- several loops at once --------------------------------------------------------------------------

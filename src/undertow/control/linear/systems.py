@@ -221,7 +221,7 @@ def as_nlsys(
     direction : mapping, optional
         1 or -1 by velocity: one set of parameters for both ways, so that the equations are smooth there.
     units : bool
-        Whether labels are "u [m/s]" instead of "u", which `as_controller` connects by.
+        Whether labels are "u [m/s]" instead of "u"; `as_controller` connects by them if it has them, too.
     """
     numeric = Numeric(in_direction(vehicle, direction or {}))
     if late := numeric.functions.late()[0]:
@@ -286,6 +286,14 @@ class LawSystem:
         self.share = allocation.share
         self.commands = self._controller.command_names
         self._k = np.array(self._controller.gain_values())
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every set-point, report, integral of an error, and command."""
+        own = Numeric(self.gains.plant.vehicle).units
+        references = {f"{n}_ref": own[n] for n in self.gains.plant.vehicle.pose_names}
+        integrals = {f"integral_{n}": f"{own[n]} s" for n in self.gains.plant.vehicle.pose_names}
+        return own | references | integrals
 
     def outputs(self, ref: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Commands, rates of the law's states, and the forces it asks for."""
@@ -374,14 +382,22 @@ class LawSystem:
             )
 
 
-def as_controller(gains: GainSet) -> ct.NonlinearIOSystem:
+def as_controller(gains: GainSet, *, units: bool = False) -> ct.NonlinearIOSystem:
     """A gain set as a nonlinear system: references (x_ref ...), pose and velocity to commands.
 
     Its signals are named so that ``control.interconnect([as_nlsys(vehicle), as_controller(gains)], ...)``
     closes the loop by itself. It is the law in continuous time with its allocation and limits; a gate in its
     schedule counts as open.
+
+    Parameters
+    ----------
+    gains : GainSet
+        The law and the vehicle that it knows.
+    units : bool
+        Whether labels are "u [m/s]" instead of "u", as those of `as_nlsys` with ``units=True``.
     """
-    return LawSystem(gains).nonlinear()
+    law = LawSystem(gains)
+    return with_units(law.nonlinear(), law.units) if units else law.nonlinear()
 
 
 def forces_of(vehicle: Vehicle) -> tuple[list[str], Array]:
