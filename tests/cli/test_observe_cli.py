@@ -115,3 +115,72 @@ def test_several_logs_have_numbered_files_and_common_tests(dive: Path, tmp_path:
     first, other = (pl.read_csv(tmp_path / f"smoothed-{k}.csv") for k in (1, 2))
     np.testing.assert_allclose(other["x"] - first["x"], 1.0, atol=1e-3)
     assert not (tmp_path / "smoothed.csv").exists()
+
+
+# --- errors against true states ---------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A simulated log, and the true states of it."""
+    folder = tmp_path_factory.mktemp("simulated")
+    log_file, states = folder / "log.csv", folder / "states.csv"
+    noise = [f"--noise={n}={s}" for n, s in {"x": 0.02, "y": 0.02, "z": 0.02, "psi": 0.01}.items()]
+    noise += [f"--noise={n}={s}" for n, s in {"u": 0.01, "v": 0.01, "w": 0.01, "r": 0.01}.items()]
+    words = ["--to=1,1,0.5", "--for=20", "--dt=0.1", "--log=0.1", "--seed=3"]
+    files = ["--out", str(log_file), "--states", str(states)]
+    assert main(["simulate", "mini-auv", "paper-pd", *words, *noise, *files]) == 0
+    return log_file, states
+
+
+def test_errors_against_the_true_states_of_a_simulation_are_tested(simulated, capsys) -> None:
+    log_file, states = simulated
+    true, seen = (pl.read_csv(path, infer_schema_length=None) for path in (states, log_file))
+    assert true.columns == ["t", "x", "y", "z", "psi", "u", "v", "w", "r"]
+    assert (true["x"] - seen["x"]).std() == pytest.approx(0.02, rel=0.2)
+    capsys.readouterr()
+    command = ["observe", "mini-auv", str(log_file), "--reference", str(states)]
+    assert main([*command, "--json"]) == 0
+    groups = {one["name"]: one for one in json.loads(capsys.readouterr().out)["nees"]}
+    assert list(groups) == ["position", "attitude", "velocity", "rates", "all"]
+    assert groups["velocity"]["states"] == ["u", "v", "w"]
+    for one in groups.values():
+        assert one["low"] < 1 < one["high"]
+        assert one["honest"] == (one["low"] <= one["mean"] <= one["high"])
+        assert one["independent"] < one["count"]
+    assert main(command) == 0
+    reported = " ".join(capsys.readouterr().out.split())
+    assert "Errors of the filter" in reported
+    assert f"{groups['all']['mean']:.3f}" in reported
+
+
+@pytest.mark.parametrize(
+    ("columns", "complaint"),
+    [
+        ({"t": [0.0, 0.1, 0.2], "temperature": [1.0, 2.0, 3.0]}, "name its columns in a mapping file"),
+        ({"t": [900.0, 900.1], "x": [0.0, 0.0]}, "put both on one clock"),
+        ({"t": [0.05, 15.05], "x": [0.0, 0.0]}, "0.1 s is the limit between rows of the log"),
+        (None, "is the log"),
+    ],
+)
+def test_a_reference_that_says_nothing_is_refused(
+    simulated, tmp_path: Path, columns, complaint, capsys
+) -> None:
+    reference = simulated[0]
+    if columns is not None:
+        reference = tmp_path / "reference.csv"
+        pl.DataFrame(columns).write_csv(reference)
+    assert main(["observe", "mini-auv", str(simulated[0]), "--reference", str(reference)]) == 2
+    error = capsys.readouterr().err
+    assert complaint in " ".join(error.split())
+    assert "Traceback" not in error
+
+
+def test_every_log_needs_its_reference(simulated, dive: Path, capsys) -> None:
+    log_file, states = simulated
+    assert main(["observe", "mini-auv", str(log_file), str(dive), "--reference", str(states)]) == 2
+    assert "names 1 files, but there are 2 logs" in " ".join(capsys.readouterr().err.split())
+
+
+def test_states_of_several_runs_do_not_go_into_one_file(tmp_path: Path, capsys) -> None:
+    words = ["--to=1,0,0", "--states", str(tmp_path / "states.csv")]
+    assert main(["simulate", "mini-auv", "paper-pd", "paper-pid", *words]) == 2
+    assert "--states" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,11 +16,13 @@ from undertow.model.vehicle import Vehicle
 from undertow.observer.consistency import Normalised, Whiteness, nis, whiteness
 from undertow.observer.design import SCHEMA
 from undertow.observer.filters import SEARCH, Estimate, Method, Observer, Reports, most_likely, smoothed
+from undertow.observer.nees import Nees, Truth, nees
 from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, longest_step, process_of
 from undertow.typing import Array, Flags, Index, Progress
 
 from .estimation.inputs import without_gaps
 from .logs.run import Run, report_noise
+from .reference import truth_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,11 +68,17 @@ class Observed:
     # smoothed value at the end of each estimated parameter, and its standard deviation
     parameters: dict[str, tuple[float, float]]
     rejected: dict[str, int]  # reports beyond the gate by channel
+    truth: Truth | None = None  # true states at the rows of the filter, of a reference
 
     @property
     def honest(self) -> bool:
         """Whether innovations are consistent with the filter, white, and from nearly all reports."""
         return self.nis[-1].honest and all(one.white for one in self.white) and not self.lost
+
+    @cached_property
+    def nees(self) -> tuple[Nees, ...]:
+        """Test of the errors of the filter by group of states; empty without true states."""
+        return nees([(self.filtered, self.truth)]) if self.truth else ()
 
     @property
     def lost(self) -> dict[str, int]:
@@ -84,7 +93,7 @@ class Observed:
             "noise": self.noise,
             "disturbance": self.disturbance,
             "parameters": {n: {"value": v, "sigma": s} for n, (v, s) in self.parameters.items()},
-            **_tests(self.nis, self.white),
+            **_tests(self.nis, self.white, self.nees),
             "rejected": self.rejected,
         }
 
@@ -104,6 +113,11 @@ class ObservedLogs:
     each: tuple[Observed, ...]
     nis: tuple[Normalised, ...]
     white: tuple[Whiteness, ...]
+
+    @cached_property
+    def nees(self) -> tuple[Nees, ...]:
+        """Test of the errors of the filter by group of states, over all logs with true states."""
+        return nees([(one.filtered, one.truth) for one in self.each if one.truth])
 
     @property
     def process(self) -> Kind:
@@ -145,7 +159,7 @@ class ObservedLogs:
             "logs": {one.run.name: one.content() for one in self.each},
             "noise": self.noise,
             "disturbance": self.disturbance,
-            **_tests(self.nis, self.white),
+            **_tests(self.nis, self.white, self.nees),
             "rejected": self.rejected,
         }
 
@@ -160,11 +174,12 @@ def _lost(nis: Sequence[Normalised], rejected: Mapping[str, int]) -> dict[str, i
     return {n: k for n, k in rejected.items() if k > SETTINGS.lost * (k + used.get(n, 0))}
 
 
-def _tests(nis: Sequence[Normalised], white: Sequence[Whiteness]) -> dict[str, object]:
-    return {
+def _tests(nis: Sequence[Normalised], white: Sequence[Whiteness], nees: Sequence[Nees]) -> dict[str, object]:
+    found: dict[str, object] = {
         "nis": [vars(one) | {"honest": one.honest} for one in nis],
         "whiteness": [vars(one) | {"white": one.white} for one in white],
     }
+    return found | ({"nees": [vars(one) | {"honest": one.honest} for one in nees]} if nees else {})
 
 
 def observe_logs(
@@ -174,11 +189,13 @@ def observe_logs(
     process: Kind = "kinematics",
     estimated: Sequence[str] = (),
     method: Method | None = None,
+    references: Sequence[Sequence[Run]] = (),
     progress: Progress = lambda done, words: None,
 ) -> ObservedLogs:
-    """`observe` for each of several logs, with NIS and whiteness over all of them.
+    """`observe` for each of several logs, with NIS, NEES and whiteness over all of them.
 
-    Noise, the disturbance and estimated parameters are those of each log.
+    Noise, the disturbance and estimated parameters are those of each log. `references` are the segments of
+    the logs of true states, by run.
     """
     found = []
     for k, run in enumerate(runs):
@@ -187,7 +204,8 @@ def observe_logs(
             progress((k + done) / len(runs), f"{name}: {words}" if len(runs) > 1 else words)
 
         one = observe(vehicle, run, process=process, estimated=estimated, method=method, progress=part)
-        found.append(one)
+        true = truth_at(one.filtered, run, references[k]) if references else None
+        found.append(replace(one, truth=true))
     channels = process_of(vehicle, estimated, process).channels
     filtered = [one.filtered for one in found]
     return ObservedLogs(tuple(found), nis(filtered, channels), whiteness(filtered, channels))

@@ -399,7 +399,7 @@ def _rolled(row: ca.Function, count: int) -> ca.Function:
 def smoothed(found: Estimate) -> Estimate:
     """The estimate given all reports (Rauch, Tung and Striebel 1965; for sigma points Sarkka 2008)."""
     mean, covariance = found.mean.copy(), found.covariance.copy()
-    gain = _gains(found)
+    gain = smoother_gains(found)
     for k in range(len(mean) - 2, -1, -1):
         mean[k] += gain[k] @ (mean[k + 1] - found.predicted[k + 1])
         more = gain[k] @ (covariance[k + 1] - found.predicted_covariance[k + 1]) @ gain[k].T
@@ -407,8 +407,11 @@ def smoothed(found: Estimate) -> Estimate:
     return replace(found, mean=mean, covariance=covariance)
 
 
-def _gains(found: Estimate) -> Array:
-    """Cross-covariance times the inverse of the predicted covariance, of correlations: units differ."""
+def smoother_gains(found: Estimate) -> Array:
+    """Gains of the smoother from each row to the one before it, shape (n - 1, nx, nx).
+
+    Cross-covariance times the inverse of the predicted covariance, of correlations: units differ.
+    """
     ahead = found.predicted_covariance[1:]
     size = np.sqrt(np.maximum(np.diagonal(ahead, axis1=1, axis2=2), np.finfo(float).tiny))
     scaled = ahead / (size[:, :, None] * size[:, None, :])

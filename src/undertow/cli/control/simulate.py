@@ -25,10 +25,10 @@ With --observer, the controller uses the estimate of a Kalman filter; its sensor
 the times stated in the file (undertow observe --save writes one from a log).
 
 --out writes a log that undertow can read: the sensor readings, and the mean of every command from one row to
-the next. A --dt that is too long for the law is refused, and the limit is stated. The exit code is 1 if a run
-diverges: the state is not finite, a speed exceeds 100 m/s or 100 rad/s, or the pose is farther from the start
-than twice the distance that such speeds allow. Tables, log and figures end there. A run that has not settled
-yet has not diverged.
+the next; --states writes the true pose and velocities at the same rows. A --dt that is too long for the law
+is refused, and the limit is stated. The exit code is 1 if a run diverges: the state is not finite, a speed
+exceeds 100 m/s or 100 rad/s, or the pose is farther from the start than twice the distance that such speeds
+allow. Tables, log and figures end there. A run that has not settled yet has not diverged.
 """
 
 from __future__ import annotations
@@ -91,6 +91,7 @@ _CONTINUOUS = typer.Option(
     "--continuous", help="Continuous controller: no sampling, Runge-Kutta steps of at most --dt."
 )
 _LOG = typer.Option(metavar="SECONDS", help="Interval between the rows of --out.", show_default="~5000 rows")
+_STATES = typer.Option(metavar="LOG.csv", help="Write the true states, for observe --reference.")
 _FIGURES = typer.Option(metavar="FOLDER", help="Write figures (PNG) to this folder.")
 
 
@@ -168,6 +169,7 @@ def simulate(
     plant: Annotated[str | None, _PLANT] = None,
     observer: Annotated[Path | None, _OBSERVER] = None,
     out: Annotated[Path | None, typer.Option(metavar="LOG.csv", help="Write the run as a log.")] = None,
+    states: Annotated[Path | None, _STATES] = None,
     figures: Annotated[Path | None, _FIGURES] = None,
     json: JsonFileOption = None,
     effects: EffectsOption = None,
@@ -177,12 +179,13 @@ def simulate(
     from undertow.files import check_folder, check_writable
     from undertow.model.loading import load_vehicle
 
-    if out is not None and len(gains) > 1:
-        raise UndertowError(
-            f"--out {out} holds one run, but there are {len(gains)} gain files: give only one"
-        )
+    for option, path in (("--out", out), ("--states", states)):
+        if path is not None and len(gains) > 1:
+            raise UndertowError(
+                f"{option} {path} holds one run, but there are {len(gains)} gain files: give only one"
+            )
     more = [str(p) for p in (plant, scenario_options.path, observer) if p]
-    check_writable(out, json, inputs=[vehicle, *gains, *more, *(effects or [])])
+    check_writable(out, states, json, inputs=[vehicle, *gains, *more, *(effects or [])])
     if figures is not None:
         check_folder(figures)
     mission, choices = scenario_options.mission(), schedule.choices()
@@ -206,7 +209,7 @@ def simulate(
             progress=report,
         )
     show([record.result for record in records])
-    _write(records, out, figures, json)
+    _write(records, out, states, figures, json)
     return int(any(record.result.diverged is not None for record in records))
 
 
@@ -243,14 +246,22 @@ def _remark_turns(option: str, pose: dict[str, float], stated: Sequence[str | fl
         typer.echo(f"{remark}; write {psi:g}deg if degrees are meant", err=True)
 
 
-def _write(records: Sequence[Record], out: Path | None, figures: Path | None, json: Path | None) -> None:
-    """Write the log, the result and the pictures that are asked for."""
+def _write(
+    records: Sequence[Record],
+    out: Path | None,
+    states: Path | None,
+    figures: Path | None,
+    json: Path | None,
+) -> None:
+    """Write the log, the true states, the result and the pictures that are asked for."""
     from undertow.files import together, write_whole
 
     drawn: Sequence[Path] = ()
     with together():
         if out is not None:
             write_whole(out, records[0].to_csv())
+        if states is not None:
+            write_whole(states, records[0].states_to_csv())
         if json is not None:
             write_whole(json, "[\n" + ",\n".join(record.to_json().rstrip() for record in records) + "\n]\n")
         if figures is not None:

@@ -25,6 +25,12 @@ Several logs (or segments of one) each have their own filter and noise; the test
 files are numbered in the order of the logs (smoothed-1.csv ...), and an observer file has the noise of all.
 
     undertow observe rov.toml dive1.csv dive2.csv --out smoothed.csv
+
+--reference names a log of true states (motion capture, or undertow simulate --states), one for each log, on
+the same clock, with a mapping file of its own name beside it if need be. The errors of the filter are then
+tested by its covariance (NEES), by group of states.
+
+    undertow observe rov.toml dive.csv --reference mocap.csv
 """
 
 from __future__ import annotations
@@ -54,6 +60,7 @@ _FILTER = typer.Option(
 )
 _CURRENT = typer.Option("--current", help="Estimate the velocity of the water (only with the model).")
 _BIAS = typer.Option(metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
+_REFERENCE = typer.Option(metavar="LOG", help="Log of true states, one for each log: test errors (NEES).")
 _OUT = typer.Option(metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
 _TRUST_MODEL = typer.Option("--trust-model", help="Write --out even if the velocities come from the model.")
 _SAVE = typer.Option(metavar="NEW.toml", help="Write an observer file for simulate, linearize and export c.")
@@ -69,6 +76,7 @@ def observe(
     filter: Annotated[Literal["ekf", "ukf"] | None, _FILTER] = None,
     current: Annotated[bool, _CURRENT] = False,
     bias: Annotated[str | None, _BIAS] = None,
+    reference: Annotated[list[Path] | None, _REFERENCE] = None,
     out: Annotated[Path | None, _OUT] = None,
     trust_model: Annotated[bool, _TRUST_MODEL] = False,
     save: Annotated[Path | None, _SAVE] = None,
@@ -78,21 +86,29 @@ def observe(
     from undertow.files import check_writable
     from undertow.identification.observe import observe_logs, observer_file
 
-    check_writable(out, save, plot, inputs=[vehicle, *logs, *options.files])
+    given = reference or []
+    check_writable(out, save, plot, inputs=[vehicle, *logs, *given, *options.files])
     if out is not None and process == "model" and not trust_model:
         raise UndertowError(
             f"--out {out}: velocities from the model must not be used for its own diagnosis; use --process "
             "kinematics, or --trust-model if the log is for another purpose"
         )
     model, runs = _read(vehicle, logs, options)
+    true = _references(model, runs, logs, given)
     estimated = (*(("V_N", "V_E") if current else ()), *(f"b_{n}" for n in words([bias] if bias else [])))
     with progress("observing") as report:
         found = observe_logs(
-            model, runs, process=process, estimated=estimated, method=filter, progress=report
+            model,
+            runs,
+            process=process,
+            estimated=estimated,
+            method=filter,
+            references=true,
+            progress=report,
         )
 
     names = _of_each(out, plot, runs)
-    check_writable(*(path for pair in names for path in pair), inputs=[*logs, *options.files])
+    check_writable(*(path for pair in names for path in pair), inputs=[*logs, *given, *options.files])
     write_files(
         *(pair for n, one, run in zip(names, found.each, runs, strict=True) for pair in _files(n, one, run)),
         (save, lambda path: observer_file(found, runs, path.stem, filter or "ekf")),
@@ -135,6 +151,25 @@ def _read(vehicle: str, logs: Sequence[Path], options: ReadOptions) -> tuple[Veh
     return model, list(runs)
 
 
+def _references(
+    model: Vehicle, runs: Sequence[Run], logs: Sequence[Path], given: Sequence[Path]
+) -> list[list[Run]]:
+    """The segments of the reference of every run; nothing without references."""
+    from undertow.identification.logs.reading import read_logs
+
+    if not given:
+        return []
+    if len(given) != len(logs):
+        raise UndertowError(
+            f"--reference names {len(given)} files, but there are {len(logs)} logs: name one for each, in "
+            "their order"
+        )
+    read = {
+        str(log): read_logs([path], model, one_motion=True) for log, path in zip(logs, given, strict=True)
+    }
+    return [read[run.source] for run in runs]
+
+
 def _show_all(found: ObservedLogs) -> None:
     """Print each log, then the tests over all."""
     for one in found.each:
@@ -144,6 +179,7 @@ def _show_all(found: ObservedLogs) -> None:
     if len(found.each) > 1:
         innovations(f"Innovations of all {len(found.each)} logs", found)
         say(verdict(found), "bold")
+        errors(f"Errors of the filter in all {len(found.each)} logs", found)
 
 
 def show(found: Observed) -> None:
@@ -155,6 +191,7 @@ def show(found: Observed) -> None:
         values = [(n, f"{v:.4g}", f"{s:.2g}") for n, (v, s) in found.parameters.items()]
         section("Estimated", table(("parameter", "value", "sigma"), values))
     say(verdict(found), "bold")
+    errors("Errors of the filter", found)
 
 
 def innovations(title: str, found: Observed | ObservedLogs) -> None:
@@ -168,6 +205,37 @@ def innovations(title: str, found: Observed | ObservedLogs) -> None:
         rows.append((one.name, *numbers, f"{one.low:.3f} to {one.high:.3f}", p))
     head = ("sensor", "noise", "reports", "rejected", "NIS", "95 %", "white, p")
     section(title, table(head, rows))
+
+
+def errors(title: str, found: Observed | ObservedLogs) -> None:
+    """Print the test against true states, if there are some."""
+    if not found.nees:
+        return
+    rows = [
+        (
+            one.name,
+            " ".join(one.states),
+            str(one.count),
+            f"{one.independent:.0f}",
+            f"{one.mean:.3f}",
+            f"{one.low:.3f} to {one.high:.3f}",
+        )
+        for one in found.nees
+    ]
+    section(title, table(("group", "states", "squares", "independent", "NEES", "95 %"), rows))
+    say(verdict_of_errors(found), "bold")
+
+
+def verdict_of_errors(found: Observed | ObservedLogs) -> str:
+    """One line on the errors against true states."""
+    outside = [one for one in found.nees if not one.honest]
+    if not outside:
+        return f"errors are as large as expected (NEES {found.nees[-1].mean:.3f})"
+    faults = [f"NEES of {one.name} {one.mean:.3f}, not {one.low:.3f} to {one.high:.3f}" for one in outside]
+    large = {one.mean > one.high for one in outside}
+    words = {True: "too small", False: "too large"}
+    how = words[large.pop()] if len(large) == 1 else "wrong"
+    return f"{'; '.join(faults)}: the standard deviations of the filter are {how}"
 
 
 _KINEMATIC = (

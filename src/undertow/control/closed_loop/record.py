@@ -131,21 +131,22 @@ class Record:
 
     def to_csv(self) -> str:
         """A log as undertow reads it: t, what the sensors report, and the commands."""
-        columns = {"t": self.t, **self.reported, **self.commands}
-        stream = io.StringIO()
-        np.savetxt(
-            stream,
-            np.column_stack(list(columns.values())),
-            fmt="%.12g",
-            delimiter=",",
-            header=",".join(columns),
-            comments="",
-        )
-        return stream.getvalue()
+        return _csv({"t": self.t, **self.reported, **self.commands})
+
+    def states_to_csv(self) -> str:
+        """The true pose and velocity at the same rows, as a log."""
+        return _csv({"t": self.t, **self.state})
 
     def to_json(self) -> str:
         """The result as JSON; infinite numbers are null."""
         return json.dumps(json_ready(asdict(self.result)), indent=2, allow_nan=False) + "\n"
+
+
+def _csv(columns: Mapping[str, np.ndarray]) -> str:
+    stream = io.StringIO()
+    rows, header = np.column_stack(list(columns.values())), ",".join(columns)
+    np.savetxt(stream, rows, fmt="%.12g", delimiter=",", header=header, comments="")
+    return stream.getvalue()
 
 
 class Recorder:
