@@ -608,12 +608,13 @@ def test_gains_judge_the_loop_behind_an_observer() -> None:
 # --- C ----------------------------------------------------------------------------------------------
 @pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize("kind", ["spline", "legs"])
+@pytest.mark.parametrize("kind", ["spline", "legs", "spline of sight"])
 def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainSet, tmp_path: Path) -> None:
     if not shutil.which(compiler):
         pytest.skip(f"no {compiler} on this machine")
     gains = ship("pid", allocation={"limits": {"T1": 1.0}}) if kind == "spline" else remus
-    survey = load_mission(EXAMPLES / "remus100-survey.toml")
+    name = "remus100-survey.toml" if kind == "legs" else "remus100-spline.toml"
+    survey = load_mission(EXAMPLES / name)
     controller = Controller(
         gains, (mission("spline", SQUARE) if kind == "spline" else survey).reference(gains)
     )
@@ -646,10 +647,11 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
     n, expected = function.size1_in("y") // 2, np.array(controller.initial_states())
     u, tau = np.zeros(function.size1_out("u")), np.zeros(n)
     y, seen = np.zeros(2 * n), set()
+    of_kind = {"legs": "leg", "spline": "mission_time", "spline of sight": "path"}
     for i in range(600):
-        y[:2] = survey.points[min(i // 100, 5), :2] * (0.02 if kind == "spline" else 1) + random.normal(
-            size=2
-        )
+        y[:2] = survey.points[min(i // 100, len(survey.points) - 1), :2] * (
+            0.02 if kind == "spline" else 1
+        ) + random.normal(size=2)
         y[2:] = 0.2 * random.normal(size=2 * n - 2)
         arguments = map(_pointer, (y, r, s, p))
         getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(_pointer, (u, s, tau)))
@@ -657,7 +659,7 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
         expected = found[1]
         for mine, python in zip((u, s, tau), found, strict=True):
             assert mine == pytest.approx(python, abs=1e-12, rel=1e-12)
-        seen.add(float(s[controller.state_names.index("leg" if kind == "legs" else "mission_time")]))
+        seen.add(float(s[controller.state_names.index(of_kind[kind])]))
     assert len(seen) > 3
 
 
@@ -678,7 +680,7 @@ BAD = {
     "a time that is not kept": (lambda: mission("spline", [{"t": 0}, {"x": 1.0}]), "way-point 1 has a time"),
     "twice the same": (lambda: mission("spline", [*P, {"x": 5.0}]), "way-points 2 and 3 are 0 m apart"),
     "all the same": (lambda: mission("setpoints", [P[0], P[0]]).profile(NAMES), "all the same pose"),
-    "guidance of a spline": (lambda: mission("spline", P, guidance={}), r"\[guidance\] is for kind = 'legs'"),
+    "guidance of set-points": (lambda: mission("setpoints", P, guidance={}), "is for kind = 'legs' or"),
     "heading of legs": (lambda: mission("legs", P, heading=0.0), "remove psi and heading"),
     "far away": (lambda: mission("spline", [{"x": 0.0}, {"x": 1e9}]), "beyond 1e\\+06 m: check the unit"),
     "a ship at depth": (

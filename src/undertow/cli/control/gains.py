@@ -30,7 +30,8 @@ parameters within a fraction of their values, or within the intervals that the f
     undertow gains rov.toml my-gains.toml --form derived --start "x=0.2 m, psi=10 deg" --uncertain 10%
 
 With --path, the conditions for the tracking error on a mission are checked instead: the law on a moving
-reference and the commands that it needs, or the poles of vehicle, autopilot and line of sight on every leg.
+reference and the commands that it needs, or the poles of vehicle, autopilot and line of sight on every leg
+or on the tangents of a spline.
 
     undertow gains remus100 remus100-gains.toml --path remus100-survey.toml
 

@@ -14,7 +14,7 @@ and sustained oscillations (amplitude and period). Several gain files are compar
     undertow simulate remus100 remus100-gains.toml --path remus100-survey.toml
 
 With --path, the vehicle follows a mission: set-points, a spline or a trajectory with feed-forward from the
-model, or straight legs by line of sight (docs/missions.md). The output gives the tracking error.
+model, or straight legs or a spline by line of sight (docs/missions.md). The output gives the tracking error.
 
 VEHICLE is both the true vehicle and the controller's model, unless --plant names another true vehicle. A
 set-point has x, y, z as far as the vehicle has them, and optionally a heading; without one, the heading is
@@ -324,7 +324,8 @@ def _mission(followed: FollowedResult, duration: float) -> str:
     end = "not reached"
     if arrived is not None:
         end = f"reached after {arrived:.4g} s"
-        if followed.kind == "legs" and math.ceil(arrived) < duration:
+        by_sight = any(e.name == "cross track" for e in followed.errors)
+        if by_sight and math.ceil(arrived) < duration:
             end += f", but not held: --for {math.ceil(arrived)} leaves out what comes after"
     return f"mission '{followed.mission}' ({followed.kind}): its end is {end}"
 

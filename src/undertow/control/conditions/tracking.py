@@ -16,6 +16,7 @@ from undertow.control.closed_loop.simulate import Choices
 from undertow.control.closed_loop.stepping import sample_of
 from undertow.control.controller import GATE, Controller
 from undertow.control.gains import GainSet
+from undertow.control.guidance.curves import SplineOfSight
 from undertow.control.guidance.line_of_sight import LineOfSight
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.reference import TimedReference
@@ -414,7 +415,7 @@ _DISCRETE = ("leg", "arrived", "started", GATE)
 
 
 def _leg_rows(gains: GainSet, mission: Mission, reference: LineOfSight) -> Iterator[MissionRow]:
-    """The vehicle makes way against the current, and the whole loop is stable on every leg."""
+    """The vehicle makes way against the current, and the whole loop is stable on every leg or tangent."""
     water = float(np.hypot(*(mission.current or (0.0, 0.0))))
     speed = mission.limits.speed
     yield _row(
@@ -425,12 +426,26 @@ def _leg_rows(gains: GainSet, mission: Mission, reference: LineOfSight) -> Itera
         yield _jumping_row(gains)
         return
     vehicle = Choices(current=mission.current).in_current(gains.plant.vehicle)
-    steps = np.diff(mission.points, axis=0)
-    alike: dict[tuple[float, ...], list[int]] = {}  # legs by their direction, by which their poles differ
-    for number, step in enumerate(steps, 1):
-        alike.setdefault(tuple((step / np.linalg.norm(step)).round(4)), []).append(number)
+    ways, place = np.diff(mission.points, axis=0), "leg"
+    if isinstance(reference, SplineOfSight):
+        yield _bend_row(reference)
+        ways, place = reference.tangents(), "tangent at way-point"
+    alike: dict[tuple[float, ...], list[int]] = {}  # by their direction, by which their poles differ
+    for number, way in enumerate(ways, 1):
+        alike.setdefault(tuple((way / np.linalg.norm(way)).round(4)), []).append(number)
     for numbers in alike.values():
-        yield _leg_row(gains, vehicle, mission, reference, numbers)
+        first = numbers[0] - 1
+        name = f"{place}{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
+        yield _leg_row(gains, vehicle, mission, reference, name, mission.points[first], ways[first])
+
+
+def _bend_row(reference: SplineOfSight) -> MissionRow:
+    """The heading keeps up with the path at its sharpest bend."""
+    asked = float(reference.bends.max()) * reference.limits.speed
+    return _row(
+        "bends", "curvature · speed < turn_rate", "The model of the heading keeps up with the spline.",
+        reference.limits.turn_rate - asked, True, f"{asked:.4g} rad/s at the sharpest bend", "kinematics",
+    )  # fmt: skip
 
 
 def _jumping_row(gains: GainSet) -> MissionRow:
@@ -446,13 +461,17 @@ def _jumping_row(gains: GainSet) -> MissionRow:
 
 
 def _leg_row(
-    gains: GainSet, vehicle: Vehicle, mission: Mission, reference: LineOfSight, numbers: list[int]
+    gains: GainSet,
+    vehicle: Vehicle,
+    mission: Mission,
+    reference: LineOfSight,
+    leg: str,
+    begin: Array,
+    along: Array,
 ) -> MissionRow:
     """Poles of vehicle, autopilot and guidance together on a leg without end, for all of its direction."""
     far = 10 * TRACKING.longest * mission.limits.speed
-    begin, end = mission.points[numbers[0] - 1 : numbers[0] + 1]
-    way = (end - begin) / np.linalg.norm(end - begin)
-    leg = f"leg{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers))}"
+    way = along / np.linalg.norm(along)
     endless = LineOfSight(
         reference.names,
         np.array([begin, begin + far * way]),

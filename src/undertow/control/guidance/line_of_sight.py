@@ -37,6 +37,9 @@ class Leg(NamedTuple):
     below: ca.SX  # deeper than it, at right angles to it, m
     left: ca.SX  # distance to its end, m
     depth: ca.SX  # of the leg here, m
+    # bend, rise: change of course and incline for each metre of way in the plane, rad/m; zero if straight
+    bend: ca.SX = 0
+    rise: ca.SX = 0
 
 
 class LineOfSight(Reference):
@@ -82,11 +85,6 @@ class LineOfSight(Reference):
     @property
     def numbers(self) -> list[Number]:
         """The way-points, then speed, limits and the numbers of the guidance."""
-        points = [
-            Number(f"{c}_{i}", "m", float(v))
-            for i, p in enumerate(self.points)
-            for c, v in zip("xyz", p, strict=True)
-        ]
         own = {**vars(self.limits), **vars(self.guidance)}
         units = {
             "speed": "m/s",
@@ -95,7 +93,16 @@ class LineOfSight(Reference):
             "turn_acceleration": "rad/s^2",
         }
         units |= {"lookahead": "m", "acceptance": "m", "integral": "m/s", "steepest": "rad"}
-        return points + [Number(n, units[n], float(own[n])) for n in units]
+        return self._places + [Number(n, units[n], float(own[n])) for n in units]
+
+    @property
+    def _places(self) -> list[Number]:
+        """Numbers of the path."""
+        return [
+            Number(f"{c}_{i}", "m", float(v))
+            for i, p in enumerate(self.points)
+            for c, v in zip("xyz", p, strict=True)
+        ]
 
     def initial_states(self) -> list[float]:
         """Before the first sample, which takes heading, pitch and speed as they are."""
@@ -126,20 +133,15 @@ class LineOfSight(Reference):
         """Legs, integrals and models one sample on."""
         state, growth, leg = self._now(s, kin), self._growth(r, s, kin), self._leg(r, s, kin)
         value = self._values(r)
-        reached = ca.logic_or(leg.left <= value["acceptance"], leg.along >= leg.length)
-        last = state["leg"] >= len(self.points) - 2
-        stays = 1 - ca.logic_and(reached, ca.logic_not(last))
         sums = {}
         for name, error in (("cross_integral", leg.cross), ("depth_integral", leg.below)):
             aim = error + value["integral"] * state[name]
             gain = value["lookahead"] * error / (aim**2 + value["lookahead"] ** 2)
             sums[name] = state[name] + dt * gain
-        # What is known of a current is its part across the old leg: this is what of it is across the new one.
-        following = self._leg(r, ca.vertcat(state["leg"] + 1, s[1:]), kin)
-        sums["cross_integral"] *= ca.if_else(stays, 1, ca.cos(following.course - leg.course))
+        onward, kept = self._onward(r, s, kin, leg)
+        sums["cross_integral"] *= kept
         later = {
-            "leg": state["leg"] + (1 - stays),
-            "arrived": ca.fmax(state["arrived"], ca.logic_and(reached, last)),
+            **onward,
             "started": ca.SX(1),
             **sums,
             "speed": state["speed"] + dt * growth["speed"],
@@ -148,6 +150,20 @@ class LineOfSight(Reference):
             later[f"{name}_rate"] = state[f"{name}_rate"] + dt * growth[name]
             later[name] = state[name] + dt * later[f"{name}_rate"]
         return ca.vertcat(*[later[n] for n in self.state_names])
+
+    def _onward(self, r: ca.SX, s: ca.SX, kin: Kinematics, leg: Leg) -> tuple[dict[str, ca.SX], ca.SX]:
+        """The leg that comes next and whether the end is reached; the share of the integral that stays."""
+        state, value = self._now(s, kin), self._values(r)
+        reached = ca.logic_or(leg.left <= value["acceptance"], leg.along >= leg.length)
+        last = state["leg"] >= len(self.points) - 2
+        stays = 1 - ca.logic_and(reached, ca.logic_not(last))
+        # What is known of a current is its part across the old leg: this is what of it is across the new one.
+        following = self._leg(r, ca.vertcat(state["leg"] + 1, s[1:]), kin)
+        onward = {
+            "leg": state["leg"] + (1 - stays),
+            "arrived": ca.fmax(state["arrived"], ca.logic_and(reached, last)),
+        }
+        return onward, ca.if_else(stays, 1, ca.cos(following.course - leg.course))
 
     def _now(self, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
         """States by name; at the first sample heading, pitch and speed are those reported."""
@@ -158,7 +174,7 @@ class LineOfSight(Reference):
         return state | {n: ca.if_else(state["started"] > 0, state[n], v) for n, v in seen.items()}
 
     def _values(self, r: ca.SX) -> dict[str, ca.SX]:
-        count = 3 * len(self.points)
+        count = len(self._places)
         names = (*vars(self.limits), *vars(self.guidance))
         return dict(zip(names, ca.vertsplit(r[count:]), strict=True))
 
@@ -181,23 +197,22 @@ class LineOfSight(Reference):
         }
         # Critically damped, and slow enough that a turn from its largest rate needs no more than the limit.
         quick = value["turn_acceleration"] / (2 * value["turn_rate"])
+        turning = {"heading": leg.bend * _speed_along(leg, kin), "pitch": leg.rise * _speed_along(leg, kin)}
         found = {}
         for name, target in wanted.items():
-            rate, most = state[f"{name}_rate"], value["turn_rate"]
-            # With the error cut off here the rate tends to its limit and never passes it.
-            error = _clipped(wrapped(target - state[name]), 2 * most / quick)
-            found[name] = _clipped(quick**2 * error - 2 * quick * rate, value["turn_acceleration"])
+            # Cut off here, the rate tends to its limit and never passes it.
+            error = wrapped(target - state[name])
+            rate = _clipped(quick * error / 2 + turning[name], value["turn_rate"])
+            found[name] = _clipped(2 * quick * (rate - state[f"{name}_rate"]), value["turn_acceleration"])
         speed = (1 - state["arrived"]) * value["speed"] - state["speed"]
         found["speed"] = _clipped(quick * speed, value["acceleration"])
         return found
 
     # --- beside a run -------------------------------------------------------------------------
     def followed(self, t: np.ndarray, state: dict[str, np.ndarray], s: np.ndarray) -> Followed:
-        """Heading, pitch and depth that were asked for, and how far off the legs the vehicle was."""
+        """Heading, pitch and depth that were asked for, and how far off the path the vehicle was."""
         named = dict(zip(self.state_names, s.T, strict=True))
-        leg = named["leg"].astype(int)
-        places = [state.get(c, np.zeros(len(t))) for c in "xyz"]
-        found = beside(np, self.points[leg].T, self.points[leg + 1].T, places)
+        found = self._passed(named, [state.get(c, np.zeros(len(t))) for c in "xyz"])
         desired = {"psi": named["heading"], "z": found.depth, "u": named["speed"]}
         if self.pitches:
             desired["theta"] = named["pitch"]
@@ -205,7 +220,24 @@ class LineOfSight(Reference):
         if "z" in self.names:
             errors["depth"] = -found.below
         kept = {n: v for n, v in desired.items() if n in state}
-        return Followed(kept, errors, named["arrived"] > 0, self.points[:, :2])
+        return Followed(kept, errors, named["arrived"] > 0, self.way)
+
+    @property
+    def way(self) -> np.ndarray:
+        """The path in the plane, shape (k, 2)."""
+        return self.points[:, :2]
+
+    def _passed(self, named: dict[str, np.ndarray], places: list[np.ndarray]) -> Leg:
+        """Position relative to the path over rows."""
+        leg = named["leg"].astype(int)
+        return beside(np, self.points[leg].T, self.points[leg + 1].T, places)
+
+
+def _speed_along(leg: Leg, kin: Kinematics) -> ca.SX:
+    """Speed over ground along the path in the plane, of a level vehicle."""
+    aside = kin.eta[kin.place("psi")] - leg.course
+    sway = kin.nu[kin.place("y")] if "y" in kin.names else 0
+    return kin.nu[kin.place("x")] * ca.cos(aside) - sway * ca.sin(aside)
 
 
 def _clipped(value: ca.SX, most: ca.SX) -> ca.SX:

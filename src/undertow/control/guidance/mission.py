@@ -16,6 +16,7 @@ from undertow.model.symbols import MOTION_UNITS
 from undertow.model.tables import FileTable, Quantity, is_file, read_table
 from undertow.model.units import si_of
 
+from .curves import SplineOfSight
 from .line_of_sight import Guidance, LineOfSight
 from .reference import Limits, Profile, Reference, TimedReference, spline, straight_legs, times_of, within
 
@@ -39,7 +40,7 @@ class LimitTable(FileTable):
 
 
 class GuidanceTable(FileTable):
-    """Line of sight; legs only."""
+    """Line of sight, of legs and splines."""
 
     lookahead: Quantity = "5 m"
     acceptance: Quantity = "3 m"
@@ -96,9 +97,10 @@ class Mission:
     times: tuple[float | None, ...]  # when to be there, s
     limits: Limits  # speeds and accelerations of the reference
     hold: float  # rest at every set-point, s
-    guidance: Guidance  # line of sight; legs use it
+    guidance: Guidance  # line of sight; legs use it, and splines of what does not push in sway
     # velocity of the water to the north and to the east in simulations, m/s
     current: tuple[float, float] | None
+    sighted: bool = False  # whether the file states line of sight, for vehicles that could do without
 
     @property
     def length(self) -> float:
@@ -119,23 +121,34 @@ class Mission:
         pushed = {
             n for n, d in zip(names, vehicle.degrees_of_freedom, strict=True) if d not in gains.unactuated
         }
-        if self.kind == "legs":
-            _require_steering(self, pushed, vehicle.name)
-            pitches = "z" not in pushed and "theta" in pushed
-            if "z" in names and not pitches and "z" not in pushed and np.ptp(self.points[:, 2]):
-                raise UndertowError(
-                    f"'{vehicle.name}' pushes neither in heave nor in pitch: give all way-points the same z"
-                )
-            left = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in gains.unactuated]
-            unheld = tuple(vehicle.velocity_names[i] for i in left)
-            return LineOfSight(names, self.points, self.limits, self.guidance, pitches, unheld)
         idle = [n for n in ("x", "y", "z", "psi") if n in names and n not in pushed]
+        if self.kind == "legs" or (self.kind == "spline" and (self.sighted or idle)):
+            return self._by_sight(gains, pushed)
         if idle:
             raise UndertowError(
                 f"a mission of kind '{self.kind}' controls {idle[0]}, in which '{vehicle.name}' has no "
-                'actuator: write kind = "legs", which steers along the heading'
+                'actuator: write kind = "legs" or "spline", which steer along the heading'
             )
         return TimedReference(self.profile(names))
+
+    def _by_sight(self, gains: GainSet, pushed: set[str]) -> LineOfSight:
+        """Legs, or a spline, for a vehicle that steers along its heading."""
+        vehicle = gains.plant.vehicle
+        names = vehicle.pose_names
+        _require_steering(self, pushed, vehicle.name)
+        pitches = "z" not in pushed and "theta" in pushed
+        if "z" in names and not pitches and "z" not in pushed and np.ptp(self.points[:, 2]):
+            raise UndertowError(
+                f"'{vehicle.name}' pushes neither in heave nor in pitch: give all way-points the same z"
+            )
+        if self.kind == "spline" and any(h is not None for h in self.headings):
+            raise UndertowError(
+                f"'{vehicle.name}' steers along the spline, by line of sight: remove psi and heading"
+            )
+        left = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in gains.unactuated]
+        unheld = tuple(vehicle.velocity_names[i] for i in left)
+        make = SplineOfSight if self.kind == "spline" else LineOfSight
+        return make(names, self.points, self.limits, self.guidance, pitches, unheld)
 
     def profile(self, names: tuple[str, ...]) -> Profile:
         """The pose over time of set-points, splines and trajectories in these coordinates."""
@@ -216,19 +229,22 @@ def _require(mission: Mission, names: tuple[str, ...], vehicle: str) -> None:
         raise UndertowError(f"a mission needs x, y and psi, and '{vehicle}' has {', '.join(names)}")
 
 
+_WAYS = {"legs": "legs", "spline": "splines by line of sight"}
+
+
 def _require_steering(mission: Mission, pushed: set[str], vehicle: str) -> None:
     missing = [n for n in ("x", "psi") if n not in pushed]
     if missing:
         what = {"x": "surge", "psi": "yaw"}[missing[0]]
         raise UndertowError(
-            f"legs need a force in {what}, which '{vehicle}' does not have; fins and rudders give one if "
-            "the gain file has [allocation] speed"
+            f"{_WAYS[mission.kind]} need a force in {what}, which '{vehicle}' does not have; fins and "
+            "rudders give one if the gain file has [allocation] speed"
         )
     flat = np.linalg.norm(np.diff(mission.points[:, :2], axis=0), axis=1)
     if (flat < LIMITS.closest).any():
         raise UndertowError(
             f"way-points {int(np.argmin(flat)) + 1} and {int(np.argmin(flat)) + 2} are above each other, "
-            'but legs need a horizontal direction: move one, or write kind = "setpoints"'
+            f'but {_WAYS[mission.kind]} need a horizontal direction: move one, or write kind = "setpoints"'
         )
 
 
@@ -278,14 +294,16 @@ def mission_from_table(table: MissionTable) -> Mission:
     guidance = _guidance(table.guidance or GuidanceTable())
     return Mission(
         table.name, table.kind, points, tuple(headings), tuple(times), Limits(**limits),
-        hold, guidance, current,
+        hold, guidance, current, table.guidance is not None,
     )  # fmt: skip
 
 
 def _check_keys(table: MissionTable) -> None:
     """Refuse keys that a mission of this kind does not use."""
-    if table.guidance is not None and table.kind != "legs":
-        raise UndertowError(f"[guidance] is for kind = 'legs', and this is '{table.kind}': remove it")
+    if table.guidance is not None and table.kind not in ("legs", "spline"):
+        raise UndertowError(
+            f"[guidance] is for kind = 'legs' or 'spline', and this is '{table.kind}': remove it"
+        )
     timed = [i for i, w in enumerate(table.waypoints, 1) if w.t is not None]
     if timed and table.kind != "trajectory":
         raise UndertowError(
