@@ -60,7 +60,7 @@ _FILTER = typer.Option(
 )
 _CURRENT = typer.Option("--current", help="Estimate the velocity of the water (only with the model).")
 _BIAS = typer.Option(metavar="NAMES", help="Estimate biases of velocity sensors, as u,v,r.")
-_REFERENCE = typer.Option(metavar="LOG", help="Log of true states, one for each log: test errors (NEES).")
+_REFERENCE = typer.Option(metavar="LOG", help="Log of true states, for NEES; once for each log.")
 _OUT = typer.Option(metavar="LOG.csv", help="Write pose, velocities, commands and deviations.")
 _TRUST_MODEL = typer.Option("--trust-model", help="Write --out even if the velocities come from the model.")
 _SAVE = typer.Option(metavar="NEW.toml", help="Write an observer file for simulate, linearize and export c.")
@@ -161,8 +161,8 @@ def _references(
         return []
     if len(given) != len(logs):
         raise UndertowError(
-            f"--reference names {len(given)} files, but there are {len(logs)} logs: name one for each, in "
-            "their order"
+            f"--reference names {len(given)} files, but there are {len(logs)} logs: repeat the option "
+            "for each log, in their order"
         )
     read = {
         str(log): read_logs([path], model, one_motion=True) for log, path in zip(logs, given, strict=True)
