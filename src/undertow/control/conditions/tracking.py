@@ -450,8 +450,8 @@ def _bend_row(reference: SplineOfSight) -> MissionRow:
 
 def _jumping_row(gains: GainSet) -> MissionRow:
     return MissionRow(
-        "legs",
-        "all poles on every leg decay",
+        "line of sight",
+        "all poles along the path decay",
         "A discontinuous law has no linearisation on its surface, and sampled no steady motion either.",
         "linearisation",
         0.0,
@@ -485,8 +485,8 @@ def _leg_row(
     state, change = _steady(parts, mission, endless, step)
     statement = f"all poles on {leg} decay"
     about = (
-        "Vehicle, autopilot and line of sight, linearised at their steady motion along the leg in the "
-        "current of the mission: small errors die out. It says nothing of turns and of limits that are met."
+        "Vehicle, autopilot and line of sight, linearised at their steady straight motion in the current of "
+        "the mission: small errors die out. It says nothing of turns and of limits that are met."
     )
     if not change <= TRACKING.still:
         text = f"no steady motion was found: it still changes by {change:.3g} in a second"
