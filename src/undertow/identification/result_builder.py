@@ -136,7 +136,8 @@ class ResultBuilder:
     @property
     def superfluous(self) -> int | None:
         """Place of an effect that is not needed for only noise to remain; None if there is none."""
-        return _superfluous(self.found, self.validator) if self._residual_is_noise else None
+        found = _superfluous(self.found, self.validator) if self._residual_is_noise else None
+        return None if found is None else found[0]
 
     def worth(self) -> list[Worth]:
         """Improvement of predictions by every added effect, from the fits of the result."""
@@ -446,30 +447,30 @@ def _without_surplus(found: Search, validator: SimulationValidator) -> Search:
     """The search without effects that the simulation does not need."""
     if _hidden_in_noise(found, validator):
         return replace(found, effect_set=fitted(found.vehicle, [], found.bench), rivals=[])
-    place = _superfluous(found, validator)
-    if place is None:
+    superfluous = _superfluous(found, validator)
+    if superfluous is None:
         return found
+    place, shorter = superfluous
     kept = [i for i in range(len(found.winners)) if i != place]
-    shorter = fitted(found.vehicle, [found.winners[i] for i in kept], found.bench)
     rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
     return _without_surplus(replace(found, effect_set=shorter, rivals=rivals), validator)
 
 
-def _superfluous(found: Search, validator: SimulationValidator) -> int | None:
-    """Place of the first of several effects without which the others leave only noise and simulate as well.
+def _superfluous(found: Search, validator: SimulationValidator) -> tuple[int, EffectSet] | None:
+    """Place of the first of several effects that the others do without, and those; None if all are needed.
 
-    None if all are needed.
+    They leave only noise without it, and simulate as well.
     """
     winners = found.winners if len(found.winners) > 1 else []
     for place, effect in enumerate(winners):
         others = [f for f in winners if f is not effect]
         # Parameters that the others could do without beside it.
-        candidates = [f.trial.candidate for f in others]
-        shorter = last_fit(fitted(found.vehicle, others, found.bench).fit, candidates, found.bench.settings)
-        if validator.leaves_only_noise(shorter) and not validator.significantly_worse(
-            shorter, found.effect_set.fit
+        candidates, shorter = [f.trial.candidate for f in others], fitted(found.vehicle, others, found.bench)
+        whole = last_fit(shorter.fit, candidates, found.bench.settings)
+        if validator.leaves_only_noise(whole) and not validator.significantly_worse(
+            whole, found.effect_set.fit
         ):
-            return place
+            return place, shorter
     return None
 
 

@@ -105,7 +105,7 @@ def _part(found: Estimate, truth: Truth, states: tuple[str, ...]) -> _Part | Non
         return None
     own, columns = ([names.index(n) for n in states] for names in (found.names, truth.names))
     there: Flags = np.asarray(np.isfinite(truth.values[:, columns]).all(axis=1))
-    there[: _settled(found)] = False
+    there[: _first_row(found)] = False
     rows = _spread_out(np.flatnonzero(there))
     if len(rows) < SETTINGS.fewest_rows:
         return None
@@ -118,8 +118,8 @@ def _part(found: Estimate, truth: Truth, states: tuple[str, ...]) -> _Part | Non
     return _Part(float(squares.sum()), len(rows) * len(own), _variance(found, rows, own, white))
 
 
-def _settled(found: Estimate) -> int:
-    """The row from which on the reports say more than the first guess."""
+def _first_row(found: Estimate) -> int:
+    """The row after the burn-in, from which on the reports say more than the first guess."""
     counts = np.cumsum(found.used, axis=0)
     many = counts[-1] >= TESTS.burn_in
     return int(np.argmax((counts[:, many] >= TESTS.burn_in).all(axis=1))) if many.any() else 0

@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from undertow.errors import UndertowError
 
-from .line_of_sight import Guidance, Leg, LineOfSight
-from .reference import Kinematics, Limits, Number
+from .line_of_sight import Leg, LineOfSight
+from .reference import Kinematics, Number
 
 
 @dataclass(frozen=True)
@@ -48,22 +48,36 @@ class SplineOfSight(LineOfSight):
 
     state_names: ClassVar[tuple[str, ...]] = ("path", *LineOfSight.state_names[1:])
 
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        points: np.ndarray,
-        limits: Limits,
-        guidance: Guidance,
-        pitches: bool,
-        unheld: tuple[str, ...] = (),
-    ) -> None:
-        super().__init__(names, points, limits, guidance, pitches, unheld)
-        self.knots, self.curve = _curve(points)
-        if "psi" in names:
-            for pose, at in ((self.start, 0.0), (self.end, self.knots[-1])):
-                north, east, _ = self.curve(at, 1)
-                pose[names.index("psi")] = np.arctan2(east, north)
-        _check(self)
+    @cached_property
+    def curve(self) -> CubicSpline:
+        """The path, by nearly its arc length."""
+        return _curve(self.points)
+
+    @property
+    def knots(self) -> np.ndarray:
+        """Parameters of the path at the way-points."""
+        return np.asarray(self.curve.x)
+
+    def _courses(self) -> np.ndarray:
+        north, east, _ = self.curve(self.knots, 1).T
+        return np.asarray(np.arctan2(east, north))
+
+    def _check(self) -> None:
+        """Refuse a path that stands upright, or bends more than the turn rate allows at the speed."""
+        slope = self.curve(self.samples, 1)
+        level = np.hypot(slope[:, 0], slope[:, 1]) / np.linalg.norm(slope, axis=1)
+        if level.min() < SETTINGS.level:
+            raise UndertowError(
+                f"the spline has no horizontal direction between {self.between(level.argmin())}: "
+                "move them apart"
+            )
+        bends, most = self.bends, self.limits.turn_rate / self.limits.speed
+        if bends.max() > most:
+            raise UndertowError(
+                f"the spline has a radius of {1 / bends.max():.3g} m between "
+                f"{self.between(bends.argmax())}, but speed and turn_rate allow {1 / most:.3g} m: move "
+                "way-points apart, or go slower"
+            )
 
     @cached_property
     def samples(self) -> np.ndarray:
@@ -164,7 +178,7 @@ def _beside(foot: tuple[ca.SX, ca.SX, tuple[ca.SX, ca.SX, ca.SX]], place: ca.SX,
     return Leg(course, incline, w, end, cross, z * ca.cos(incline), left, point[2], bend, rise)
 
 
-def _curve(points: np.ndarray) -> tuple[np.ndarray, CubicSpline]:
+def _curve(points: np.ndarray) -> CubicSpline:
     """A natural cubic spline, whose parameter at the way-points is the arc length up to them, nearly."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for _ in range(SETTINGS.rounds):
@@ -172,20 +186,4 @@ def _curve(points: np.ndarray) -> tuple[np.ndarray, CubicSpline]:
         curve = CubicSpline(knots, points, bc_type="natural")
         inner = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0, 1, SETTINGS.looked_at)
         lengths = np.linalg.norm(np.diff(curve(inner), axis=1), axis=2).sum(axis=1)
-    return knots, curve
-
-
-def _check(path: SplineOfSight) -> None:
-    """Refuse a path that stands upright, or bends more than the turn rate allows at the speed."""
-    slope = path.curve(path.samples, 1)
-    level = np.hypot(slope[:, 0], slope[:, 1]) / np.linalg.norm(slope, axis=1)
-    if level.min() < SETTINGS.level:
-        raise UndertowError(
-            f"the spline has no horizontal direction between {path.between(level.argmin())}: move them apart"
-        )
-    bends, most = path.bends, path.limits.turn_rate / path.limits.speed
-    if bends.max() > most:
-        raise UndertowError(
-            f"the spline has a radius of {1 / bends.max():.3g} m between {path.between(bends.argmax())}, but "
-            f"speed and turn_rate allow {1 / most:.3g} m: move way-points apart, or go slower"
-        )
+    return curve

@@ -76,11 +76,19 @@ class LineOfSight(Reference):
         pose = {n: np.zeros(len(points)) for n in names} | {
             n: points[:, i] for i, n in enumerate("xyz") if n in names
         }
-        steps = np.diff(points, axis=0)
-        courses = np.arctan2(steps[:, 1], steps[:, 0])
+        courses = self._courses()
         self.start, self.end = (
             np.array([pose[n][i] if n != "psi" else courses[i] for n in names]) for i in (0, -1)
         )
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse a path that cannot be followed; legs can, whatever their length."""
+
+    def _courses(self) -> np.ndarray:
+        """Courses along the path, rad, from that at its start to that at its end."""
+        north, east, _ = np.diff(self.points, axis=0).T
+        return np.asarray(np.arctan2(east, north))
 
     @property
     def numbers(self) -> list[Number]:
