@@ -836,3 +836,45 @@ def test_a_speed_is_no_command_of_the_side_that_it_names() -> None:
     read = {g.column: g.channel for g in guess.columns}
     assert (read["PWM L"], read["PWM R"]) == ("port", "starboard")
     assert read["Speed left (kn)"] == "v"
+
+
+def test_rows_of_a_clock_with_too_few_digits_are_taken_as_evenly_spaced(case: Path) -> None:
+    """A log of 7.4 rows a second whose times have three significant digits, as of a tanker of MARIN."""
+    t = 0.1353 * np.arange(4000)
+    rows = "\n".join(f"{a:.2e},{np.sin(0.1 * a):.6f}" for a in t)
+    (case / "own.csv").write_text(f"time[s],u[m/s]\n{rows}\n")
+    assert main(["map", "new", "own.csv", "--out", "log.toml"]) == 0
+    mapping = read_mapping(case / "log.toml")
+    assert mapping.time.spacing == pytest.approx(0.1353, rel=2e-4)
+    assert "# ? 70% of its times repeat the one before" in (case / "log.toml").read_text()
+    run = read_log(case / "own.csv", mapping)
+    np.testing.assert_allclose(run.t, t, atol=0.1)
+    np.testing.assert_allclose(run.channels["u"], np.sin(0.1 * t), atol=1e-6)
+
+
+def test_a_table_without_times_is_read_by_its_sampling_interval(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (case / "own.csv").write_text("u,v\n1,2\n0,1\n1,1\n")
+    assert main(["map", "new", "own.csv", "--interval", "50 ms", "--out", "log.toml"]) == 0
+    run = read_log(case / "own.csv", read_mapping(case / "log.toml"))
+    np.testing.assert_allclose(run.t, [0.0, 0.05, 0.1], atol=1e-15)
+    assert "rows taken as 0.05 s apart, as stated" in run.notes
+    for interval, said in (("0 s", "is not above zero"), ("3 m", "has the dimension [length]")):
+        assert main(["map", "new", "own.csv", "--interval", interval, "--force"]) == 2
+        assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("column", "channel", "along_earth"),
+    [
+        *[(name, "r", False) for name in ("psi_dot", "psidot[deg/s]", "dpsi/dt [rad/s]", "yawDot")],
+        *[(name, "u", True) for name in ("x_dot", "xdot[m/s]", "dx/dt")],
+        *[(name, "", False) for name in ("u_dot", "udot[m/s2]", "dr/dt", "psi_dot_ref")],
+    ],
+)
+def test_derivatives_by_time_are_velocities_of_the_pose_and_no_velocities_of_velocities(
+    column: str, channel: str, along_earth: bool
+) -> None:
+    name = Name.of(column)
+    assert (name.motion(), name.along_earth) == (channel, along_earth)

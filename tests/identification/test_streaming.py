@@ -196,6 +196,22 @@ def test_every_so_many_th_row_in_parts_is_that_of_the_whole(tmp_path: Path, name
         np.testing.assert_array_equal(np.concatenate([p.channels["u"] for p in fresh]), whole.channels["u"])
 
 
+@pytest.mark.parametrize("name", ["long.csv", "long.csv.gz", "long.parquet"])
+def test_rows_of_a_stated_interval_are_counted_over_the_whole_log(tmp_path: Path, name: str) -> None:
+    path = written(long_log(1_001).drop("t"), tmp_path / name)
+    for every in (1, 3):
+        mapping = LogMapping.model_validate({"time": {"interval": "0.05 s", "every": every}})
+        whole = read_log(path, mapping, ["tau_X"])
+        np.testing.assert_allclose(whole.t, 0.05 * np.arange(0, 1_001, every), rtol=1e-12)
+        for rows, overlap in ((90, 0), (100, 20)):
+            parts = [part.run for part in LongLog(path, mapping, ("tau_X",)).parts(rows, overlap)]
+            fresh = [parts[0], *(p.slice(p.t[overlap]) for p in parts[1:])]
+            np.testing.assert_array_equal(np.concatenate([p.t for p in fresh]), whole.t)
+            np.testing.assert_array_equal(
+                np.concatenate([p.channels["u"] for p in fresh]), whole.channels["u"]
+            )
+
+
 @pytest.mark.parametrize("name", ["long.csv", "long.parquet"])
 def test_dates_in_parts_count_from_the_first_of_the_log(tmp_path: Path, name: str) -> None:
     table = long_log(500).with_columns(

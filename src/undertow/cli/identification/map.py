@@ -29,16 +29,22 @@ _LOGS = typer.Argument(
 _VEHICLE = typer.Option(
     metavar="VEHICLE", help="Vehicle file or name; its commands are searched for in the log."
 )
+_INTERVAL = typer.Option(
+    metavar="SECONDS",
+    help='Sampling interval of a table without times, such as "0.05 s": its rows are that far apart.',
+)
 
 
 @app.command()
 def new(
     logs: Annotated[list[Path], _LOGS],
     vehicle: Annotated[str | None, _VEHICLE] = None,
+    interval: Annotated[str | None, _INTERVAL] = None,
     out: Annotated[Path, typer.Option(metavar="NEW.toml", help="Output file.")] = Path("log.toml"),
     force: NewForceOption = False,
 ) -> None:
     """Guess what the columns of a log mean, and write a mapping file with open questions."""
+    from undertow.errors import UndertowError
     from undertow.files import write_whole
     from undertow.identification.logs.formats.by_name import first_mapping
     from undertow.identification.logs.formats.fieldlog import format_of, one_run
@@ -49,7 +55,11 @@ def new(
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading"):
         own = one_run(logs) if len(logs) > 1 or format_of(logs[0]) else None
-        guessed = first_mapping(own, model) if own else guess_mapping(logs[0], model)
+        if own and interval is not None:
+            raise UndertowError(
+                f"--interval {interval} is for one table without times: {own.path} has a clock"
+            )
+        guessed = first_mapping(own, model) if own else guess_mapping(logs[0], model, interval)
     for note in own.notes if own else ():
         say(note, "dim")
     write_whole(out, guessed.text())

@@ -49,6 +49,7 @@ from .table import (
     read_table,
     refuse_no_file,
     size_of,
+    with_even_times,
 )
 
 # Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
@@ -189,7 +190,8 @@ class LongLog:
                     file.readline(WHOLE.line)
                 lines = list(islice(_lines(file, self._where), rows))
                 if lines:
-                    yield read_table(header + b"".join(lines), self.mapping, self._where)
+                    table = read_table(header + b"".join(lines), self.mapping, self._where)
+                    yield with_even_times(table, self.mapping)
 
     def _later(self, t: NDArray[np.float64], latest: float) -> NDArray[np.bool_]:
         """Which rows are in order, also with those of the parts before; others are refused, or left out."""
@@ -254,17 +256,22 @@ class LongLog:
 
     @cached_property
     def _flat(self) -> pl.LazyFrame:
-        return flat_table(self.path, self._where) if self.table is None else self.table
+        if self.table is not None:
+            return self.table
+        return with_even_times(flat_table(self.path, self._where), self.mapping)
 
     def _text_tables(self, rows: int, overlap: int, *, packed: bool) -> Iterator[pl.DataFrame]:
         with _opened(self.path, self._where, packed=packed) as file:
             stream = _lines(file, self._where)
             header = self._header(stream)
             kept: list[bytes] = []
+            first = 0
             while fresh := list(islice(stream, rows - len(kept))):
                 lines = kept + fresh
-                yield read_table(header + b"".join(lines), self.mapping, self._where)
+                table = read_table(header + b"".join(lines), self.mapping, self._where)
+                yield with_even_times(table, self.mapping, first)
                 kept = lines[-overlap:] if overlap else []
+                first += table.height - len(kept)
 
     def _header(self, lines: Iterator[bytes]) -> bytes:
         if header := next((line for line in lines if header_of(line, self.mapping)), b""):

@@ -77,10 +77,11 @@ SETTINGS = GuessSettings()
 
 
 # --- from a table -----------------------------------------------------------------------------------
-def guess_mapping(path: Path, vehicle: Vehicle | None = None) -> GuessedMapping:
-    """Guess what the columns of a log (CSV, CSV.gz or Parquet) mean."""
+def guess_mapping(path: Path, vehicle: Vehicle | None = None, interval: str | None = None) -> GuessedMapping:
+    """Guess what the columns of a log (CSV, CSV.gz or Parquet) mean; `interval` is that of its rows."""
     table, reading = whole_table(path)
-    return guess_table(table.head(SETTINGS.rows), path, vehicle, reading)
+    clock = None if interval is None else Guess("t", {"interval": interval})
+    return guess_table(table.head(SETTINGS.rows), path, vehicle, reading, clock)
 
 
 def guess_table(

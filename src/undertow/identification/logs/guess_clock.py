@@ -15,7 +15,7 @@ from undertow.typing import Array, Flags
 
 from .guess_frames import Guess
 from .guess_names import is_clock, unit_of_clock
-from .mapping import SECONDS
+from .mapping import SECONDS, spacing_of
 from .run import MEASURABLE, far_from_usual, later_than_before
 from .table import has_dates, seconds
 
@@ -32,6 +32,9 @@ class ClockSettings:
     steady: float = 1.2
     same: float = 1.5  # factor within which they and the speed are the same
     fastest: float = 50.0  # m/s that no vehicle in water goes
+    # Share of the log by which times of too few digits may be off evenly spaced rows: the interval is then
+    # known to one percent.
+    even: float = 0.01
     slowest: float = 0.01  # m/s that one does that is worth a log
 
 
@@ -40,6 +43,8 @@ SETTINGS = ClockSettings()
 
 def times_of_rows(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
     """Times of the rows, s."""
+    if "interval" in time.entry:
+        return spacing_of(str(time.entry["interval"])) * np.arange(float(table.height))
     if time.column not in data:
         return seconds(table, time.column, where)[0]
     return _counted(data, time)
@@ -80,6 +85,8 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     halves = halves_of_stamps(data)
     data = with_nanoseconds(data, halves)
     found = _clock(table, data, where)
+    if isinstance(found, Guess):
+        return found
     dated = found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
@@ -103,6 +110,10 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
 
 def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
     """Times of the rows, s, those of dates since 1970."""
+    if "interval" in time.entry:
+        rounded = data[time.column]
+        first = rounded[0] * SECONDS[_unit(time.column, rounded)]
+        return np.asarray(first + times_of_rows(table, data, time, where))
     if time.column in data:
         return _counted(data, time)
     if table[time.column].dtype in (pl.Datetime, pl.Date):
@@ -117,7 +128,7 @@ def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[
     Minutes, hours and days are tried where no name states a unit: one in which position and speed (m, m/s)
     agree, or in which a vehicle can go as far where no speed was logged.
     """
-    unit = str(time.entry["unit"])
+    unit = str(time.entry.get("unit", "iso"))
     if unit == "iso" or unit_of_clock(time.column):
         return time, t
     pace = _pace(t, moved)
@@ -163,14 +174,19 @@ def _over(step: int, x: Array, y: Array, t: Array) -> float:
     return float(np.median(far / np.maximum(long, 1e-12)))
 
 
-def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
-    """The column that counts the time: one of that name that rises or has dates, else one that rises."""
+def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | Guess:
+    """The column that counts the time: one of that name that rises or has dates, else one that rises.
+
+    A clock of too few digits is better than a column of another name: its rows are evenly spaced.
+    """
     late = {n: _late(column) for n, column in data.items()}
     rising = [n for n, share in late.items() if share == 0.0]
     rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
     texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
     dated = [n for n in texts if not _no_dates(table, n, where)]
     named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
+    if not named and (even := next(filter(None, map(_rounded, data, data.values())), None)):
+        return even
     # Of a table of several clocks only one has the time of every row.
     found = min(
         [*named, *rising],
@@ -181,6 +197,29 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str:
         reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
         raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
     return found
+
+
+def _rounded(name: str, times: Array) -> Guess | None:
+    """A clock of too few digits, if evenly spaced rows are as close to it as these digits allow."""
+    steps = np.diff(times)
+    if not is_clock(name) or not np.isfinite(times).all() or not len(steps) or np.any(steps < 0.0):
+        return None
+    row = np.arange(len(times))
+    interval, start = np.polyfit(row, times, 1)
+    off = float(np.max(np.abs(times - start - interval * row)))
+    if not 0.0 < off <= min(float(np.max(steps)), SETTINGS.even * (times[-1] - times[0])):
+        return None
+    scale = SECONDS[_unit(name, times)]
+    said = (
+        f"{np.mean(steps == 0.0):.0%} of its times repeat the one before: it has too few digits; rows "
+        f"{interval * scale:.5g} s apart are within {off * scale:.2g} s of it: is that the sampling interval?"
+    )
+    return Guess(name, {"column": name, "interval": f"{interval * scale:.6g} s"}, said)
+
+
+def _unit(name: str, times: Array) -> str:
+    """The unit of a clock of too few digits."""
+    return unit_of_clock(name) or unit_by_steps(times, (times[-1] - times[0]) / (len(times) - 1))
 
 
 def _late(times: Array) -> float:
@@ -206,11 +245,11 @@ def _no_time(data: Mapping[str, Array]) -> str:
             return (
                 f"column {name!r} does not increase in {len(still)} of {len(column)} rows, first from "
                 f"{column[row]:.15g} to {column[row + 1]:.15g} in row {row + 2}: write the times with more "
-                "digits, or row number times sampling interval, into a column that rises"
+                f"digits, or {_EVEN}"
             )
     return (
-        "no column contains the time, since none increases from row to row; write the log with the time of "
-        "each row (row number times sampling interval, if that is constant)"
+        "no column contains the time, since none increases from row to row: write the log with the time of "
+        f"each row, or {_EVEN}"
     )
 
 
@@ -229,6 +268,7 @@ def unit_by_steps(t: Array, step: float) -> str:
     return min(_GUESSED, key=lambda unit: far_from_usual(step * SECONDS[unit]))
 
 
+_EVEN = 'state the sampling interval, if it is constant: --interval "0.1 s", or interval under [time]'
 # Units that a clock counts without saying so; minutes, hours and days are asked about.
 _GUESSED = ("s", "ms", "us", "ns")
 

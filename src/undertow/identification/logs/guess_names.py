@@ -132,6 +132,16 @@ _GLOBE = ({"lat", "latitude"}, {"lon", "lng", "long", "longitude"})
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
 
+def _with_dots(words: Sequence[str]) -> list[str]:
+    """The words, with derivatives by time as what changes and "dot": "psidot" and "dpsi", "dt" alike."""
+    of = "|".join(sorted({*_TURNS, *_MOVES, "x", "y", "z"}))
+    split = [(m[1], "dot") if (m := re.fullmatch(f"({of})dot", w)) else (w,) for w in words]
+    for k, (word, after) in enumerate(pairwise(words)):
+        if after == "dt" and (m := re.fullmatch(f"d({of})", word)):
+            split[k], split[k + 1] = (m[1],), ("dot",)
+    return [w for part in split for w in part]
+
+
 @dataclass(frozen=True)
 class Name:
     """A column's name taken apart: words in small letters, and the unit that it states ("" for none)."""
@@ -148,6 +158,7 @@ class Name:
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
+        words = _with_dots(words)
         if bracket is not None:
             return cls(column, tuple(words), known_unit(bracket[1]))
         for length in (2, 1):
@@ -212,6 +223,8 @@ class Name:
     def _along_earth(self) -> int | None:
         """Place among north, east and down of a speed in one of them, such as "vE_mps" or "North_Vel"."""
         words = set(self.words)
+        if "dot" in words:  # of a position, along the axes in which that is given
+            return next((_PLACES[w] for w in self.words if w in "xyz"), None)
         if self.unit in RATES or words & _OF_RATE:
             return None
         if "ned" in words and (words & _OF_SPEED or self.unit in _SPEEDS):
@@ -238,6 +251,8 @@ class Name:
         speed = self.unit in _SPEEDS or bool(words & _OF_SPEED)
         rate = self.unit in RATES or bool(words & _OF_RATE)
         for word in self.words:
+            if word in _MOVES and "dot" in words:
+                return ""  # an acceleration
             if word in _MOVES:
                 place = word in _NAMED and self.unit in _LENGTHS  # of a hull that swings in waves
                 return (POSE if place else VELOCITY)[_MOVES[word]]

@@ -105,6 +105,9 @@ class Time(_Strict):
     # ``stamp.nanosec``).
     nanoseconds: str | None = Field(default=None, min_length=1)
     offset: float = 0.0  # added to all times, s
+    # Sampling interval, "0.05 s" or a number in s, of a log without times or with times of too few digits:
+    # its rows are that far apart, the first at 0 s, and `column` is not read.
+    interval: str | float | None = None
     # What to do with rows whose time is not later than that of all rows before.
     disorder: Literal["refuse", "drop"] = "refuse"
     # Use only every n-th row (n up to 10^6), for pose logged much faster than the vehicle moves; of columns
@@ -121,6 +124,23 @@ class Time(_Strict):
                 f'nanoseconds belong to a column in s, but unit is {self.unit!r}: write unit = "s"'
             )
         return self
+
+    @model_validator(mode="after")
+    def _interval_alone(self) -> Self:
+        if self.interval is None:
+            return self
+        if self.unit != "s" or self.nanoseconds is not None:
+            raise ValueError("interval replaces the times of the log: remove unit and nanoseconds")
+        try:
+            spacing_of(self.interval)
+        except UndertowError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @property
+    def spacing(self) -> float:
+        """The stated sampling interval, s; 0 where times are read."""
+        return 0.0 if self.interval is None else spacing_of(self.interval)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -258,6 +278,14 @@ def seconds_of(given: str | float, what: str) -> float:
         return to_si(given if isinstance(given, str) else f"{given!r} s", "s")
     except UndertowError as error:
         raise UndertowError(f"{what}: {error}") from error
+
+
+def spacing_of(interval: str | float) -> float:
+    """A stated sampling interval, s."""
+    spacing = seconds_of(interval, "interval")
+    if not 0.0 < spacing < np.inf:
+        raise UndertowError(f"interval {interval!r} is not above zero: write the time between two rows")
+    return spacing
 
 
 Channels = dict[str, Array]

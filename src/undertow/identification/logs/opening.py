@@ -36,6 +36,7 @@ from .table import (
     numbers,
     read_table,
     seconds,
+    with_even_times,
 )
 
 # --- what a log must be before anything is computed from it ---------------------------------------
@@ -72,7 +73,7 @@ def check_time(t: Array, column: str, where: str) -> None:
         at = same[0]
         raise UndertowError(
             f"{thing} has {len(same)} duplicate stamps, first {t[at]:.9g} s at row {at + 2}: keep one row "
-            "per time"
+            "per time, or state `interval` under [time] in the mapping file if the rows are evenly spaced"
         )
 
 
@@ -282,6 +283,11 @@ def opened_field_log(
     clock.
     """
     meaning = mapping or log.mapping_for([*commands, *also])
+    if meaning.time.interval is not None:
+        raise UndertowError(
+            f"log {log.path} is a vehicle log with its own clock: remove interval = "
+            f"{meaning.time.interval!r} from [time] in the mapping file"
+        )
     if mapping is None:
         _refuse_other_motors(log, meaning, commands)
     low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
@@ -297,7 +303,7 @@ def opened_table(path: Path, mapping: LogMapping | None, limits: LogLimits = WHO
         table = read_table(data, meaning, f"log {path}", path, limits)
     except NotTextError as error:
         raise UndertowError(f"{error}; {readable()}") from error
-    return Opened(table, meaning, hashlib.sha256(data).hexdigest())
+    return Opened(with_even_times(table, meaning), meaning, hashlib.sha256(data).hexdigest())
 
 
 def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[str]) -> None:
@@ -333,6 +339,7 @@ def times_of(
     since, origin = elapsed(table, mapping, scale, where, origin)
     start = f"{origin:.17g}" if isinstance(origin, float) else f"{origin:f}".rstrip("0").rstrip(".")
     notes = [f"time starts at the first sample, {start} {spec.unit} in the file"] if origin else []
+    notes += [f"rows taken as {spec.spacing:g} s apart, as stated"] if spec.interval is not None else []
     return scale * since + offset + spec.offset, origin, notes
 
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from os import SEEK_END
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import polars as pl
@@ -186,6 +186,8 @@ DAMAGED = (OSError, EOFError, zlib.error)
 _PIECE = 1 << 20
 # Decimals of an exact time: nanoseconds of seconds since 1970, with digits to spare before the point.
 _EXACT = pl.Decimal(38, 9)
+_ROW = "number of the row"
+Frame = TypeVar("Frame", pl.DataFrame, pl.LazyFrame)
 # Times beyond three years, in s, are dates counted from some epoch, and are counted from the first sample.
 _EPOCH = 1e8
 Origin = Decimal | float
@@ -300,6 +302,18 @@ def read_table(
 def read_rows(table: pl.LazyFrame, first: int, count: int, where: str) -> pl.DataFrame:
     """Some rows of a Parquet file; no more of it is held in memory than the row groups they are in."""
     return _tidy(lambda: table.slice(first, count).collect(), where)
+
+
+def with_even_times(table: Frame, mapping: LogMapping, first: int = 0) -> Frame:
+    """The table with the times of rows that are a stated interval apart; as it is where times are read.
+
+    `first`: number of its first row in the log.
+    """
+    spec = mapping.time
+    if spec.interval is None:
+        return table
+    counted = table.with_row_index(_ROW, offset=first)
+    return counted.with_columns((pl.col(_ROW) * spec.spacing).alias(spec.column)).drop(_ROW)
 
 
 def is_parquet(data: bytes) -> bool:
