@@ -29,7 +29,7 @@ one core.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -63,16 +63,6 @@ _APPLY = typer.Option(
     help="Write a new vehicle file, as --out of fit and add: with the effects that were found, or only "
     "refitted values.",
 )
-
-
-@dataclass(frozen=True)
-class ShownSettings:
-    """What tables show; no verdict hangs on it."""
-
-    runs_away: float = 10.0  # rise of an error, relative, above which its digits mean nothing
-
-
-SHOWN = ShownSettings()
 
 
 @bundled
@@ -255,7 +245,9 @@ def _values(parameters: Sequence[Estimate], most: int) -> str:
 
 
 def _change(share: float) -> str:
-    most = SHOWN.runs_away
+    from undertow.identification.diagnosis.worth import WORDING
+
+    most = WORDING.runs_away
     return f"> +{most:.0%}" if share > most else f"{share:+.0%}"
 
 

@@ -15,6 +15,16 @@ from .validation import SimulationValidator, worse_by_rank_test
 
 
 @dataclass(frozen=True)
+class Wording:
+    """How changes of an error are put into words."""
+
+    runs_away: float = 10.0  # rise of an error, relative, above which its digits mean nothing
+
+
+WORDING = Wording()
+
+
+@dataclass(frozen=True)
 class Worth:
     """Change of predictions of the validation data by adding an effect.
 
@@ -80,6 +90,8 @@ class Worth:
         raised = next((h for h in reversed(longer(self.falls)) if self.falls[h] < 0.0), None)
         if raised is not None:
             much = -self.falls[raised]
+            if much > WORDING.runs_away:
+                return f"makes predictions over {raised:g} s diverge"
             words = f"{much:.0%}" if much > 0.005 else "a little"
             return f"increases the prediction error over {raised:g} s by {words}"
         if max(self.largest[h] for h in longer(self.falls)) >= least:
