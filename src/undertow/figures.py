@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from math import floor, inf, log10
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,17 @@ def plain(text: str, longest: int = _LONGEST) -> str:
     shown = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
     shown = shown if len(shown) <= longest else shown[: longest - 1] + "\N{HORIZONTAL ELLIPSIS}"
     return shown.replace("$", r"\$")
+
+
+def in_powers(largest: float, unit: str) -> tuple[float, str]:
+    """What values are divided by, and their unit then, so that ticks have few digits: N or 1e6 N.
+
+    Matplotlib would write the power at the end of the axis, across its label.
+    """
+    if not 0.0 < largest < inf or 1e-2 <= largest < 1e4:
+        return 1.0, unit
+    power = 3 * floor(log10(largest) / 3)
+    return 10.0**power, f"1e{power} {unit}"
 
 
 def with_unit(name: str, unit: str) -> str:

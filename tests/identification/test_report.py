@@ -414,6 +414,12 @@ def test_the_budget_is_sorted() -> None:
     assert axis.get_xlabel() == "surge, rms [N]"
 
 
+def test_forces_of_a_large_ship_have_their_power_in_the_label() -> None:
+    axis = force_budget([Budget("surge", "N", {"a": 1.5e6, "b": 3e5})]).axes[0]
+    assert axis.get_xlabel() == "surge, rms [1e6 N]"
+    np.testing.assert_allclose([bar.get_width() for bar in axis.patches], [0.3, 1.5])
+
+
 def test_thinning_keeps_extremes_and_gaps() -> None:
     t = np.arange(100_000.0)
     values = np.sin(t / 3000)

@@ -12,7 +12,19 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from undertow.errors import UndertowError
-from undertow.figures import AFTER, BEFORE, COLOURS, FAINT, FLOOR, INK, figure, look, plain, with_unit
+from undertow.figures import (
+    AFTER,
+    BEFORE,
+    COLOURS,
+    FAINT,
+    FLOOR,
+    INK,
+    figure,
+    in_powers,
+    look,
+    plain,
+    with_unit,
+)
 from undertow.identification.comparison import Profile
 from undertow.identification.diagnosis.result import Ranked, Step
 from undertow.identification.doctor.examine import Examined
@@ -383,8 +395,9 @@ def force_budget(budgets: Sequence[Budget]) -> Figure:
         for axis, budget in zip(axes.ravel(), budgets, strict=False):
             shares = sorted(budget.shares.items(), key=lambda item: item[1])
             colours = [BEFORE if name == _UNEXPLAINED else AFTER for name, _ in shares]
-            axis.barh([plain(name, 26) for name, _ in shares], [v for _, v in shares], color=colours)
-            axis.set_xlabel(with_unit(f"{budget.degree_of_freedom}, rms", budget.unit))
+            scale, unit = in_powers(max(budget.shares.values(), default=0.0), budget.unit)
+            axis.barh([plain(name, 26) for name, _ in shares], [v / scale for _, v in shares], color=colours)
+            axis.set_xlabel(with_unit(f"{budget.degree_of_freedom}, rms", unit))
             axis.locator_params(axis="x", nbins=4)
             axis.grid(axis="x")
         for axis in axes.ravel()[len(budgets) :]:
