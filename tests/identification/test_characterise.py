@@ -17,6 +17,7 @@ from undertow.identification.diagnosis.associations import (
     STEP,
     Along,
     Association,
+    Difference,
     Sample,
     Samples,
     Series,
@@ -340,27 +341,52 @@ def test_waves_are_taken_out_run_by_run() -> None:
 
 
 # --- the run ---------------------------------------------------------------------------------------------
+def _compared(
+    r: np.ndarray, columns: np.ndarray, run: np.ndarray, block: np.ndarray, own: np.ndarray | None = None
+) -> Difference | None:
+    """Runs compared beside parameters of the model of which nothing else is known."""
+    own = np.zeros((len(r), 0)) if own is None else own
+    sample = Sample(r, own, columns, block)
+    return difference(sample, slice(0, columns.shape[1]), np.zeros((own.shape[1],) * 2), run)
+
+
 def test_runs_that_differ_are_told_from_runs_that_do_not() -> None:
     rng, run = np.random.default_rng(5), np.repeat(np.arange(3), 200)
     r, block, one = rng.standard_normal(600), np.arange(600) // 20, np.ones((600, 1))
-    alike = difference(r, one, run, block)
-    other = difference(r - 0.6 * (run == 2), one, run, block)
+    alike = _compared(r, one, run, block)
+    other = _compared(r - 0.6 * (run == 2), one, run, block)
     assert alike is not None
     assert alike.chance > 0.01
     assert other is not None
     assert other.chance < 1e-6
     assert other.values[:, 0] == pytest.approx([0.0, 0.0, 0.6], abs=0.25)
-    assert difference(r[:200], one[:200], run[:200], block[:200]) is None
+    assert _compared(r[:200], one[:200], run[:200], block[:200]) is None
 
 
 def test_runs_that_are_too_short_are_not_compared() -> None:
     """A run of which a motion has hardly a sample says nothing; the others are compared without it."""
     rng, run = np.random.default_rng(5), np.repeat([0, 2, 3], [200, 30, 200])
     r, block = rng.standard_normal(430) - 0.6 * (run == 3), np.arange(430) // 20
-    found = difference(r, np.ones((430, 1)), run, block)
+    found = _compared(r, np.ones((430, 1)), run, block)
     assert found is not None
     assert found.runs.tolist() == [0, 3]
     assert found.values[:, 0] == pytest.approx([0.0, 0.6], abs=0.25)
+
+
+def test_a_parameter_that_is_off_makes_no_difference_between_runs_at_speeds_of_their_own() -> None:
+    """Drag of another size is another mean force at every speed; a force that differs beside it is found."""
+    rng, run = np.random.default_rng(9), np.repeat(np.arange(4), 400)
+    speed = np.array([0.2, 0.5, 1.0, 1.4])[run] + 0.1 * rng.standard_normal(1600)
+    block, drag, one = np.arange(1600) // 20, (speed**2)[:, None], np.ones((1600, 1))
+    r = rng.standard_normal(1600) - 0.4 * speed**2
+    plain, beside = _compared(r, one, run, block), _compared(r, one, run, block, drag)
+    assert plain is not None
+    assert plain.chance < 1e-6
+    assert beside is not None
+    assert beside.chance > 0.01
+    other = _compared(r - 0.8 * (run == 1), one, run, block, drag)
+    assert other is not None
+    assert other.chance < 1e-4
 
 
 def test_what_a_run_leaves_open_is_no_value_of_it() -> None:
@@ -370,7 +396,7 @@ def test_what_a_run_leaves_open_is_no_value_of_it() -> None:
     columns = np.column_stack([np.sin(heading), np.cos(heading)])
     true = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.5], [0.5, 0.5]])
     r = 0.2 * rng.standard_normal(1600) - np.einsum("mk,mk->m", columns, true[run])
-    found = difference(r, columns, run, np.arange(1600) // 20)
+    found = _compared(r, columns, run, np.arange(1600) // 20)
     assert found is not None
     assert found.chance < 1e-6
     assert found.values[:3] == pytest.approx(true[:3], abs=0.1)

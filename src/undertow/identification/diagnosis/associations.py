@@ -35,6 +35,8 @@ class AssociationSettings:
     alike: float = 0.9  # share of the gain of the best term from which another is named with it
     step_width: float = 0.125  # how long a step takes in a fit, as a share of the time between two of them
     fewest_blocks: int = 4  # blocks of a run that is compared with others
+    # Share of the information on the best determined coefficient below which one counts as undetermined.
+    rank: float = 1e-9
     fine: int = 8  # frequencies tried per one that the longest run resolves
     fewest_periods: float = 3.0  # periods in the shortest run above which a frequency is not a trend
     band: float = 0.1  # half width of a line, as a share of its frequency
@@ -396,47 +398,60 @@ class Difference:
     chance: float
 
 
-def difference(r: Array, columns: Array, run: Index, block: Index) -> Difference | None:
+def difference(sample: Sample, columns: slice, stiffness: Array, run: Index) -> Difference | None:
     """Fit columns to a residual separately in every run that is long enough; None unless two are.
 
-    r: (m,), residual in units of its noise.
-    columns: (m, k), its derivative in the coefficients.
-    run, block: (m,), run and block of time of each entry.
+    The model's own parameters are fitted at the same time: where a coefficient of drag is off by its standard
+    error, the mean force on a run at one speed is, too.
+
+    sample: the residual; `columns` are the place of its columns.
+    stiffness: (k, k), information on the model's own parameters from elsewhere.
+    run: (m,), run of each entry.
     """
-    runs = np.array(
-        [i for i in np.unique(run) if len(np.unique(block[run == i])) >= SETTINGS.fewest_blocks],
-        dtype=np.intp,
-    )
-    groups = [np.flatnonzero(run == i) for i in runs]
-    if len(groups) < 2:
+    enough = [len(np.unique(sample.block[run == i])) >= SETTINGS.fewest_blocks for i in np.unique(run)]
+    runs = np.unique(run)[enough]
+    if len(runs) < 2:
         return None
-    fits = [_fitted(r[g], columns[g], block[g]) for g in groups]
-    values = np.array([value for value, _ in fits])
-    spreads = np.array([spread for _, spread in fits])
-    weights = np.array([inverse_of(spread) for spread in spreads])
-    common = inverse_of(weights.sum(axis=0))
-    mean = common @ np.einsum("gij,gj->i", weights, values)
-    off = values - mean
-    distance, freedom = float(np.einsum("gi,gij,gj->", off, weights, off)), (len(groups) - 1) * len(mean)
-    # Variance between runs, as DerSimonian and Laird (1986) estimate it. A run on one heading says nothing of
-    # the force across it, and what it gives there is no value of that run.
-    scale = np.trace(weights.sum(axis=0)) - np.trace(common @ np.sum(weights @ weights, axis=0))
-    between = max(distance - freedom, 0.0) / scale * np.eye(len(mean))
-    own = np.array(
-        [between @ inverse_of(between + spread) @ v for spread, v in zip(spreads, off, strict=True)]
-    )
+    each, size = sample.columns[:, columns], columns.stop - columns.start
+    apart = np.column_stack([each * (run == i)[:, None] for i in runs])
+    values, spread, weight = _fitted(sample, apart, stiffness)
+    same = np.tile(np.eye(size), (len(runs), 1))
+    mean = inverse_of(same.T @ weight @ same) @ same.T @ weight @ values
+    off = values - same @ mean
+    distance, freedom = float(off @ weight @ off), (len(runs) - 1) * size
+    between = _between(weight, max(distance - freedom, 0.0), size) * np.eye(size)
+    places = [slice(k * size, (k + 1) * size) for k in range(len(runs))]
+    own = np.array([between @ inverse_of(between + spread[p, p]) @ off[p] for p in places])
     return Difference(runs, mean + own, float(chi2.sf(distance, freedom)))
 
 
-def _fitted(r: Array, columns: Array, block: Index) -> tuple[Array, Array]:
-    """Coefficients and their covariance: from the scatter of blocks, and at least that from noise."""
-    inverse = inverse_of(columns.T @ columns)
-    value = -inverse @ (columns.T @ r)
-    scores = columns * (r + columns @ value)[:, None]
-    summed = np.array([scores[block == b].sum(axis=0) for b in np.unique(block)])
-    scattered = np.sqrt(np.diag(inverse @ (summed.T @ summed) @ inverse) / np.diag(inverse))
-    inflation = np.maximum(1.0, scattered)
-    return value, inverse * np.outer(inflation, inflation)
+def _between(weight: Array, excess: float, size: int) -> float:
+    """Variance between runs, as DerSimonian and Laird (1986) estimate it.
+
+    A run on one heading says nothing of the force across it, and what it gives there is no value of that run.
+    """
+    own = [weight[k : k + size, k : k + size] for k in range(0, len(weight), size)]
+    total = np.sum(own, axis=0)
+    scale = np.trace(total) - np.trace(inverse_of(total) @ np.sum([w @ w for w in own], axis=0))
+    return excess / max(float(scale), 1e-300)
+
+
+def _fitted(sample: Sample, columns: Array, stiffness: Array) -> tuple[Array, Array, Array]:
+    """Coefficients beside the model's parameters, covariance (at least that from noise) and its inverse.
+
+    What the model's parameters can take over in all columns together is zero.
+    """
+    own = sample.own
+    beside = columns - own @ (inverse_of(own.T @ own + stiffness) @ (own.T @ columns))
+    gram = beside.T @ columns
+    inverse = np.linalg.pinv((gram + gram.T) / 2, rcond=SETTINGS.rank, hermitian=True)
+    value = -inverse @ (beside.T @ sample.r)
+    summed = sample.by_block(beside * (sample.r + beside @ value)[:, None])
+    plain = np.diag(inverse)
+    scattered = np.diag(inverse @ (summed.T @ summed) @ inverse) / np.where(plain > 0.0, plain, 1.0)
+    inflation = np.sqrt(np.maximum(1.0, scattered))
+    both = np.outer(inflation, inflation)
+    return value, inverse * both, gram / both
 
 
 # Median over mean of a power that is scattered like that of noise.

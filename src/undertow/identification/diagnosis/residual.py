@@ -202,14 +202,15 @@ class Characterisation:
         if columns not in places:
             return None
         pair, clocks = (self._left.samples.fitted, self._left.samples.validation), self._force.clocks
-        names = tuple(dict.fromkeys((*clocks[0].names, *clocks[1].names)))
-        logs = [np.array([names.index(c.names[k]) for k in c.log], dtype=np.intp) for c in clocks]
-        found = difference(
+        both = Sample(
             np.concatenate([s.r for s in pair]),
-            np.vstack([s.columns[:, places[columns]] for s in pair]),
-            np.concatenate(logs),
+            np.vstack([s.own for s in pair]),
+            np.vstack([s.columns for s in pair]),
             np.concatenate([pair[0].block, pair[1].block + pair[0].blocks]),
         )
+        names = tuple(dict.fromkeys((*clocks[0].names, *clocks[1].names)))
+        logs = [np.array([names.index(c.names[k]) for k in c.log], dtype=np.intp) for c in clocks]
+        found = difference(both, places[columns], self._left.stiffness, np.concatenate(logs))
         if found is None or found.chance > SETTINGS.chance_of_runs:
             return None
         values = {names[i]: v.tolist() for i, v in zip(found.runs, found.values, strict=True)}
