@@ -21,6 +21,7 @@ from undertow.identification.logs.run import Run
 from undertow.identification.planning.manoeuvres import (
     Design,
     MotionLimits,
+    Start,
     can_be_planned,
     command_limits,
     extremes,
@@ -62,13 +63,50 @@ def test_thrusters_with_a_curve_are_planned_with() -> None:
     table["thrusters"] = [{**one, "curve": "t200-16v"} for one in table["thrusters"]]
     vehicle = vehicle_from_table(VehicleTable.model_validate(table), catalogue())
     functions, limits = Functions(vehicle), command_limits(vehicle, {"": 1.0}, ())
-    push = pushes(functions, limits)
-    held = trim(functions, limits, push)
+    push = pushes(functions, limits, Start())
+    held = trim(functions, limits, push, Start())
     assert held.left == {}
     assert np.all(np.abs(held.commands[4:]) > 0.07)  # out of the dead band of each vertical thruster
     assert [axis.name for axis in motion_axes(vehicle, push, limits.value)] == list(
         vehicle.degrees_of_freedom
     )
+
+
+SHIP = {"propeller": 18.0, "rudder": 0.5}
+
+
+def test_a_rudder_is_planned_with_though_it_does_nothing_at_rest() -> None:
+    vehicle = load_vehicle("kvlcc2")
+    request = PlanRequest(duration=150.0, rate=5.0, limits=SHIP, tries=150)
+    plan = plan_parameters(vehicle, (), request).plan
+    assert plan.undetermined == []
+    errors = {p.name: (p.error_after or np.inf) / abs(p.value) for p in plan.parameters}
+    for name in ("Y_vdot", "N_rdot", "Y_uv", "Y_ur", "N_ur", "C_N_rudder"):
+        assert errors[name] < 0.1
+    rudder = next(c for c in plan.commands if c.name == "rudder")
+    assert min(-rudder.lowest, rudder.highest) > 0.1
+
+
+def test_a_manoeuvre_may_begin_under_way() -> None:
+    """What holds the speed at the start does hold it."""
+    request = PlanRequest(duration=60.0, rate=5.0, limits=SHIP, speed=1.2, tries=1)
+    problem = PlanningProblem(request, load_vehicle("kvlcc2"), [Plant.of(load_vehicle("kvlcc2"))], ())
+    assert problem.trim.left == {}
+    still = problem.manoeuvres([np.tile(problem.trim.commands, (len(problem.t), 1))])[0].y[0]
+    np.testing.assert_allclose(still[:, problem.names.index("u")], 1.2, rtol=1e-3)
+    assert any(axis.name == "rudder" for family in problem.families for axis in family.axes)
+
+
+def test_length_rate_and_speed_are_those_of_the_logs() -> None:
+    t, vehicle = np.arange(0.0, 500.0, 0.5), load_vehicle("kvlcc2")
+    columns = {"x": t, "y": 0 * t, "psi": 0 * t, "u": 1.0 + 0.1 * np.sin(t), "v": 0 * t, "r": 0 * t}
+    log = Run("log", t, columns | {"propeller": 10 + 0 * t, "rudder": 0.3 * np.sin(t / 9)}, sha256="log")
+    begun = PlanningProblem(PlanRequest(tries=1), vehicle, [Plant.of(vehicle)], [log])
+    assert (begun.duration, begun.rate) == (500.0, 2.0)
+    assert begun.speed == pytest.approx(1.0, abs=0.05)
+    still = replace(log, channels=log.channels | {"u": np.clip(0.01 * t, 0.0, 1.0)})
+    assert PlanningProblem(PlanRequest(tries=1), vehicle, [Plant.of(vehicle)], [still]).speed == 0.0
+    assert PlanRequest().sampling(()) == (60.0, 20.0)
 
 
 def _vehicle(dofs: list[str], effects: dict[str, dict[str, object]], forces: list[str]) -> Vehicle:

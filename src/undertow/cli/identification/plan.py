@@ -20,7 +20,7 @@ are of a typical size. Both plans are optimal for the present values: fit to the
 
 The CSV has a column t in s and one for each command, named as in the vehicle file, in the unit of the command
 (N for a thruster unless its thrust_per_command says otherwise; N or N m for a known force). Run it open loop
-from rest; each row is held until the next. The same --seed gives the same plan.
+from rest, or from the speed of --speed; each row is held until the next. The same --seed gives the same plan.
 """
 
 from __future__ import annotations
@@ -62,6 +62,15 @@ _NOISE = typer.Option(
     metavar="NAME=VALUE",
     help="Noise of a channel (SI); none if it is not measured.",
     show_default="as in the logs, or 0.02 m, 0.01 rad, 0.01 m/s, 0.005 rad/s",
+)
+_DURATION = typer.Option(metavar="SECONDS", help="Duration.", show_default="that of the logs, or 60")
+_RATE = typer.Option(
+    metavar="HZ", help="Samples per second.", show_default="those of the logs, at most 20, or 20"
+)
+_SPEED = typer.Option(
+    metavar="M/S",
+    help="Speed ahead at the start; rudders and fins do nothing at rest.",
+    show_default="that at which the logs begin, or 0",
 )
 _DEPTH = typer.Option(metavar="M", help="Depth at the start.", show_default="median of the logs, or 0")
 _TRIES = typer.Option(
@@ -109,10 +118,11 @@ def plan(
     between: Annotated[list[str] | None, _BETWEEN] = None,
     diagnosis: Annotated[Path | None, _DIAGNOSIS] = None,
     only: Annotated[list[str] | None, _ONLY] = None,
-    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Duration.")] = 60.0,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 20.0,
+    duration: Annotated[float | None, _DURATION] = None,
+    rate: Annotated[float | None, _RATE] = None,
     limit: Annotated[list[str] | None, _LIMIT] = None,
     depth: Annotated[float | None, _DEPTH] = None,
+    speed: Annotated[float | None, _SPEED] = None,
     noise: Annotated[list[str] | None, _NOISE] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random search.", min=0)] = 0,
     tries: Annotated[int | None, _TRIES] = None,
@@ -145,6 +155,7 @@ def plan(
                 rate=rate,
                 motion=MotionLimits(**limits),
                 depth=depth,
+                speed=speed,
                 seed=seed,
                 tries=tries,
                 report=report,
@@ -231,9 +242,9 @@ def _number(option: str, word: str) -> float:
 def show(done: Planned) -> None:
     """Print the manoeuvre, what it would bring, and what to mind."""
     plan = done.plan
-    console().print(
-        text(f"{plan.vehicle}: {plan.manoeuvre}, {plan.duration:g} s at {plan.rate:g} Hz", "bold")
-    )
+    begins = f", from {plan.speed:.3g} m/s ahead" if plan.speed else ""
+    what = f"{plan.vehicle}: {plan.manoeuvre}, {plan.duration:g} s at {plan.rate:g} Hz{begins}"
+    console().print(text(what, "bold"))
     say(f"  best of {plan.tries} manoeuvres (seed {plan.seed}); {_best(plan)}")
     say(f"  predicted: {_extremes(plan)}")
     say(f"  noise: {_noise(plan)}")
@@ -308,7 +319,7 @@ def _commands(plan: Plan) -> object:
         )
         for c in plan.commands
     ]
-    return table(("command", "at rest", "lowest", "highest", "limit", "", ""), rows)
+    return table(("command", "at the start", "lowest", "highest", "limit", "", ""), rows)
 
 
 def _errors(plan: Plan) -> object:
@@ -363,9 +374,8 @@ def _distances(plan: Plan) -> object:
 
 def _undetermined(plan: Plan) -> list[str]:
     return [
-        f"{group[0]}: no manoeuvre of these actuators can determine it, because nothing measured "
-        "depends on it"
+        f"{group[0]}: no manoeuvre that was tried determines it, because nothing measured depends on it"
         if len(group) == 1
-        else f"only a combination of {', '.join(group)} is determined, whatever the manoeuvre"
+        else f"only a combination of {', '.join(group)} is determined by any manoeuvre that was tried"
         for group in plan.undetermined
     ]

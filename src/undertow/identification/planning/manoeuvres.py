@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -37,6 +37,7 @@ class ManoeuvreSettings:
     # Share of half the range of a command that it may go to either side of rest, below which it goes about
     # the middle of its range instead: a propeller that cannot reverse has nothing below rest.
     room: float = 0.05
+    under_way: float = 1.0  # m/s at which a command that does nothing at rest is looked at
 
 
 SETTINGS = ManoeuvreSettings()
@@ -134,19 +135,44 @@ class Axis:
     pattern: Array  # (k,) commands at full deflection
 
 
-def pushes(functions: Functions, limits: CommandLimits, depth: float = 0.0) -> Array:
-    """Force or moment of one unit of every command in every motion, (n, k), at rest.
+@dataclass(frozen=True)
+class Start:
+    """Where a manoeuvre begins: at a depth, m, and going ahead at a speed, m/s."""
 
-    That of a thruster with a curve or a propeller law is the mean slope from the lowest to the highest
-    command: about zero many do nothing.
+    depth: float = 0.0
+    speed: float = 0.0
+
+    def motion(self, vehicle: Vehicle) -> Array:
+        """Pose and velocity, (2n_dof,)."""
+        known = {"z": self.depth, "u": self.speed}
+        return np.array([known.get(n, 0.0) for n in (*vehicle.pose_names, *vehicle.velocity_names)])
+
+
+def pushes(functions: Functions, limits: CommandLimits, start: Start) -> Array:
+    """Force or moment of one unit of every command in every motion, (n, k), at the start.
+
+    That of a thruster with a curve or a propeller law, and of everything under way, is the mean slope from
+    the lowest to the highest command: about zero many do nothing.
     """
-    table, at_rest = allocation(functions.vehicle), _at_rest(functions, depth)
-    for i, thruster in enumerate(functions.vehicle.thrusters):
-        if thruster.law is not None:
+    table, left = allocation(functions.vehicle), _left_over(functions, start)
+    laws = [thruster.law for thruster in functions.vehicle.thrusters]
+    for i in range(table.shape[1]):
+        if start.speed or (i < len(laws) and laws[i] is not None):
             one = np.arange(len(limits.low)) == i
-            change = at_rest(one * limits.high) - at_rest(one * limits.low)
+            change = left(one * limits.high) - left(one * limits.low)
             table[:, i] = change / max(limits.high[i] - limits.low[i], 1e-12)
     return table
+
+
+def steering(functions: Functions, limits: CommandLimits, start: Start, push: Array) -> list[Axis]:
+    """Full deflections of commands that do nothing at the start and something under way: rudders, fins."""
+    vehicle = functions.vehicle
+    if "surge" not in vehicle.degrees_of_freedom or start.speed:
+        return []
+    moving = pushes(functions, limits, replace(start, speed=SETTINGS.under_way))
+    new = ~np.any(push != 0, axis=0) & np.any(np.abs(moving) > SETTINGS.balanced, axis=0)
+    units = np.diag(limits.value)
+    return [Axis(n, units[i]) for i, n in enumerate(vehicle.command_names) if new[i]]
 
 
 def motion_axes(vehicle: Vehicle, push: Array, room: Array) -> list[Axis]:
@@ -190,35 +216,36 @@ class Trim:
     left: dict[str, float]
 
 
-def trim(functions: Functions, bounds: CommandLimits, table: Array, depth: float = 0.0) -> Trim:
-    """Balance heave, roll and pitch at rest and level, without pushing any other way."""
+def trim(functions: Functions, bounds: CommandLimits, table: Array, start: Start) -> Trim:
+    """Balance heave, roll and pitch, and surge under way, at the start, without pushing any other way."""
     vehicle, limits = functions.vehicle, bounds.value
-    rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in ("heave", "roll", "pitch")]
+    balanced = ("heave", "roll", "pitch", *(("surge",) if start.speed else ()))
+    rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in balanced]
     commands = np.zeros(len(limits))
     if not rows or not len(limits):
         return Trim(commands, {})
-    at_rest = _at_rest(functions, depth)
+    left = _left_over(functions, start)
     size = np.maximum(np.abs(table) @ limits, 1e-12)
     scaled = table * limits / size[:, None]
     box = tuple(SETTINGS.trim_share * edge / limits for edge in (bounds.low, bounds.high))
+    # Under way the slope of a propeller is up to twice its mean: half a step does not swing to and fro.
+    step = 0.5 if start.speed else 1.0
     for _ in range(SETTINGS.trim_rounds):
         wanted = np.zeros(len(table))
-        wanted[rows] = (table @ commands - at_rest(commands))[rows] / size[rows]
-        commands = lsq_linear(scaled, wanted, box).x * limits
+        wanted[rows] = (table @ commands - left(commands))[rows] / size[rows]
+        commands = commands + step * (lsq_linear(scaled, wanted, box).x * limits - commands)
     commands[np.abs(commands) < 1e-6 * limits] = 0.0
-    rest = at_rest(commands)
+    rest = left(commands)
     least = np.maximum(1e-3 * size, SETTINGS.balanced)
-    left = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > least[i]}
-    return Trim(commands, left)
+    unbalanced = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > least[i]}
+    return Trim(commands, unbalanced)
 
 
-def _at_rest(functions: Functions, depth: float) -> Callable[[Array], Array]:
-    """Force and moment left over at rest, level, with commands that have been held for long."""
+def _left_over(functions: Functions, start: Start) -> Callable[[Array], Array]:
+    """Force and moment left over at the start, level, with commands that have been held for long."""
     f = functions
     u = ca.MX.sym("u", f.u.numel())
-    motion = np.zeros(f.eta.numel() + f.nu.numel() + f.memory.numel())
-    if "z" in f.vehicle.pose_names:
-        motion[f.vehicle.pose_names.index("z")] = depth
+    motion = np.concatenate([start.motion(f.vehicle), np.zeros(f.memory.numel())])
     p = np.array(f.values(), dtype=float)
     state = ca.vertcat(ca.DM(motion), f.rest(u, p, 0.0))
     force = ca.Function("force", [u], [f.residual_function(state, np.zeros(f.nu.numel()), u, p, 0.0)])
@@ -285,9 +312,14 @@ def every_axis(vehicle: Vehicle, push: Array, room: Array) -> tuple[list[Axis], 
     return motions, actuators
 
 
-def families(bases: Sequence[tuple[list[Axis], Array]]) -> list[Family]:
-    """Every family for axes that come in groups, each with the reach of its axes."""
-    return [family for axes, reach in bases if axes for family in _of_group(axes, reach)]
+Group = tuple[list[Axis], Array]
+"""Axes with the reach of each."""
+
+
+def families(bases: Sequence[Group], steered: Sequence[Axis] = ()) -> list[Family]:
+    """Every family for axes that come in groups; rudders and fins, `steered`, need a speed ahead."""
+    found = [family for axes, reach in bases if axes for family in _of_group(axes, reach)]
+    return [*found, *(_under_way(*bases[0], steered) if bases and steered else ())]
 
 
 def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
@@ -300,6 +332,19 @@ def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
         yield Family(f"{shape.name} of {names} together", tuple(axes), shapes, reach)
         yield Family(f"{shape.name} of {names} in turn", tuple(axes), shapes, reach, in_turn=True)
     yield from _turning(axes, reach)
+
+
+def _under_way(axes: list[Axis], reach: Array, steered: Sequence[Axis]) -> Iterator[Family]:
+    """Rudders and fins in every shape, with the vehicle going ahead at one speed or at several."""
+    ahead = next((i for i, a in enumerate(axes) if a.name == "surge"), None)
+    if ahead is None:
+        return
+    both, reaches = (axes[ahead], *steered), np.append(reach[ahead], np.ones(len(steered)))
+    names = listed([a.name for a in steered])
+    for speed, how in ((STEADY, "steady surge"), (STEPS, "steps of surge")):
+        for shape in (*SHAPES, STEADY):
+            shapes = (speed, *(shape,) * len(steered))
+            yield Family(f"{how} with {shape.name} of {names}", both, shapes, reaches)
 
 
 def _turning(axes: list[Axis], reach: Array) -> Iterator[Family]:

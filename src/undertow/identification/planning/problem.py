@@ -32,6 +32,7 @@ from .manoeuvres import (
     Family,
     Limit,
     MotionLimits,
+    Start,
     command_limits,
     ends,
     every_axis,
@@ -40,6 +41,7 @@ from .manoeuvres import (
     families,
     planned_noise,
     pushes,
+    steering,
     trim,
 )
 
@@ -61,8 +63,16 @@ class PlanningSettings:
     inside: float = 0.95
     least: float = 0.2
     held: float = 12.0  # an axis is deflected for so long to see where it leads, s
+    # Length, s, and samples per second of a manoeuvre without logs to take them from, and the longest that is
+    # taken from logs.
+    duration: float = 60.0
+    rate: float = 20.0
+    longest: float = 1200.0
+    enough_samples: int = 4000  # above which samples follow each other more slowly than those of the logs
     fewest_samples: int = 50
     most_samples: int = 50_000
+    beginning: int = 20  # one part of so many of a log is its beginning
+    moving: float = 0.5  # share of its usual speed above which a vehicle is under way there
     loose: float = 0.3  # error of a value without a stated one, as a share of it, for the depth
     step: float = 1e-2  # of the differences of the depth, as a share of a parameter's size
     # Work of a search by default, in seconds of a usual machine: the number of manoeuvres follows from the
@@ -257,32 +267,46 @@ class Manoeuvre:
 class PlanRequest:
     """The request for a plan."""
 
-    duration: float = 60.0  # length, s
-    rate: float = 20.0  # samples per second, of the commands and of the log to come
+    duration: float | None = None  # length, s; by default that of the logs, or 60
+    # Samples per second, of the commands and of the log to come; by default those of the logs, 20 at most.
+    rate: float | None = None
     # Largest commands, or lowest and highest ones, by name; "" for all that are not named.
     limits: Mapping[str, Limit] = field(default_factory=dict)
     # Standard deviation of the noise by channel, SI; inf for one that is not measured.
     noise: Mapping[str, float] = field(default_factory=dict)
     motion: MotionLimits = field(default_factory=MotionLimits)  # largest motions
     depth: float | None = None  # depth at the start, m; by default that of the logs, or 0
+    speed: float | None = None  # speed ahead at the start, m/s; by default that of the logs there, or 0
     seed: int = 0
     tries: int | None = None  # manoeuvres to be judged; by default as many as take some ten seconds
     compiled: bool | None = None  # as for `Simulator`
     report: Progress = lambda done, words: None  # receives the share that is done, and what is being done
 
-    def refuse_samples(self) -> None:
-        """Refuse lengths and rates that make no manoeuvre."""
-        duration, rate = self.duration, self.rate
-        if not (duration > 0 and rate > 0 and np.isfinite(duration * rate)):
-            raise UndertowError(
-                f"a manoeuvre of {duration:g} s at {rate:g} samples/s is impossible: give positive numbers"
-            )
-        samples = round(duration * rate)
-        if not SETTINGS.fewest_samples <= samples <= SETTINGS.most_samples:
-            raise UndertowError(
-                f"{duration:g} s at {rate:g} samples/s are {samples} samples: give a --duration and a "
-                f"--rate that make {SETTINGS.fewest_samples} to {SETTINGS.most_samples}"
-            )
+    def sampling(self, runs: Sequence[Run]) -> tuple[float, float]:
+        """Length, s, and samples per second; what is not stated is that of the logs, two digits of it."""
+        usual, quick = SETTINGS.duration, SETTINGS.rate
+        if runs:
+            usual = min(float(np.median([r.t[-1] - r.t[0] for r in runs])), SETTINGS.longest)
+            quick = min(1.0 / float(np.median([r.step for r in runs])), quick)
+        duration = float(f"{usual:.2g}") if self.duration is None else self.duration
+        quick = min(quick, SETTINGS.enough_samples / max(duration, 1e-9)) if runs else quick
+        rate = float(f"{quick:.2g}") if self.rate is None else self.rate
+        _refuse_samples(duration, rate)
+        return duration, rate
+
+
+def _refuse_samples(duration: float, rate: float) -> None:
+    """Refuse lengths and rates that make no manoeuvre."""
+    if not (duration > 0 and rate > 0 and np.isfinite(duration * rate)):
+        raise UndertowError(
+            f"a manoeuvre of {duration:g} s at {rate:g} samples/s is impossible: give positive numbers"
+        )
+    samples = round(duration * rate)
+    if not SETTINGS.fewest_samples <= samples <= SETTINGS.most_samples:
+        raise UndertowError(
+            f"{duration:g} s at {rate:g} samples/s are {samples} samples: give a --duration and a "
+            f"--rate that make {SETTINGS.fewest_samples} to {SETTINGS.most_samples}"
+        )
 
 
 # Axes that a motion depends on.
@@ -305,7 +329,7 @@ class PlanningProblem:
     def __init__(
         self, request: PlanRequest, vehicle: Vehicle, plants: Sequence[Plant], runs: Sequence[Run]
     ) -> None:
-        request.refuse_samples()
+        self.duration, self.rate = request.sampling(runs)
         self.request, self.vehicle, self.runs = request, vehicle, tuple(runs)
         self.plants, self.motion = tuple(plants), request.motion
         self.limits = command_limits(vehicle, request.limits, runs)
@@ -314,12 +338,14 @@ class PlanningProblem:
                 f"'{vehicle.name}' has no thruster and no known force, so nothing can be planned"
             )
         self.noise = planned_noise(vehicle, request.noise, runs)
-        self.push = pushes(plants[0].functions, self.limits, self.depth)
-        self.trim = trim(plants[0].functions, self.limits, self.push, self.depth)
+        start, functions = Start(self.depth, self.speed), plants[0].functions
+        self.push = pushes(functions, self.limits, start)
+        self.trim = trim(functions, self.limits, self.push, start)
+        self.steered = steering(functions, self.limits, start, self.push)
         self.bias, self._room = self.limits.about(self.trim.commands)
-        self.t = np.arange(round(request.duration * request.rate)) / request.rate
+        self.t = np.arange(round(self.duration * self.rate)) / self.rate
         self.names = (*vehicle.pose_names, *vehicle.velocity_names)
-        self._start = np.array([self.depth if n == "z" else 0.0 for n in self.names])
+        self._start = start.motion(vehicle)
 
     @property
     def depth(self) -> float:
@@ -328,6 +354,18 @@ class PlanningProblem:
             return self.request.depth
         seen = [float(np.nanmedian(r.channels["z"])) for r in self.runs if r.has("z")]
         return float(np.median(seen)) if seen else 0.0
+
+    @property
+    def speed(self) -> float:
+        """Speed ahead at the start, m/s: that at which the logs begin, if they begin under way."""
+        if self.request.speed is not None or "surge" not in self.vehicle.degrees_of_freedom:
+            return self.request.speed or 0.0
+        ahead = [r.channels["u"] for r in self.runs if r.has("u")]
+        if not ahead:
+            return 0.0
+        begins = float(np.median([np.nanmedian(u[: max(len(u) // SETTINGS.beginning, 1)]) for u in ahead]))
+        usual = float(np.sqrt(np.nanmean(np.concatenate(ahead) ** 2)))
+        return begins if abs(begins) > SETTINGS.moving * usual else 0.0
 
     def without_drift(self) -> PlanningProblem:
         """The same without limits on depth and distance."""
@@ -339,7 +377,8 @@ class PlanningProblem:
     def families(self) -> list[Family]:
         """All manoeuvres that can be carried out."""
         motions, actuators = every_axis(self.vehicle, self.push, self._room)
-        return families([(axes, self.reach(axes)) for axes in (motions, actuators) if axes])
+        groups = [(axes, self.reach(axes)) for axes in (motions, actuators) if axes]
+        return families(groups, self.steered)
 
     def tries(self, columns: int, calls: int = 1) -> int:
         """How many manoeuvres to judge, when each takes so many sensitivities in so many calls."""
@@ -354,11 +393,11 @@ class PlanningProblem:
         name = "speed" if gentlest is None else gentlest.limit
         option = {"depth": "--max-depth-change"}.get(name, f"--max-{name}")
         why = "".join(
-            f"; the actuators cannot balance {value:.3g} N (or N m) in {dof} at rest"
+            f"; the actuators cannot balance {value:.3g} N (or N m) in {dof} at the start"
             for dof, value in self.trim.left.items()
         )
         raise UndertowError(
-            f"no manoeuvre of {self.request.duration:g} s stays within the limits; {option} is exceeded "
+            f"no manoeuvre of {self.duration:g} s stays within the limits; {option} is exceeded "
             f"most{why}: raise it, or plan a shorter manoeuvre"
         )
 
@@ -574,6 +613,7 @@ class Plan(ResultTable):
     tries: int
     duration: float
     rate: float
+    speed: float  # ahead, at the start, m/s
     manoeuvre: str
     criterion: float
     families: dict[str, float | None]
@@ -663,8 +703,8 @@ def _planned(
 def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float | None) -> list[str]:
     """Precautions before the manoeuvre is carried out."""
     lines = [
-        f"the actuators cannot balance {value:.3g} {'N' if dof == 'heave' else 'N m'} in {dof} at rest: the "
-        "vehicle does not hold its depth and attitude"
+        f"the actuators cannot balance {value:.3g} {'N' if dof in ('surge', 'heave') else 'N m'} in {dof} at "
+        f"the start: the vehicle does not hold its {'speed' if dof == 'surge' else 'depth and attitude'}"
         for dof, value in problem.trim.left.items()
     ]
     rise = _rise(problem, manoeuvre)
