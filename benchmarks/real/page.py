@@ -43,6 +43,7 @@ def page(records: Iterable[Record], earlier: Iterable[Record] = (), planned: Seq
         _how_much(kept, planned),
         "## Goals\n",
         table(_GOALS, [g.row for g in [*goals(cases), prediction_goal(ahead)]]),
+        _behind_known(cases),
         "## Unmodified logs\n",
         _as_logged(kept, earlier),
         "## Terms removed\n",
@@ -75,6 +76,16 @@ def _counts(records: Sequence[Record], cases: Sequence[Graded]) -> str:
     return (
         f"{logs} sets of real logs; {kinds['removal']} cases with a term removed, {kinds['injection']} "
         f"with an effect injected, of which {sum(c.counts for c in cases)} count. Commits: {commits}.\n"
+    )
+
+
+def _behind_known(cases: Sequence[Graded]) -> str:
+    """How many of the cases that are not ranked first come after what the log as it is lacks already."""
+    later = [c for c in cases if c.counts and not c.first]
+    known = sum(c.behind_known for c in later)
+    return (
+        f"In {known} of the {len(later)} cases that count and are not ranked first, the effect ranked first "
+        "was named for the unmodified log, or improved its predictions: it is missing there, too.\n"
     )
 
 

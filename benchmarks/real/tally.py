@@ -45,10 +45,12 @@ class Graded:
 
     record: one line of the file.
     as_logged: what was said of the log as it is; None where that was not run.
+    helped: effects that improved predictions of the log as it is, established as its cause or not.
     """
 
     record: Record
     as_logged: Answer | None
+    helped: frozenset[str] = frozenset()
 
     @cached_property
     def answer(self) -> Answer:
@@ -85,6 +87,12 @@ class Graded:
         return self.place == 1
 
     @property
+    def behind_known(self) -> bool:
+        """Whether what is ranked before it was missing in the log as it is, too."""
+        known = self.helped | (causes(self.as_logged) if self.as_logged else set())
+        return not self.first and {*self.answer.ranking[:1]} <= known
+
+    @property
     def group(self) -> set[str]:
         """What cannot be told from a right answer, with it."""
         sets = [set(s) for s in self.answer.sets if self.right & set(s)]
@@ -118,8 +126,9 @@ class Graded:
 def graded(records: Iterable[Record]) -> list[Graded]:
     """All cases in which something was taken out or put in, in the order of their ids."""
     ran = [r for r in records if "failure" not in r]
-    plain = {r["vehicle"]: answer(r) for r in ran if r["kind"] == "baseline"}
-    found = [Graded(r, plain.get(r["vehicle"])) for r in ran if r["kind"] in ("removal", "injection")]
+    plain = {r["vehicle"]: (answer(r), frozenset(r.get("helps", ()))) for r in ran if r["kind"] == "baseline"}
+    changed = [r for r in ran if r["kind"] in ("removal", "injection")]
+    found = [Graded(r, *plain.get(r["vehicle"], (None,))) for r in changed]
     return sorted(found, key=lambda case: (case.record["kind"] != "removal", case.record["id"]))
 
 
