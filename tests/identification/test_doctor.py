@@ -384,6 +384,16 @@ def test_a_motion_without_a_force_says_nothing_of_units(
     assert driven or not mistakes
 
 
+@pytest.mark.parametrize(("hidden", "agree"), [("white_force_10", True), ("velocity_lever_arm", False)])
+def test_a_disturbance_of_forces_is_no_contradiction_between_pose_and_velocity(
+    hidden: str, agree: bool
+) -> None:
+    case = make_case("mini-auv", (hidden,), 6, duration=25.0, runs=("steps",))
+    runs = [run_of("log", columns) for columns in case.runs.values()]
+    chance = Kinematics(runs, vehicle_of(case)).chance(runs, 1.3)
+    assert chance > 0.05 if agree else chance < 1e-6
+
+
 # --- clocks ----------------------------------------------------------------------------------------------
 def test_velocities_that_are_late(auv: Case) -> None:
     (columns,) = auv.runs.values()

@@ -65,6 +65,7 @@ from .diagnosis.verdict import (
     with_values,
 )
 from .diagnosis.worth import Worth, gained
+from .doctor.kinematics import Kinematics
 from .report.scaffold import effect_of
 from .report.sentences import refit_is_worse
 
@@ -184,14 +185,25 @@ class ResultBuilder:
         if self.judgement.verdict != "unexplained":
             return self.judgement
         compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
-        contradiction = error_of_sensors(self.found.rounds[0].findings, compared, self.settings)
-        if contradiction:
-            return contradiction
+        if not compared or self._sensors_disagree:
+            contradiction = error_of_sensors(self.found.rounds[0].findings, compared, self.settings)
+            if contradiction:
+                return contradiction
         noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
         depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
         if depends or not is_disturbance(self._predictable, noisy):
             return self.judgement
         return only_disturbance(self._predictable, self.judgement.share)
+
+    @property
+    def _sensors_disagree(self) -> bool:
+        """Whether pose and velocities are further apart than noise explains.
+
+        Whitened together with the forces, their relation has a part in what disturbs these.
+        """
+        runs = [*self.bench.train.runs, *self.bench.test.runs]
+        relation, settings = Kinematics(runs, self.vehicle), self.settings
+        return bool(relation) and relation.chance(runs, settings.equation_noise_limit) < settings.worse_chance
 
     def build(self, infos: list[RunInfo], seconds: float) -> Diagnosis:
         """The diagnosis."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.stats import chi2
 
 from undertow.identification.estimation.data import white_noise
 from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing, test_functions
@@ -28,6 +29,7 @@ class KinematicsSettings:
     samples: int = 4000  # samples that are looked at, all runs together: more would only cost time
     # Widths of test functions that are tried, in the narrowest that the sampling allows.
     widths: tuple[int, ...] = (1, 2, 4, 8)
+    overlap: float = 2.0  # test functions that share the noise of a sample, about
     kept: float = 0.7  # share of the motion that wider test functions must keep
     # Mean square by which any log may disagree: quadrature over samples is not exact.
     quadrature: float = 1e-4
@@ -194,6 +196,16 @@ class Kinematics:
         if key not in self._known_noise:
             self._known_noise[key] = white_noise(run.t, run.channels[name])
         return self._known_noise[key]
+
+    def chance(self, runs: Sequence[Run], limit: float) -> float:
+        """P-value of the row that noise explains least, with all its rows taken into account.
+
+        `limit` is the mean square, in units of the noise, up to which the noise may have been underestimated.
+        """
+        rates = self.rates(runs)
+        square = np.mean((rates.pose - rates.velocity) ** 2 / rates.variance, axis=0)
+        count = len(rates.pose) / SETTINGS.overlap
+        return float(min(1.0, len(square) * chi2.sf(count * square.max() / limit, count)))
 
     def mismatch(self, runs: Sequence[Run]) -> Mismatch:
         """How far pose rates and velocities of runs are apart."""
