@@ -25,13 +25,15 @@ from undertow.identification.doctor.dynamics import (
 )
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mistakes import Explanation
+from undertow.identification.doctor.mistakes import Explanation, other_frames
 from undertow.identification.doctor.signs import SETTINGS, Signs, by_signs, suspected
+from undertow.identification.logs.guess_names import position_axes
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle, vehicle_from_table
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.tables import VehicleTable
 from undertow.model.vehicle import Vehicle
 from undertow.shape.types import MainDimensions, typed_vehicle
@@ -167,6 +169,34 @@ def test_without_a_position_a_mirrored_heading_may_be_exchanged_commands() -> No
     said = " ".join([mistake.text, *mistake.alternatives])
     assert "commands port and starboard are swapped" in said
     assert "psi has the opposite sign" in said
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("x_ned", "y_ned"), "NED"),
+        (("lat_m", "lon_m"), "NED"),
+        (("pos.north", "pos.east"), "NED"),
+        (("x_enu", "y_enu"), "ENU"),
+        (("easting", "northing"), "ENU"),
+        (("x_ned", "y"), ""),
+        (("px", "py"), ""),
+    ],
+)
+def test_a_mirrored_log_whose_names_say_its_axes_needs_one_thing_more_to_be_wrong(
+    names: tuple[str, str], said: str
+) -> None:
+    """A boat with two propellers turns the other way if it is mirrored, or if they are exchanged."""
+    columns = {name: {"channel": c} for name, c in zip(names, "xy", strict=True)}
+    mapping = LogMapping.model_validate({"columns": columns})
+    assert position_axes(mapping) == said
+    whole = [m for m in other_frames(mapping, {*POSE, *VELOCITY}) if "ENU and FLU" in m.clause]
+    assert [m.count for m in whole] == [2 if said == "NED" else 1]
+
+
+def test_names_in_a_formula_say_the_axes_too() -> None:
+    formulas = {"x": "(lat - 63.4) * 111400", "y": "(column('gps lon') - 10.3) * 49700"}
+    assert position_axes(LogMapping.model_validate({"channels": formulas})) == "NED"
 
 
 def test_the_remedy_for_a_reversed_rudder_is_in_its_own_table() -> None:

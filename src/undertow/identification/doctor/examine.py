@@ -23,6 +23,7 @@ from undertow.version import __version__
 
 from . import mistakes, sensors
 from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
+from .compass import deviation
 from .dynamics import (
     Dynamics,
     dynamic_mistakes,
@@ -357,6 +358,8 @@ class _Examiner:
         kinematics = self.kinematics
         self.findings += sensors.not_compared(kinematics, self.vehicle)
         self.findings += heading_findings(self.mapping, self.runs)
+        self._undo_deviation()
+        kinematics = self.kinematics
         if kinematics:
             found = causal(self.vehicle, self.runs, latencies(kinematics, self.runs))
             prompt = without_latencies(self.runs, found)
@@ -366,6 +369,16 @@ class _Examiner:
             for one in found:
                 self._write(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
             self.runs = prompt
+
+    def _undo_deviation(self) -> None:
+        """Turn headings, and what was turned by them, by the deviation of the compass, if that is sure."""
+        found = deviation(self.vehicle, self.runs)
+        if found is None:
+            return
+        self.findings.append(found.finding(self.mapping))
+        self.runs = [self._rederived(run, found.undo) for run in self.runs]
+        self.kinematics = Kinematics(self.runs, self.vehicle)
+        self._write(found.edits(self.mapping))
 
     def _rederived(self, run: Run, undo: Undo) -> Run:
         """A run without a mistake, its velocities derived anew where they were derived from its pose."""

@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 
 from undertow.identification.findings import Finding
+from undertow.identification.logs.guess_names import position_axes
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
     SECONDS,
@@ -359,17 +360,20 @@ def other_frames(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     now = {"position": spec.position, "body": spec.body, "attitude": attitude_of(mapping)}
     bodies = (False, True) if moving & {*FLIPPED_BODY} else (False,)
     choices = [c for c in product((False, True), bodies, (False, True)) if any(c)]
+    named = position_axes(mapping) == spec.position
     for chosen in sorted(choices, key=sum):
         wrong = [key for key, yes in zip(now, chosen, strict=True) if yes]
         meant = {key: _OTHER[value] if key in wrong else value for key, value in now.items()}
-        # ENU with FLU is a convention of its own (ROS): taking it for NED and FRD is one mistake.
+        # ENU with FLU is a convention of its own (ROS): taking it for NED and FRD is one mistake. Names of
+        # columns that say what they are read as would be another.
         together = len(wrong) == 3
+        misnamed = named and "position" in wrong
         yield Mistake(
             "frame",
             _frames_clause(wrong, meant),
             _turned(wrong, spec.velocity),
             lambda m, meant=meant: frames_edits(m, **meant),  # type: ignore[misc]
-            1 if together else len(wrong),
+            (1 if together else len(wrong)) + misnamed,
         )
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from undertow.model.symbols import POSE, VELOCITY
 
-from .mapping import SECONDS
+from .mapping import SECONDS, LogMapping
 from .run import FORCES
 
 _UNITS = {
@@ -129,6 +129,7 @@ _OF_CLOCKS = {
     "day": "day", "days": "day",
 }  # fmt: skip
 _GLOBE = ({"lat", "latitude"}, {"lon", "lng", "long", "longitude"})
+_NORTH, _EAST = {"north", "northing", *_GLOBE[0]}, {"east", "easting", *_GLOBE[1]}
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
 
@@ -406,6 +407,28 @@ def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
     known = [(column, {*Name.of(column).words}) for column in columns]
     found = [next((c for c, words in known if words & called), "") for called in _GLOBE]
     return tuple(found) if all(found) else ()
+
+
+def position_axes(mapping: LogMapping) -> str:
+    """ "NED" or "ENU" where the names of its columns say it of the position in a log; "" where they do not.
+
+    They do if both names have the word, or if one has that for north and the other that for east.
+    """
+    x, y = (_words(mapping, channel) for channel in "xy")
+    for axes in ("NED", "ENU"):
+        if axes.lower() in x & y:
+            return axes
+    if x & _NORTH and y & _EAST:
+        return "NED"
+    return "ENU" if x & _EAST and y & _NORTH else ""
+
+
+def _words(mapping: LogMapping, channel: str) -> set[str]:
+    """Words in the names of the columns that become a channel of the log."""
+    computed = mapping.channels.get(channel)
+    names = computed.formula.columns if computed else ()
+    names = (*names, *(n for n, column in mapping.columns.items() if column.channel == channel))
+    return {word for name in names for word in Name.of(name).words}
 
 
 def part_of_quaternion(column: str, columns: Container[str]) -> bool:

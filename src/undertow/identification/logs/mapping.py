@@ -160,6 +160,25 @@ class Frames(_Strict):
     velocity: Literal["body", "NED", "ENU"] = "body"
 
 
+class Compass(_Strict):
+    """The compass: its deviation is added to psi, A + B sin psi + C cos psi of the psi that it shows."""
+
+    # A, B, C: "2 deg" or a number in rad; A is a constant error, B and C are made by iron and currents
+    # near it.
+    A: str | float = 0.0
+    B: str | float = 0.0
+    C: str | float = 0.0
+    # Whether u and v, along the body, were computed by this heading from velocities over ground: they are
+    # turned, too.
+    velocities: bool = False
+
+    @property
+    def coefficients(self) -> tuple[float, float, float]:
+        """A, B and C, rad."""
+        a, b, c = (_angle(getattr(self, n), n) for n in "ABC")
+        return a, b, c
+
+
 class Water(_Strict):
     """The water, where u, v, w are measured through it: its `velocity` (NED, m/s) is added to them."""
 
@@ -185,6 +204,8 @@ class LogMapping(_Strict):
     frames: Frames = Frames()
     # Expected disturbance in each force or moment, rms: X = "0.4 N"; a number is in N or N m.
     disturbance: dict[Literal["X", "Y", "Z", "K", "M", "N"], str | float] = {}
+    # Deviation of the compass (the doctor estimates it); default: psi is the true heading.
+    compass: Compass | None = None
     # Velocity of the water, if the log has velocities through the water; default: they are over ground.
     water: Water | None = None
     # delimiter, decimal, comment: how the text is written; `comment` is a prefix of lines to skip.
@@ -286,6 +307,13 @@ def spacing_of(interval: str | float) -> float:
     if not 0.0 < spacing < np.inf:
         raise UndertowError(f"interval {interval!r} is not above zero: write the time between two rows")
     return spacing
+
+
+def _angle(given: str | float, key: str) -> float:
+    try:
+        return to_si(given, "rad")
+    except UndertowError as error:
+        raise UndertowError(f"compass: {key}: {error}") from error
 
 
 Channels = dict[str, Array]

@@ -34,6 +34,7 @@ from undertow.model.units import magnitude, scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
+from .compass import corrected
 from .formats.fieldlog import Window, one_run
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
 from .opening import (
@@ -301,7 +302,7 @@ def run_of_table(
         t=own.t,
         channels=channels,
         reported=_reported(own.reported, mapping),
-        wrapped=swap_attitude(own.wrapped) if _attitude(mapping) == "ENU" else own.wrapped,
+        wrapped=_turned_angles(own.wrapped, mapping),
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         sigma=_stated_noise(sources, mapping, where),
@@ -479,11 +480,23 @@ def _turned(channels: Channels, mapping: LogMapping, where: str) -> Channels:
         channels = swap_body(channels)
     if _attitude(mapping) == "ENU":
         channels = swap_attitude(channels)
+    if mapping.compass is not None:
+        must_have("psi", channels, where, "channel, which [compass] corrects,")
+        turned = mapping.compass.velocities and spec.velocity == "body"
+        channels = corrected(channels, mapping.compass.coefficients, velocities=turned)
     if spec.velocity != "body":
         must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
         linear = {name: data for name, data in given.items() if name in VELOCITY[:3]}
         channels = velocity_to_body({**channels, **linear}, spec.velocity)
     return channels if mapping.water is None else over_ground(channels, mapping.water.velocity)
+
+
+def _turned_angles(wrapped: Channels, mapping: LogMapping) -> Channels:
+    """The same of angles as logged."""
+    turned = swap_attitude(wrapped) if _attitude(mapping) == "ENU" else wrapped
+    if mapping.compass is None:
+        return turned
+    return corrected(turned, mapping.compass.coefficients, velocities=False)
 
 
 def _attitude(mapping: LogMapping) -> str:
@@ -524,6 +537,9 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
         )
     if spec.velocity != "body":
         notes.append(f"u, v, w converted to body axes from {spec.velocity}")
+    if mapping.compass is not None:
+        a, b, c = np.degrees(mapping.compass.coefficients)
+        notes.append(f"deviation of the compass, {a:.3g} + {b:.3g} sin psi + {c:.3g} cos psi deg, added")
     if mapping.water is not None:
         text = ", ".join(f"{speed:g}" for speed in mapping.water.velocity)
         notes.append(f"velocity of the water, {text} m/s north, east, down, added to u, v, w")
