@@ -208,6 +208,9 @@ def test_fractions_of_a_second_without_their_zeros(log):
     expected = np.array([46.992337475, 47.093734532, 47.195102881, 47.295, 48.007000001])
     np.testing.assert_allclose(run.t, expected - expected[0], atol=1e-9)
     assert any("2 times such as '2025/04/09 11:15:47.93734532' lack zeros" in n for n in run.notes)
+    late = "".join(f"2025/04/09 11:15:{stamps[k]},{k}\n" for k in (0, 1, 3, 2, 4))
+    run = log("t,u\n" + late, {"time": {"unit": "iso", "disorder": "drop"}})
+    np.testing.assert_allclose(run.t, np.delete(expected, 2) - expected[0], atol=1e-9)
     sound = "t,u\n2025-04-09T11:15:46.5,1\n2025-04-09T11:15:46.55Z,2\n2025-04-09T11:15:46.6,3\n"
     np.testing.assert_allclose(log(sound.replace("Z", ""), {"time": {"unit": "iso"}}).t, [0, 0.05, 0.1])
 

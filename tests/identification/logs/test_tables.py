@@ -108,6 +108,21 @@ def test_what_is_no_table_with_a_time_is_left_out_and_named(tmp_path: Path) -> N
     assert note.startswith("left out: parameters.csv (no column contains the time")
 
 
+def test_fractions_of_a_second_without_their_zeros_are_read_and_named(tmp_path: Path) -> None:
+    """Nanoseconds printed as they count, in every table of a bag that was written to text, some rows late."""
+    for name, step, made in (("pose", 0.0521, _motion), ("motors", 0.1003, _thrust)):
+        t = 10.0 + np.arange(0.0, 8.0, step)
+        t[40], t[41] = t[41], t[40]  # two threads wrote into one file
+        stamps = [f"2025/04/11 12:08:{int(s):02d}.{round(1e9 * (s % 1.0))}" for s in t]
+        _write(tmp_path / f"{name}.csv", {"time": np.array(stamps)} | made(t) | {"true": t})
+    log = read_field_log(tmp_path)
+    for one in log.series.values():
+        late = np.array(one.columns["true"]) - one.t
+        np.testing.assert_allclose(late, late[0], atol=1e-6)
+    assert log.notes[0].endswith("; so do 1 more tables")
+    assert "lack zeros before the fraction of a second: read as 2025-04-11T12:08:10.0" in log.notes[0]
+
+
 def test_runs_are_not_joined(tmp_path: Path) -> None:
     for name in ("monday.csv", "tuesday.csv"):
         _write(tmp_path / name, {"t": np.arange(9.0), "x": np.arange(9.0), "u": np.ones(9)})

@@ -626,7 +626,7 @@ def seconds(
 
 
 def padded(stamps: pl.Series) -> pl.Series:
-    """Texts of dates with zeros before the fraction of a second, where its digits only rise that way.
+    """Texts of dates with zeros before the fraction of a second, where time then goes back less often.
 
     Some loggers write 93 ms and 992 ms as ".93" and ".992".
     """
@@ -637,7 +637,12 @@ def padded(stamps: pl.Series) -> pl.Series:
         return stamps
     texts = parts.field("1") + parts.field("2").str.zfill(int(str(digits.max()))) + parts.field("3")
     as_written, whole = (s.str.to_datetime(time_unit="ns", strict=False) for s in (stamps, texts))
-    return texts if whole.is_sorted() and not as_written.is_sorted() else stamps
+    return texts if _steps_back(whole) < _steps_back(as_written) else stamps
+
+
+def _steps_back(times: pl.Series) -> int:
+    """How often a time is earlier than the one before it; every one that cannot be read counts."""
+    return int((times.diff().dt.total_nanoseconds() < 0).sum() or 0) + times.null_count()
 
 
 # A date whose year comes first means the same whatever is between its numbers.

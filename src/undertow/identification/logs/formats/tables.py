@@ -29,6 +29,7 @@ from undertow.identification.logs.guess_clock import (
 from undertow.identification.logs.guess_names import Name, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS, Column
 from undertow.identification.logs.run import UNITS, later_than_before
+from undertow.identification.logs.table import lacking_zeros
 from undertow.typing import Array
 
 from .by_name import CLOCK, numbered
@@ -64,9 +65,12 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
     path, files = path or Path(commonpath([file.parent for file in files])), sorted(files)
     found: list[Series] = []
     reasons: list[str] = []
+    lacking: list[str] = []
     for file, name in zip(files, _names(files, path), strict=True):
         try:
-            found.append(_series(file, name))
+            series, notes = _series(file, name)
+            found.append(series)
+            lacking += notes
         except UndertowError as error:
             reasons.append(f"{file.relative_to(path)} ({_reason(error, file)})")
     if not found:
@@ -74,12 +78,18 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
     _refuse_runs(path, files, found)
     found = from_one_begin(found)
     _refuse_apart(path, found)
-    series = {one.name: one for one in found}
+    by_name = {one.name: one for one in found}
     more = len(reasons) - SETTINGS.named
     named = reasons[: SETTINGS.named] + [f"and {more} more"] * (more > 0)
-    notes = (f"left out: {', '.join(named)}",) if reasons else ()
-    log = FieldLog(path, FORMAT.name, series, notes=notes, files=tuple(files), by_name=True)
+    remarks = (*_of_tables(lacking), *((f"left out: {', '.join(named)}",) if reasons else ()))
+    log = FieldLog(path, FORMAT.name, by_name, notes=remarks, files=tuple(files), by_name=True)
     return in_order(_guessed(log))
+
+
+def _of_tables(lacking: Sequence[str]) -> tuple[str, ...]:
+    """One note on the stamps of several tables, by the first of them."""
+    more = f"; so do {len(lacking) - 1} more tables" if len(lacking) > 1 else ""
+    return (f"{lacking[0]}{more}",) if lacking else ()
 
 
 def _reason(error: UndertowError, file: Path) -> str:
@@ -117,7 +127,8 @@ def _names(files: Sequence[Path], folder: Path) -> list[str]:
     return short if flat and len({*short}) == len(short) else stems
 
 
-def _series(file: Path, name: str) -> Series:
+def _series(file: Path, name: str) -> tuple[Series, list[str]]:
+    """A table on its own clock, and a note on texts that stand for other times than they seem to."""
     table, reading = whole_table(file)
     data = {c: values for c in table.columns if (values := numbers_of(table, c, reading)) is not None}
     stamps, parts = _stamps(data)
@@ -126,15 +137,15 @@ def _series(file: Path, name: str) -> Series:
     except UndertowError:
         if stamps is None:
             raise
-        return Series(name, stamps, _without(data, parts))
+        return Series(name, stamps, _without(data, parts)), []
     t = absolute_times(table, data, clock, f"log {file}")
     if stamps is not None:
         # The recording may count in local time, as the other tables of the run do.
         late = float(np.nanmedian(t - stamps))
         zone = SETTINGS.quarter * round(late / SETTINGS.quarter)
         if abs(late - zone) < SETTINGS.apart:
-            return Series(name, stamps + zone, _without(data, {*parts, *columns_of(clock)}))
-    return Series(name, t, _without(data, columns_of(clock)))
+            return Series(name, stamps + zone, _without(data, {*parts, *columns_of(clock)})), []
+    return Series(name, t, _without(data, columns_of(clock))), lacking_zeros(table, clock.column)
 
 
 def _without(data: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array]:
