@@ -15,7 +15,7 @@ from undertow.errors import UndertowError
 from undertow.identification.observe import first_guess, reports_of
 from undertow.model.loading import load_vehicle
 from undertow.observer.consistency import SETTINGS, ljung_box, nis, whiteness
-from undertow.observer.filters import Estimate, Method, Observer, Reports, most_likely, smoothed
+from undertow.observer.filters import Estimate, Method, Observer, Reports, added_noise, most_likely, smoothed
 from undertow.observer.process import UNKNOWN, Prior, Process, process_of
 
 A = np.array([[0.0, 1.0], [-0.09, -0.3]])
@@ -73,6 +73,34 @@ def by_hand(r: Reports, x: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.nd
         means.append(x)
         covariances.append(P)
     return np.array(means), np.array(covariances)
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+@pytest.mark.parametrize("step", [0.1, 1.0])
+def test_process_noise_is_a_covariance_however_fast_the_vehicle_moves(speed: float, step: float) -> None:
+    """A boat by kinematics: noise on the acceleration of its turn moves it sideways by way of its heading."""
+    process = process_of(load_vehicle("otter"), kind="kinematics")
+    names = [*process.x.shape, len(process.driven)]
+    x = np.zeros(names[0])
+    x[[process.index(n) for n in ("psi", "u", "r")]] = 0.7, speed, 0.4
+    q = ca.SX.sym("q", len(process.driven))
+    given = (process.x, process.u, process.p, process.t)
+    dt = ca.SX.sym("dt")
+    added = ca.Function(
+        "added", [*given, q, dt], [added_noise(process, process.x, process.u, process.p, q, process.t, dt)]
+    )
+    density = np.full(len(process.driven), 10.0)
+    values = (x, np.zeros(process.u.numel()), process.values, 0.0)
+    found = added(*values, density, step).toarray()
+    size = np.sqrt(np.diag(found))
+    assert np.linalg.eigvalsh(found / np.outer(size, size)).min() > 0.0
+    a = ca.Function("a", list(given), [process.system(*given)[1]])(*values).toarray()
+    noise = np.zeros_like(a)
+    noise[process.driven, process.driven] = density
+    whole = expm(step * np.block([[-a, noise], [np.zeros_like(a), a.T]]))
+    n = len(a)
+    exact = whole[n:, n:].T @ whole[:n, n:]
+    np.testing.assert_allclose(found / np.outer(size, size), exact / np.outer(size, size), atol=0.02 * step)
 
 
 @pytest.mark.parametrize("method", ["ekf", "ukf"])

@@ -26,8 +26,10 @@ Method = Literal["ekf", "ukf"]
 class FilterSettings:
     """Numbers of the filters."""
 
-    # Terms of the series of the discrete process noise: with five, chains of three integrators are exact.
-    terms: int = 5
+    # Terms of the series of the transition in the discrete process noise, and nodes of its integral:
+    # with four each, chains of four integrators are exact (acceleration of a turn to position).
+    terms: int = 4
+    nodes: int = 4
     # Squared innovation over its variance beyond which the gate rejects a report: one in a million.
     gate: float = 23.9
     # Sigma points (Wan and van der Merwe 2000): as wide as the square root of the number of states, beta for
@@ -137,18 +139,17 @@ def propagate(process: Process, x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX, dt: ca.S
 def added_noise(process: Process, x: ca.SX, u: ca.SX, p: ca.SX, q: ca.SX, t: ca.SX, dt: ca.SX) -> ca.SX:
     """Covariance that white noise of spectral densities q adds in dt, shape (nx, nx).
 
-    The integral of e^{As} Q e^{A's} over dt as a series: its terms follow from L -> A L + L A'.
+    The integral of e^{As} Q e^{A's} over dt by Gauss-Legendre quadrature: a sum of squares with positive
+    weights is a covariance however fast the vehicle moves; a series of the product, cut off, is not.
     """
     _, a, _, _ = process.system(x, u, p, t)
-    n = process.x.numel()
-    term = ca.SX(n, n)
-    for k, i in enumerate(process.driven):
-        term[i, i] = q[k]
-    total = term * dt
+    parts = [ca.SX.eye(process.x.numel())[:, process.driven]]
     for k in range(1, SETTINGS.terms):
-        half = a @ term
-        term = _symmetric(half + half.T) * dt / (k + 1)
-        total += term * dt
+        parts.append(a @ parts[-1] * dt / k)
+    total = ca.SX(process.x.numel(), process.x.numel())
+    for node, weight in zip(*np.polynomial.legendre.leggauss(SETTINGS.nodes), strict=True):
+        reached = sum(part * (0.5 * (node + 1.0)) ** k for k, part in enumerate(parts))
+        total += 0.5 * weight * dt * reached @ ca.diag(q) @ reached.T
     return total
 
 
@@ -451,9 +452,10 @@ def most_likely(
         q = base.copy()
         q[at] *= 10.0 ** within(decades)
         try:
-            return -Observer(process, q, compiled=True).run(reports, mean, covariance).log_likelihood
+            found = -Observer(process, q, compiled=True).run(reports, mean, covariance).log_likelihood
         except UndertowError:
-            return -log(np.finfo(float).tiny) * len(reports.t)
+            found = np.nan
+        return found if np.isfinite(found) else -log(np.finfo(float).tiny) * len(reports.t)
 
     # With too little noise a filter loses its track and rejects all that follows: less noise is then cheaper
     # still. So a common factor comes first, and then a descent that brackets and so never ends higher.
