@@ -135,6 +135,16 @@ def test_velocities_of_the_pose_follow_a_corrected_heading() -> None:
     assert {e.key for e in edits} == {"B", "C"}
 
 
+@pytest.mark.parametrize("dead", ["u", "v", "psi"])
+def test_a_channel_that_never_changes_shows_no_deviation(dead: str) -> None:
+    columns = _boat(IRON, _turning)
+    assert _found({**columns, dead: np.zeros_like(columns["t"])}) is None
+
+
+def test_too_few_samples_show_no_deviation() -> None:
+    assert _found({n: c[:5] for n, c in _boat(IRON, _turning).items()}) is None
+
+
 # --- the mapping file -------------------------------------------------------------------------------------
 def _compass(**entries: object) -> LogMapping:
     return LogMapping.model_validate({"compass": {"A": "1 deg", "B": "2 deg", "C": "8 deg", **entries}})

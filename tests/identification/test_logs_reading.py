@@ -79,6 +79,8 @@ def test_columns_that_nobody_asked_for_are_left_out_and_told(log):
     run = log("t,u,battery,f1\n0,1,12,1\n1,2,12,2\n", channels=["f1"])
     assert not run.has("battery")
     assert "columns not used: battery" in run.notes
+    numbered = log(",t,u\n0,0,1\n1,1,2\n")  # the row numbers of a data frame
+    assert "columns not used: (column 1 has no name)" in numbered.notes
     ignoring = log("t,u,battery\n0,1,12\n1,2,12\n", {"ignore": ["battery"]})
     assert not any("battery" in note for note in ignoring.notes)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.quick import first_quick
-from undertow.cli.identification.diagnose import _content  # words for verdicts that no log here has
+from undertow.cli.identification.diagnose import _content, show  # for what no log here has
 from undertow.errors import UndertowError
 from undertow.figures import plain, save_png, svg, unit_text, with_unit
 from undertow.identification.comparison import Profile
@@ -518,6 +519,21 @@ def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
     assert reported(late, mistake).headline == f"{first} {said} headline of mini-auv"
     assert reported(mistake).warnings[0] == "mistake: a: thruster 'f1' pushes backwards: yaw shows it"
     assert reported(late).headline == f"{said} headline of mini-auv"
+
+
+def test_warnings_of_the_doctor_stand_below_the_verdict(capsys: pytest.CaptureFixture[str]) -> None:
+    """A log that is late, or a compass that deviates, may be what the named effect makes up for."""
+    late = Found(
+        id="late_velocity", severity="warning", text="mini-auv: u is 0.2 s late: a delay corrects it"
+    )
+    quiet = Found(id="agreement", severity="note", text="pose rate over velocity: u 1.0")
+    diagnosis = _diagnosis().model_copy(update={"doctor": [late, quiet]})
+    show(SimpleNamespace(diagnosis=diagnosis))  # type: ignore[arg-type]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "undertow doctor warns, and says what to do: u is 0.2 s late" in said
+    assert "pose rate" not in said
+    show(SimpleNamespace(diagnosis=_diagnosis()))  # type: ignore[arg-type]
+    assert "undertow doctor warns" not in capsys.readouterr().out
 
 
 def test_what_a_written_vehicle_file_has_is_said() -> None:

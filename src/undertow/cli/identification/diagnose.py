@@ -202,6 +202,9 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
     shown = {f"mistake: {f.text}" for f in diagnosis.doctor}
     for warning in (w for w in diagnosis.warnings if w not in shown):
         say(f"warning: {warning}", "yellow")
+    doubts = [f.clause([r.name for r in diagnosis.runs]) for f in diagnosis.doctor if f.severity == "warning"]
+    if doubts:
+        say(f"undertow doctor warns, and says what to do: {'; '.join(doubts)}", "yellow")
     say(f"{diagnosis.seconds:.0f} s; false alarm rate {diagnosis.false_alarm_rate:.0%}", "dim")
 
 

@@ -62,7 +62,7 @@ class Deviation:
     @property
     def is_sure(self) -> bool:
         """Whether it is too large for a compass that has been adjusted, and for chance."""
-        errors = float(self.value @ np.linalg.solve(self.covariance, self.value)) ** 0.5
+        errors = float(self.value @ np.linalg.pinv(self.covariance, hermitian=True) @ self.value) ** 0.5
         large = float(np.hypot(*self.value)) > SETTINGS.worth
         return large and errors > SETTINGS.sure and self.explained > SETTINGS.explains
 
@@ -181,7 +181,7 @@ def _without(beside: Array, table: Array) -> Array:
 
 def _clustered(table: Array, target: Array, piece: Array) -> tuple[Array, Array]:
     """Least squares, and its covariance if pieces are independent of each other (sandwich estimator)."""
-    inverse = np.linalg.inv(table.T @ table)
+    inverse = np.linalg.pinv(table.T @ table, hermitian=True)
     value = inverse @ (table.T @ target)
     scores = table * (target - table @ value)[:, None]
     sums = np.array([scores[piece == k].sum(axis=0) for k in np.unique(piece)])

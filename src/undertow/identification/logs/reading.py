@@ -554,7 +554,7 @@ def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMappin
     flags = {column.fresh for column in sources.values()}
     used = {*sources, *mapping.ignore, *mapping.time.columns, *flags}
     used.update(n for channel in mapping.channels.values() for n in channel.formula.columns)
-    left = [name for name in names if name not in used]
+    left = [name or f"(column {k} has no name)" for k, name in enumerate(names, 1) if name not in used]
     return [f"columns not used: {', '.join(left)}"] if left else []
 
 
