@@ -107,14 +107,14 @@ def test_two_degrees_are_what_a_compass_may_have() -> None:
     assert _found(_boat(small, _turning)) is None
 
 
-def test_the_doctor_warns_and_its_lines_mend_the_log(tmp_path: Path) -> None:
+def test_the_doctor_says_it_and_its_lines_mend_the_log(tmp_path: Path) -> None:
     columns = _boat(IRON, _turning, _current)
     path = tmp_path / "boat.csv"
     path.write_text(text_of({n: c for n, c in columns.items() if not n.startswith("true")}))
     vehicle = load_vehicle("otter")
     run = read_log(path, channels=vehicle.command_names)
     (finding,) = [f for f in examine(vehicle, [run]).result.findings if f.id == "compass_deviation"]
-    assert finding.severity == "warning"
+    assert finding.severity == "mistake"
     mapping = edited(LogMapping(), read_edits(finding.mapping))
     assert mapping.compass is not None
     assert mapping.compass.velocities

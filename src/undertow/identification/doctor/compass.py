@@ -86,7 +86,7 @@ class Deviation:
         b, c = (f"{v:.3g} ± {e:.1g}" for v, e in np.degrees([self.value, self.error]).T)
         return Finding(
             id="compass_deviation",
-            severity="warning",
+            severity="mistake",
             text="the heading has a deviation that changes with it, as iron or currents near a compass "
             f"make: moving ahead, the vehicle drifts sideways by B sin psi + C cos psi, B = {b} deg, "
             f"C = {c} deg, which explains {percent(self.explained)} of the sideways velocity that turning, "
@@ -99,7 +99,6 @@ class Deviation:
                 "explained": self.explained,
             },
             mapping=as_toml(self.edits(mapping)),
-            alternatives=[],
         )
 
 
