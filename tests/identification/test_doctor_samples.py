@@ -135,6 +135,41 @@ def test_a_coarse_reading_is_not_a_slow_one() -> None:
     assert "held_values" not in _found(_run(t, z=np.round(0.5 * np.sin(0.1 * t), 2)))
 
 
+def _filmed(frame: float, late: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A motion seen by a camera, written 200 times a second on straight lines between its frames."""
+    t = np.arange(0.0, 30.0, 0.005)
+    frames = np.arange(-1.0, 31.0, frame) + late
+    seen = 0.1 * np.sin(1.3 * frames) + 1e-3 * RNG.standard_normal(len(frames))
+    return t, np.interp(t, frames, seen)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0013])
+def test_rows_on_straight_lines_between_samples_are_no_measurements(late: float) -> None:
+    t, y = _filmed(0.05, late)
+    _, z = _filmed(0.05, late)
+    found = _found(_run(t, y=y, z=z))["interpolated"]
+    assert found.severity == "warning"
+    assert found.evidence == {"rows_y": pytest.approx(10.0, abs=0.5), "rows_z": pytest.approx(10.0, abs=0.5)}
+    assert found.mapping == "[time]\nevery = 10"
+
+
+def test_a_slow_sensor_interpolated_beside_a_fast_one_is_to_be_left_blank() -> None:
+    t, y = _filmed(0.05)
+    found = _found(_run(t, y=y, p=np.cos(1.3 * t) + 1e-3 * RNG.standard_normal(len(t))))["interpolated"]
+    assert list(found.evidence) == ["rows_y"]
+    assert not found.mapping
+    assert "leave the cells between its samples blank" in found.text
+
+
+def test_smooth_motions_and_held_values_are_not_interpolated() -> None:
+    t, y = _filmed(0.05)
+    steps = np.repeat(y[::10], 10)[: len(t)]
+    steady = 0.3 * t  # the heading of a noiseless turn
+    corners = np.interp(t, [0.0, 10.0, 20.0, 30.0], [0.0, 1.0, 0.5, 2.0])
+    for column in (np.sin(t), steps, steady, corners, np.round(np.sin(t), 3), np.zeros_like(t)):
+        assert "interpolated" not in _found(_run(t, y=column))
+
+
 def test_rows_out_of_order_are_a_mistake_until_the_mapping_drops_them() -> None:
     run = replace(_run(np.arange(0.0, 5.0, 0.1), u=RNG.standard_normal(50)), dropped=3)
     found = _found(run)["disorder"]

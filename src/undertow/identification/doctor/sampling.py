@@ -50,6 +50,11 @@ class SamplingSettings:
     stretch: int = 256  # samples of a segment whose spectrum is taken
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
     steep: float = 0.7
+    # Share of the usual slope below which a change of slope is rounding, and above which it is a new sample;
+    # share of the moving rows that lie on a straight line from which a channel was interpolated.
+    straight: tuple[float, float] = (1e-6, 1e-3)
+    on_lines: float = 0.5
+    fewest: int = 20  # new samples that show it
     names: int = 5  # runs that are named where many show the same
     repeats: float = 0.3  # share of rows that repeat the one before, from which a channel is held or coarse
 
@@ -64,7 +69,7 @@ def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) 
     """Everything about the clock of runs."""
     found = list(_of_runs(runs, channels, mapping))
     slow = [f for name in channels if (f := _held(runs, name, mapping)) is not None]
-    return [*found, *_filtered(runs, channels), *slow]
+    return [*found, *_filtered(runs, channels), *slow, *_interpolated(runs, channels, mapping)]
 
 
 def _of_runs(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
@@ -260,6 +265,56 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
     if usual < SETTINGS.held or not regular or coarse:
         return None
     return usual, float(np.median(np.diff(t[at])))
+
+
+# --- interpolated before they were logged -------------------------------------------------------
+def _interpolated(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
+    """Channels whose rows lie on straight lines between the samples of a slower sensor."""
+    rows = {n: period for n in channels if (period := _rows_on_lines(runs, n)) is not None}
+    if not rows:
+        return
+    usual = float(np.median(list(rows.values())))
+    logged = [n for n in channels if any(r.has(n) and n not in r.derived for r in runs)]
+    # A row in so many is as good as the samples only if no other sensor is faster.
+    every = mapping.time.every * round(usual) if len(rows) == len(logged) else 0
+    remedy = f"set every = {every}" if every else "leave the cells between its samples blank"
+    yield Finding(
+        id="interpolated",
+        severity="warning",
+        text=f"{', '.join(rows)} {'are' if len(rows) > 1 else 'is'} interpolated linearly: only one row in "
+        f"{usual:.2g} has a new sample, the others lie on straight lines, so their noise is not that of the "
+        f"sensor and corners look like forces; {remedy}, and state the noise of the sensor",
+        evidence={f"rows_{n}": period for n, period in rows.items()},
+        mapping=as_toml([Edit("time", "every", every)]) if every else "",
+    )
+
+
+def _rows_on_lines(runs: Sequence[Run], name: str) -> float | None:
+    """Rows per new sample of a channel that was interpolated linearly in all runs; None for others."""
+    periods = [_straight_rows(r, name) for r in runs if r.has(name) and name not in r.derived]
+    found = [p for p in periods if p is not None]
+    return float(np.median(found)) if found and len(found) == len(periods) else None
+
+
+def _straight_rows(run: Run, name: str) -> float | None:
+    there = np.flatnonzero(np.isfinite(run.channels[name]))
+    slope = np.diff(run.channels[name][there]) / np.diff(run.t[there])
+    moving = (slope[1:] != 0.0) & (slope[:-1] != 0.0)
+    if np.sum(moving) < SETTINGS.fewest:
+        return None
+    rounding, new = SETTINGS.straight
+    slope = slope / np.median(np.abs(slope[slope != 0.0]))
+    bend = np.abs(np.diff(slope))
+    corner = moving & (bend > rounding)
+    # A sample between two rows bends the line at both.
+    samples = np.flatnonzero(corner & ~np.concatenate([[False], corner[:-1]]))
+    if len(samples) < SETTINGS.fewest or np.median(bend[corner]) < new:
+        return None
+    # A coarse reading goes up and down by the same few steps.
+    coarse = 2 * len(np.unique(np.round(slope[:-1][moving] / rounding))) < len(samples)
+    if coarse or np.mean(bend[moving] <= rounding) < SETTINGS.on_lines:
+        return None
+    return float(np.median(np.diff(samples)))
 
 
 # --- filtered before they were logged -----------------------------------------------------------
