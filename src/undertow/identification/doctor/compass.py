@@ -104,8 +104,8 @@ class Deviation:
 
 def deviation(vehicle: Vehicle, runs: Sequence[Run]) -> Deviation | None:
     """The deviation of the compass by which velocities were turned; None where none is sure."""
-    told = [run for run in runs if all(run.has(n) for n in ("psi", "u", "v"))]
-    parts = [_part(run, vehicle) for run in told]
+    usable = [run for run in runs if all(run.has(n) for n in ("psi", "u", "v"))]
+    parts = [_part(run, vehicle) for run in usable]
     parts = [part for part in parts if len(part.v)]
     if not parts:
         return None
@@ -118,7 +118,7 @@ def deviation(vehicle: Vehicle, runs: Sequence[Run]) -> Deviation | None:
         return None
     fitted = _clustered(left[:, 1:], left[:, 0], piece)
     explained = _explained_elsewhere(left[:, 1:], left[:, 0], piece)
-    found = Deviation(*fitted, explained, all("v" in run.derived for run in told))
+    found = Deviation(*fitted, explained, all("v" in run.derived for run in usable))
     return None if not found.is_sure or _is_wind(parts, found) else found
 
 
