@@ -15,7 +15,7 @@ from tests.identification.surge import M_X, MASS, TRUTH, surge_vehicle
 from tests.quick import first_quick
 from undertow.codegen.functions import Functions
 from undertow.identification.api import Estimator
-from undertow.identification.diagnosis.addition import add_effect, set_up_addition
+from undertow.identification.diagnosis.addition import add_effect, best_predicting, set_up_addition
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import held_by_size, notes, unknown_scales
 from undertow.identification.estimation.output_error import (
@@ -75,6 +75,18 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
         assert diagnosed.value_of(parameter).value == pytest.approx(value, abs=0.2 * error)
         # From fitted values time constants, and so the windows, are a little different.
         assert again.values[parameter] == pytest.approx(value, abs=error)
+
+
+def test_of_parameters_left_out_or_not_those_are_added_that_predict_better() -> None:
+    """With half of them held at wrong values predictions are worse; of two as good the first is taken."""
+    vehicle, (train, test) = _guessed(ut.load_vehicle("box-hull")), _logs("box-hull")
+    setup = set_up_addition(vehicle, [train], [test])
+    whole = setup.bench.base
+    half = fit_weak(whole.model.with_free(whole.model.free[:1]), whole.data)
+    for fits in ([half, whole], [whole, half]):
+        assert best_predicting(setup, fits)[0] is whole
+    same = fit_weak(whole.model, whole.data)
+    assert best_predicting(setup, [whole, same])[0] is whole
 
 
 def test_the_refitted_model_is_the_same_for_all_commands_if_the_model_lacks_an_effect() -> None:

@@ -111,7 +111,7 @@ def show(addition: Addition) -> None:
         spread = f"± {errors[name]:.1g} " if errors[name] < NOTHING_SAID else ""
         say(f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}".rstrip())
     if addition.dropped:
-        say(f"left out (zero within their error): {', '.join(addition.dropped)}")
+        say(f"left out (zero within their error, or predicting no better): {', '.join(addition.dropped)}")
 
 
 def _draw(addition: Addition, out: Path) -> None:

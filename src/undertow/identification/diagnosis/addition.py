@@ -118,8 +118,8 @@ def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = F
         keep_all, first = True, _whole(candidate, setup.bench, start)
     # What is judged is weighed by the noise model of the better fit, for both models alike.
     sharp = setup.bench.sharpened(first.full)
-    last = last_fit(_tried(candidate, sharp, first.fit.values, keep_all).fit, [candidate])
-    return _judged(setup, sharp, candidate, last)
+    found = _tried(candidate, sharp, first.fit.values, keep_all).fit
+    return _judged(setup, sharp, candidate, [last_fit(found, [candidate]), found])
 
 
 def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
@@ -161,10 +161,11 @@ def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial
     return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
 
 
-def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: WeakFit) -> Addition:
+def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequence[WeakFit]) -> Addition:
     # What `fit` ends with, from where it begins: both commands give the same model.
-    fit, base = (setup.validator.final(f)[0] for f in (weak, setup.bench.base))
-    without, with_it = (float(horizon_error([f], setup.test)[0]) for f in (base, fit))
+    weak, fit, with_it = best_predicting(setup, fits)
+    base = setup.validator.final(setup.bench.base)[0]
+    without = float(horizon_error([base], setup.test)[0])
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.values.names)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
@@ -179,6 +180,19 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, weak: Weak
         compare_scores(bench.base_score, bench.judge(weak), bench.test),
         (without, with_it),
     )
+
+
+def best_predicting(setup: AdditionSetup, fits: Sequence[WeakFit]) -> tuple[WeakFit, Fitted, float]:
+    """The first of these fits whose final fit predicts no worse than the best, with that and its error.
+
+    They differ in the parameters of the effect that are left out. What the force tells from zero may predict
+    worse, where something else is missing as well.
+    """
+    different = [f for i, f in enumerate(fits) if f.model.free not in [g.model.free for g in fits[:i]]]
+    finals = [setup.validator.final(f)[0] for f in different]
+    errors = [float(horizon_error([f], setup.test)[0]) for f in finals]
+    limit = (1.0 + NO_WORSE) * min(errors)
+    return next(found for found in zip(different, finals, errors, strict=True) if found[2] <= limit)
 
 
 def _step(setup: AdditionSetup, added: list[str], model: Fitted | Vehicle, noise: list[Whitening]) -> Step:
