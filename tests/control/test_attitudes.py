@@ -21,7 +21,7 @@ from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 ROV = """
 schema = "undertow/gains/1"
@@ -143,7 +143,7 @@ def test_pitch_counts_where_gains_tell_depth_from_the_level_though_j_is_a_rotati
     table = {"schema": "undertow/gains/1", "name": "four", "law": "pd", "unactuated": axes, "gains": gains}
     problem = Problem(gains_from_table(GainTable.model_validate(table), load_vehicle(tmp_path / "v.toml")))
     (damper,) = (c for c in problem.conditions if c.form == "derived" and c.id == "K_V + D")
-    found = problem.certificate(damper, problem.sets[:1], None)
+    found = problem.certificate(damper, problem.sets[0], None)
     turn = np.array([[0.5, np.sqrt(0.75)], [-np.sqrt(0.75), 0.5]])
     block = np.diag([10.0, 1.0]) + turn @ np.diag([1.0, 30.0]) @ turn.T
     least = np.linalg.eigvalsh(block)[0]
@@ -217,9 +217,9 @@ def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None
     """A gain that the damping of roll just outweighs on an even keel is too much when pitched."""
     problem = Problem(rov_gains(tmp_path))
     condition = next(c for c in problem.conditions if c.id == "K_V + D")
-    assert problem.certificate(condition, problem.sets[:1], None).bound > 0
+    assert problem.certificate(condition, problem.sets[0], None).bound > 0
     weak = {**problem.values, "K_V": np.array([60.0, 60, 60, -0.0685, 2, 2])}
-    found = problem.changed(weak).certificate(condition, problem.sets[:1], None)
+    found = problem.changed(weak).certificate(condition, problem.sets[0], None)
     assert problem.changed(weak).margin(condition, problem.sets[0], None, 3) > 0
     assert found.bound < 0
     assert abs(found.worst["theta"]) > np.arcsin(np.sqrt(0.0015 * 2.07) / 0.07) - 0.05
@@ -258,3 +258,21 @@ def test_what_no_certificate_can_cover_is_refused(options: dict[str, float], wor
     gains = gains_from_table(GainTable.model_validate(table), vehicle)
     with pytest.raises(UndertowError, match=words):
         check_gains(vehicle, gains, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("backward", "holds"), first_quick([(2.0, True), (-30.0, True), (-75.0, False)]))
+def test_a_condition_is_proved_in_all_sign_sets_at_once(backward: float, holds: bool, tmp_path: Path) -> None:
+    """Also where damping backward is so much less than forward that what lies between fails."""
+    values = {n: v for n, v in rov().values.items() if n not in ("Y_v", "Z_w", "N_r")}
+    ways = {"Y_v": 80.0, "Z_w": 40.0, "N_r": 0.07}
+    for name, forward in ways.items():
+        values |= {f"{name}_forward": Value(-forward), f"{name}_backward": Value(-2.0 * forward)}
+    values["Y_v_backward"] = Value(-backward)
+    gains = replace(rov_gains(tmp_path, sideways=65.0), plant=Plant(replace(rov(), values=values)))
+    problem = Problem(gains)
+    condition = next(c for c in problem.conditions if c.id == "K_V + D")
+    assert len(problem.distinct) == 8
+    each = [problem.certificate(condition, one, None).bound > 0 for one in problem.distinct]
+    assert problem.proved(condition, problem.distinct, None) == all(each) == holds
+    mixed = problem.distinct[2:]  # the forward one is not among them
+    assert problem.proved(condition, mixed, None) == all(each[2:])

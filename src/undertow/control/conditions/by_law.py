@@ -410,6 +410,12 @@ def along_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
 
     The sign of a velocity that switches parameters counts as constant.
     """
+    moved, slope, net = _in_the_loop(value, law, s)
+    return moved + (slope * s.plant.M.LUsolve(net))[0]
+
+
+def _in_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> tuple[sm.Expr, sm.Matrix, sm.Matrix]:
+    """The derivative of an expression but for accelerations, its slope in the velocities, and M nu_dot."""
     plant = s.plant
     rate = plant.J * plant.nu
     net = law.force(s) - (plant.C + plant.D) * plant.nu - plant.g
@@ -417,9 +423,9 @@ def along_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
         *zip(plant.eta, rate, strict=True),
         *zip(s.error, -rate, strict=True),
         *zip(s.states, law.rates(s), strict=True),
-        *zip(plant.nu, plant.M.LUsolve(net), strict=True),
     ]
-    return sum((value.diff(x) * v for x, v in rates), sm.Integer(0))
+    moved = sum((value.diff(x) * v for x, v in rates), sm.Integer(0))
+    return moved, sm.Matrix([[value.diff(x) for x in plant.nu]]), net
 
 
 def derivatives(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
@@ -433,17 +439,19 @@ def compare(plant: Plant, law: Law) -> float:
 
     Points are random, with random signs of pose, error and motion; gains are positive.
     """
-    worked, stated = derivatives(in_numbers(plant), law)
-    s = LawSignals(plant, law)
-    names = sorted(worked.free_symbols | stated.free_symbols, key=str)
-    function = function_of(names, [worked, stated])
+    s, candidate = LawSignals(in_numbers(plant), law), CANDIDATES[law.id]
+    moved, slope, net = _in_the_loop(candidate.value(s), law, s)
+    parts = (sm.Matrix([moved, candidate.derivative(s)]), slope, s.plant.M, net)
+    names = sorted(set().union(*(part.free_symbols for part in parts)), key=str)
+    function = function_of(names, [part.tolist() for part in parts])
     signed = {*plant.eta, *plant.nu, *s.error, *s.states}
     random, worst = Random(COMPARISON.seed), 0.0
     for way in _ways(plant):
         signs = {x: random.choice((-1.0, 1.0)) if x in signed else 1.0 for x in names} | way
         values = {x: signs[x] * random.uniform(0.2, 1.2) for x in names}
         values |= {_switch(v): sign for v, sign in way.items()}
-        one, other = function(*(values[x] for x in names))
+        (moved, stated), slope, M, net = map(np.array, function(*(values[x] for x in names)))
+        one, other = float(moved[0] + (slope @ np.linalg.solve(M, net))[0, 0]), float(stated[0])
         worst = max(worst, abs(one - other) / max(abs(one), abs(other), 1e-12))
     return worst
 

@@ -341,14 +341,14 @@ class _Evaluation:
     def proved(self, sets: Sequence[SignSet]) -> bool:
         """Whether it holds in all of these sets, at every attitude, with the iota that serves all."""
         served = not self.condition.uses_iota or self.together is not None
-        return served and self.problem.certificate(self.condition, sets, self._iota(sets[0], None)).bound > 0
+        return served and self.problem.proved(self.condition, sets, self._iota(sets[0], None))
 
     def _sides(self, one: SignSet, iota: float | None) -> tuple[float, float, Certificate]:
         if self.channel is not None:
             left, right = self.condition.sides(self.problem.channel_quantities(one, self.channel, iota))
             margin = self._margin(one, iota)
             return left, right, Certificate(margin, margin, {}, "")
-        certificate = self.problem.certificate(self.condition, [one], iota)
+        certificate = self.problem.certificate(self.condition, one, iota)
         inverse = self.problem.attitudes.at(certificate.worst)
         left, right = self.condition.sides(self.problem.quantities(one, inverse, iota))
         return left, right, certificate

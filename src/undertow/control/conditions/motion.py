@@ -365,17 +365,19 @@ def second_order(found: Modes, A: Array, form: Form, rows: Array, starts: Starts
 
 def _signals(rows: Array, Z: Array, coefficient: Array, Y: Array, exponents: Array, times: Array) -> Array:
     """Bounds on rows on z_2 for each pair of starts of one, (pairs, signals, pieces)."""
-    first, second = rows @ Z.T, rows @ Y.swapaxes(0, 1).swapaxes(1, 2)  # (signals, l), (pairs, signals, m)
-    sizes = np.abs(rows) @ np.abs(Z).T
-    more = np.abs(rows) @ np.abs(Y).swapaxes(0, 1).swapaxes(1, 2)
-    amplitude = np.concatenate([first * coefficient.T[:, None], second], axis=-1)
-    size = np.concatenate([sizes * np.abs(coefficient).T[:, None], more], axis=-1)
-    whole = size.sum(axis=-1)
+    free = Y.swapaxes(0, 1).swapaxes(1, 2)  # (pairs, states, m)
+    sizes, more = np.abs(rows) @ np.abs(Z).T, np.abs(rows) @ np.abs(free)  # (signals, l), (pairs, signals, m)
+    shares = np.abs(coefficient).T
+    whole = shares @ sizes.T + more.sum(axis=-1)
     # What hardly matters to a signal is not followed in time.
     matters = whole > PROOFS.level * whole.max(axis=0)
+    pair, signal = np.nonzero(matters)
+    amplitude = np.concatenate(
+        [(rows @ Z.T)[signal] * coefficient.T[pair], (rows @ free)[pair, signal]], axis=-1
+    )
+    own = np.concatenate([sizes[signal] * shares[pair], more[pair, signal]], axis=-1)
     found = whole[..., None] * np.exp(exponents.real.max() * times)
-    own = size[matters]
-    found[matters] = bounds_within(Amplitudes(amplitude[matters], own, PROOFS.level * own), exponents, times)
+    found[matters] = bounds_within(Amplitudes(amplitude, own, PROOFS.level * own), exponents, times)
     return np.asarray(found * (1 + PROOFS.level))
 
 

@@ -22,7 +22,7 @@ from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .attitude import Attitudes, Certificate, least, transposed
+from .attitude import Attitudes, Certificate, Interval, least, transposed
 from .by_law import CONDITIONS, Condition, Quantities
 
 
@@ -52,7 +52,7 @@ SEARCH = SearchSettings()
 class Affine:
     """A matrix that depends on parameters: constant + sum of theta_j slopes_j."""
 
-    constant: Array  # shape (n, n)
+    constant: Any  # shape (n, n), numbers or intervals
     slopes: Array  # derivative in each parameter, shape (n_parameters, n, n)
 
     def at(self, theta: Array) -> Array:
@@ -143,6 +143,25 @@ def _check(one: SignSet, plant: Plant) -> None:
             f"the mass matrix of '{plant.vehicle.name}'{of} is singular or not positive definite, about "
             f"{worst}: give {worst} inertia in [effects.rigid_body] or leave it out"
         )
+
+
+def _hull(sets: Sequence[SignSet]) -> SignSet:
+    """Every inertia and damping between those of some sets, entry by entry, with the values of the file."""
+    fixed = np.zeros((0, *sets[0].inertia.shape))
+    M, D = (
+        Affine(Interval(np.min(own, axis=0), np.max(own, axis=0)), fixed)
+        for own in ([one.inertia for one in sets], [one.damping for one in sets])
+    )
+    return SignSet("", {}, (), np.zeros(0), M, D)
+
+
+def _stacked(sets: Sequence[SignSet]) -> SignSet:
+    """The matrices of some sets along a first axis, before those of iotas and attitudes."""
+    M, D = (
+        Affine(np.array(own)[:, None, None], np.zeros((0, 1, 1)))
+        for own in ([one.inertia for one in sets], [one.damping for one in sets])
+    )
+    return SignSet("", {}, (), np.zeros(0), M, D)
 
 
 Span = tuple[float, float]
@@ -390,14 +409,59 @@ class Problem:
         """The margin for one iota; any where the condition has none."""
         return float(self.margins(condition, one, np.array([1.0 if iota is None else iota]), channel)[0])
 
-    def certificate(self, condition: Condition, sets: Sequence[SignSet], iota: float | None) -> Certificate:
-        """The margin over all attitudes, the least of these sets, with its proof."""
+    def certificate(self, condition: Condition, one: SignSet, iota: float | None) -> Certificate:
+        """The margin over all attitudes in one sign set, with its proof."""
 
         def margins(inverse: Any) -> Array:
-            each = (condition.margin(self.quantities(one, inverse, iota)) for one in sets)
-            return np.min([np.broadcast_to(m, len(inverse)) for m in each], axis=0)
+            return self._margins_at(condition, one, inverse, iota)
 
         return least(margins, self.attitudes, self.turned, bool(condition.uses))
+
+    def proved(self, condition: Condition, sets: Sequence[SignSet], iota: float | None) -> bool:
+        """Whether a condition is proved over all attitudes in all of these sets.
+
+        There may be two to the power of the velocities that switch parameters. What holds for every inertia
+        and damping between those of the sets holds in each of them, and is one matrix at most attitudes.
+        """
+        hull = _hull(sets)
+        for tried in ([hull], sets):
+
+            def margins(inverse: Any, tried: Sequence[SignSet] = tried) -> Array:
+                if isinstance(inverse, Interval):
+                    return self._bounds_in_all(condition, hull, sets, inverse, iota)
+                return np.min([self._margins_at(condition, one, inverse, iota) for one in tried], axis=0)
+
+            found = least(margins, self.attitudes, self.turned, bool(condition.uses))
+            if found.found > 0:
+                return found.bound > 0
+        return False
+
+    def _bounds_in_all(
+        self,
+        condition: Condition,
+        hull: SignSet,
+        sets: Sequence[SignSet],
+        inverse: Interval,
+        iota: float | None,
+    ) -> Array:
+        """Bounds at boxes of attitudes: of the hull, or where that has none, of the sets.
+
+        These one after the other, as long as they have a bound: a box where one has none has to be cut.
+        """
+        bounds = self._margins_at(condition, hull, inverse, iota)
+        left = np.flatnonzero(bounds <= 0)
+        bounds[left] = np.inf
+        for one in sets:
+            if not len(left):
+                break
+            bounds[left] = np.minimum(bounds[left], self._margins_at(condition, one, inverse[left], iota))
+            left = left[bounds[left] > 0]
+        return bounds
+
+    def _margins_at(self, condition: Condition, one: SignSet, inverse: Any, iota: float | None) -> Array:
+        """Margins for J^-1 at attitudes, or bounds below them at boxes of attitudes, shape (k,)."""
+        found = condition.margin(self.quantities(one, inverse, iota))
+        return np.array(np.broadcast_to(found, len(inverse)))
 
     def with_damping(self, damping: Array) -> SignSet:
         """The first sign set with other damping at rest, whatever the parameters."""
@@ -418,9 +482,16 @@ class Problem:
 
     def _iota_of_matrices(self, pairs: Sequence[tuple[Condition, SignSet]]) -> Span | None:
         """From a few attitudes, and then from those at which the ends of the interval fail."""
-        span = where_positive(
-            lambda iotas: np.min([self.margins(*pair, iotas, few=True) for pair in pairs], axis=0)
-        )
+        conditions = dict.fromkeys(c for c, _ in pairs)
+        stacks = [(c, _stacked([one for own, one in pairs if own is c])) for c in conditions]
+
+        def at_few(iotas: Array) -> Array:
+            given, shape = iotas[:, None, None, None], (1, len(iotas), len(self.few_attitudes))
+            each = (c.margin(self.quantities(own, self.few_attitudes, given)) for c, own in stacks)
+            whole = (np.broadcast_to(m, np.broadcast_shapes(np.shape(m), shape)) for m in each)
+            return np.min([m.min(axis=(0, 2)) for m in whole], axis=0)
+
+        span = where_positive(at_few)
         active: dict[int, set[int]] = {}  # attitudes by pair
 
         def least(iotas: Array) -> Array:

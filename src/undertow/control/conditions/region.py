@@ -168,7 +168,7 @@ def _damping_outlasts(problem: Problem) -> Callable[[float], bool]:
         most = max(float(np.linalg.eigvalsh(d.loss(speeds) / scale)[-1]) for d in fast)
         lost = np.diag(max(most, 0.0) * size**2)  # outweighs what damping loses in any sign set
         left = (problem.with_damping(d - lost) for d in rest)
-        return all(problem.certificate(DERIVED_PD_DAMPER, [one], None).bound > 0 for one in left)
+        return all(problem.certificate(DERIVED_PD_DAMPER, one, None).bound > 0 for one in left)
 
     return outlasts
 

@@ -218,7 +218,7 @@ def _pid_rows(problem: Problem, mission: Mission) -> Iterator[MissionRow]:
         return
     falling = Falling(problem, most)
     iota = falling.best(span)
-    positive = problem.certificate(POSITIVE_CANDIDATE, [one], iota)
+    positive = problem.certificate(POSITIVE_CANDIDATE, one, iota)
     at = f"iota = {iota:.4g} 1/s"
     about = f"{POSITIVE_CANDIDATE.about} The same with a reference."
     yield _row(
